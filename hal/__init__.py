@@ -1,0 +1,1 @@
+"""The hardware layer: photons and currents. Camera, lights, button; real drivers and their twin."""

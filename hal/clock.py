@@ -1,0 +1,51 @@
+"""Clocks: the machine's own, and a virtual one that moves only when somebody sleeps on it."""
+
+from __future__ import annotations
+
+import time
+
+_NS_PER_S = 1_000_000_000
+
+
+class SystemClock:
+    """The machine's clock."""
+
+    def monotonic_ns(self) -> int:
+        """Nanoseconds since boot or thereabouts, never backwards."""
+        return time.monotonic_ns()
+
+    def wall_time_s(self) -> float:
+        """Seconds since 1970 as the machine believes them."""
+        return time.time()
+
+    def sleep(self, duration_s: float) -> None:
+        """Return after `duration_s` seconds."""
+        time.sleep(max(duration_s, 0.0))
+
+
+class VirtualClock:
+    """A clock whose time passes only in `sleep`, so that hours take no time and runs repeat exactly.
+
+    Parameters
+    ----------
+    start_ns : monotonic time at the beginning, ns
+    wall_start_s : wall time at the beginning, seconds since 1970
+    """
+
+    def __init__(self, start_ns: int = 0, wall_start_s: float = 0.0) -> None:
+        self._start_ns = start_ns
+        self._now_ns = start_ns
+        self._wall_start_s = wall_start_s
+
+    def monotonic_ns(self) -> int:
+        """Nanoseconds of virtual time."""
+        return self._now_ns
+
+    def wall_time_s(self) -> float:
+        """Seconds since 1970, advancing with the virtual time."""
+        return self._wall_start_s + (self._now_ns - self._start_ns) / _NS_PER_S
+
+    def sleep(self, duration_s: float) -> None:
+        """Advance by `duration_s` seconds at once, by a nanosecond at least when it is positive."""
+        if duration_s > 0.0:
+            self._now_ns += max(round(duration_s * _NS_PER_S), 1)

@@ -1,0 +1,46 @@
+"""The raw frame: one exposure of a Bayer sensor, with the metadata that proves how it was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+BayerOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+BAYER_ORDERS: Final[tuple[BayerOrder, ...]] = ("RGGB", "BGGR", "GRBG", "GBRG")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """What the camera is asked for, or what a frame's metadata says was granted."""
+
+    exposure_us: float
+    analogue_gain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFrame:
+    """One raw exposure.
+
+    mosaic : uint16 array of shape (H, W), sensor counts (dn); H and W are even
+    bayer_order : colours of the top left 2x2 pixels, in reading order
+    black_level_dn : counts of a pixel that saw no light
+    white_level_dn : counts at which a pixel is saturated
+    granted : exposure and gain as this frame's own metadata states them
+    sensor_timestamp_ns : monotonic time at which the exposure of the first row began, ns
+    """
+
+    mosaic: NDArray[np.uint16]
+    bayer_order: BayerOrder
+    black_level_dn: float
+    white_level_dn: float
+    granted: CameraSettings
+    sensor_timestamp_ns: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) in sensor pixels."""
+        rows, columns = self.mosaic.shape
+        return rows, columns

@@ -1,0 +1,93 @@
+"""Light on the skin: near point lights, fall-off, cosine law, metal flakes, cast shadows. Physics, no fitted model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hal.twin.arrays import Float32Array, FloatArray
+from hal.twin.lens import Lens
+from hal.twin.shadow import visible_share
+
+UNIT_DISTANCE_MM: Final = 25.0
+"""Distance of the light at which a white skin that faces it has radiance 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coat:
+    """How the skin reflects: a Lambertian part, and flakes that scatter about the skin's normal.
+
+    flake_share : 0 for a diffuse skin
+    lobe_half_width_rad : angle between normal and half vector at which the flakes' lobe has fallen to one half
+    """
+
+    flake_share: float
+    lobe_half_width_rad: float
+
+
+_COATS: Final[dict[str, Coat]] = {
+    "diffuse": Coat(0.0, 1.0),
+    "flake": Coat(0.5, float(np.radians(20.0))),
+    "sharp-flake": Coat(0.5, float(np.radians(8.0))),
+}
+
+
+def coat(name: str) -> Coat:
+    """The coat of that name, as a board profile spells it."""
+    return _COATS[name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinGeometry:
+    """The skin as light meets it: points (mm) and unit normals, float32 arrays of shape (H, W)."""
+
+    x_mm: Float32Array
+    y_mm: Float32Array
+    z_mm: Float32Array
+    normal_x: Float32Array
+    normal_y: Float32Array
+    normal_z: Float32Array
+
+
+def skin_geometry(lens: Lens, height_mm: FloatArray) -> SkinGeometry:
+    """Points and normals of a skin whose height is given on the pixel grid, array of shape (H, W), mm."""
+    x, y = lens.points_mm(height_mm)
+    slope_x, slope_y = lens.skin_slopes(height_mm)
+    up = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
+    arrays = (x, y, height_mm, -slope_x * up, -slope_y * up, up)
+    return SkinGeometry(*(np.asarray(a, np.float32) for a in arrays))
+
+
+def radiance(
+    skin: SkinGeometry, lens: Lens, skin_coat: Coat, light_mm: tuple[float, float, float], light_radius_mm: float
+) -> Float32Array:
+    """Radiance of the skin towards the camera under one light, float32 array of shape (H, W)."""
+    away = [np.float32(at) - here for at, here in zip(light_mm, (skin.x_mm, skin.y_mm, skin.z_mm), strict=True)]
+    squared = away[0] ** 2 + away[1] ** 2 + away[2] ** 2
+    inverse = 1.0 / np.sqrt(squared)
+    to_light = [a * inverse for a in away]
+    normal = (skin.normal_x, skin.normal_y, skin.normal_z)
+    cosine = np.maximum(sum(n * a for n, a in zip(normal, to_light, strict=True)), np.float32(0.0))
+    reflected = cosine * np.float32(1.0 - skin_coat.flake_share)
+    if skin_coat.flake_share > 0.0:
+        reflected = reflected + np.float32(skin_coat.flake_share) * _flakes(skin, lens, skin_coat, to_light, cosine)
+    seen = visible_share(skin.z_mm, lens.pitch_mm, light_mm, light_radius_mm)
+    return np.asarray(reflected * seen * np.float32(UNIT_DISTANCE_MM**2) / squared, np.float32)
+
+
+def _flakes(
+    skin: SkinGeometry, lens: Lens, skin_coat: Coat, to_light: list[FloatArray], cosine: FloatArray
+) -> FloatArray:
+    """Lobe of the flakes, array of shape (H, W): 1 where the normal halves the angle between light and camera."""
+    to_camera = (-skin.x_mm, -skin.y_mm, np.float32(lens.distance_mm) - skin.z_mm)
+    inverse = 1.0 / np.sqrt(sum(v**2 for v in to_camera))
+    half = [a + v * inverse for a, v in zip(to_light, to_camera, strict=True)]
+    length = np.sqrt(sum(h**2 for h in half))
+    normal = (skin.normal_x, skin.normal_y, skin.normal_z)
+    aligned = sum(n * h for n, h in zip(normal, half, strict=True)) / length
+    angle = np.arccos(np.clip(aligned, -1.0, 1.0))
+    lobe = np.exp(np.float32(-np.log(2.0)) * (angle / np.float32(skin_coat.lobe_half_width_rad)) ** 2)
+    # Flakes shade one another when the light grazes the skin.
+    return lobe * (cosine / (cosine + np.float32(0.1)))

@@ -1,0 +1,29 @@
+"""Promises of `hal.interfaces.Button` and `Operator`, for every driver."""
+
+from hal.hardware import Hardware
+from hal.interfaces import LiftOff
+
+
+def test_no_press_is_none_after_the_timeout(driver: Hardware) -> None:
+    with driver:
+        asked_ns = driver.clock.monotonic_ns()
+        assert driver.button.wait_for_press(1.5) is None
+        assert driver.clock.monotonic_ns() - asked_ns >= 1_500_000_000
+
+
+def test_a_request_is_answered_by_one_press(driver: Hardware) -> None:
+    with driver:
+        asked_ns = driver.clock.monotonic_ns()
+        driver.operator.ask(LiftOff())
+        press = driver.button.wait_for_press(None)
+        assert press is not None
+        assert asked_ns < press.began_ns < driver.clock.monotonic_ns()
+        assert 0.0 < press.held_s < 1.0
+        assert driver.button.wait_for_press(1.0) is None
+
+
+def test_a_short_wait_does_not_swallow_the_press(driver: Hardware) -> None:
+    with driver:
+        driver.operator.ask(LiftOff())
+        assert driver.button.wait_for_press(0.01) is None
+        assert driver.button.wait_for_press(10.0) is not None

@@ -1,0 +1,87 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hal.board_profile import load_board_profile, profile_names
+from hal.errors import BoardProfileError
+
+
+def rewritten(folder: Path, old: str, new: str) -> Path:
+    """The twin's profile with one text replaced, as a file."""
+    board = Path(__file__).parents[2] / "board" / "twin.toml"
+    text = board.read_text()
+    assert old in text
+    path = folder / "changed.toml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize(("name", "distance_mm"), [("twin", 25.0), ("twin-distant", 250.0)])
+def test_reference_profiles_are_as_the_design_states(name: str, distance_mm: float) -> None:
+    profile = load_board_profile(name)
+    assert profile.name == name
+    assert (profile.sensor.columns, profile.sensor.rows) == (1456, 1088)
+    assert profile.sensor.pixel_pitch_um == 12.0
+    assert (profile.sensor.full_well_e, profile.sensor.read_noise_e) == (10_000.0, 3.0)
+    places = np.array([light.position_mm for light in profile.lights])
+    np.testing.assert_allclose(np.linalg.norm(places, axis=1), distance_mm, rtol=1e-4)
+    np.testing.assert_allclose(places[:, 2] / distance_mm, np.sin(np.radians(30.0)), rtol=1e-4)
+    np.testing.assert_allclose(places[:, :2].sum(axis=0), 0.0, atol=2e-3)
+
+
+def test_a_path_is_read_as_well_as_a_name(tmp_path: Path) -> None:
+    path = rewritten(tmp_path, 'name = "twin"', 'name = "mine"')
+    assert load_board_profile(path).name == load_board_profile(str(path)).name == "mine"
+
+
+def test_unknown_name_lists_the_known_ones() -> None:
+    assert set(profile_names()) >= {"twin", "twin-distant"}
+    with pytest.raises(BoardProfileError, match=r"'twim'.*twin, twin-distant"):
+        load_board_profile("twim")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("retrograph.board/1", "retrograph.board/9", r"schema: .*accepted: retrograph\.board/1"),
+        ('driver = "twin"', 'driver = "webcam"', r"driver: .*accepted: twin, picamera2"),
+        ('"RGGB"', '"RGBG"', r"sensor\.bayer_order: .*accepted: RGGB, BGGR, GRBG, GBRG"),
+        ("rows = 1088", "rows = 1087", r"sensor\.rows: .*multiple of 2"),
+        ("read_noise_e = 3.0", 'read_noise_e = "low"', r"sensor\.read_noise_e: .*float"),
+        ("full_well_e = 10000.0\n", "", r"sensor: .*full_well_e"),
+        ("seed = 1", "sead = 1", r"twin: .*sead.*accepted: skin, seed"),
+        ('skin = "diffuse"', 'skin = "chrome"', r"twin\.skin: .*accepted: diffuse, flake, sharp-flake"),
+        ('colour = "G"', 'colour = "Y"', r"lights\[1\]\.colour: .*accepted: R, G, B"),
+        ('colour = "G"', 'kolour = "G"', r"lights\[1\]: .*kolour.*accepted: name, colour"),
+        ('colour = "G"', 'colour = "R"', r"lights: colours are R, R, B; accepted is the order R, G, B"),
+        ('name = "green"', 'name = "red"', r"lights: two of them"),
+        ("12.500]", "-12.500]", r"lights: position_mm of red .*accepted is z > 0"),
+        ("white_level_dn = 4095.0", "white_level_dn = 200.0", r"sensor\.white_level_dn"),
+        (
+            '[twin]\nskin = "diffuse"\nseed = 1\ncamera_distance_mm = 160.0  # a 35 mm lens at this field\n',
+            "",
+            r"twin: .*\[twin\] table",
+        ),
+        ("[gel]", "[gel", r"is not TOML"),
+    ],
+)
+def test_wrong_profile_names_file_key_and_what_is_accepted(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = rewritten(tmp_path, old, new)
+    with pytest.raises(BoardProfileError, match=message) as caught:
+        load_board_profile(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "none.toml"
+    with pytest.raises(BoardProfileError, match="cannot be read") as caught:
+        load_board_profile(path)
+    assert str(path) in str(caught.value)
+
+
+def test_text_in_another_encoding_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "latin.toml"
+    path.write_bytes(b'name = "\xb5"\n')
+    with pytest.raises(BoardProfileError, match="is not TOML"):
+        load_board_profile(path)
