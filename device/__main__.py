@@ -1,0 +1,152 @@
+"""`retroscan`: the handheld's command line.
+
+Exit codes: 0 done, 2 bad input or a state that is refused, 3 hardware.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from device.bundle_store import BundleStore
+from device.errors import DeviceError, FrameNotProven
+from device.scan_bundle import Annotations
+from device.scanning.calibrate import calibrate
+from device.scanning.scanner import Scanner, ScanOutcome
+from device.store_location import default_store
+from hal.board_profile import load_board_profile
+from hal.errors import BoardProfileError, HalError, OperatorError
+from hal.hardware import Hardware, open_hardware
+from hal.interfaces import PressObject
+
+DEFAULT_BALL_RADIUS_MM = 3.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = options.command
+    try:
+        return command(options)
+    except (BoardProfileError, OperatorError) as error:
+        return _complain(error, 2)
+    except (HalError, FrameNotProven) as error:
+        return _complain(error, 3)
+    except DeviceError as error:
+        return _complain(error, 2)
+    except KeyboardInterrupt:
+        return _complain("stopped", 130)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="retroscan", description="Scan surfaces with a gel at the push of a button.")
+    parser.add_argument("--board", default="twin", help="board profile: a name or a .toml file (default: %(default)s)")
+    parser.add_argument("--store", type=Path, help="folder of scans and calibrations")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
+    guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM")
+    guided.set_defaults(command=_calibrate)
+
+    scan = commands.add_parser("scan", help="wait for one press of the button and scan")
+    scan.add_argument("--object", default="coin", help="what the twin's operator presses (ignored on a real board)")
+    _add_annotations(scan)
+    scan.set_defaults(command=_scan)
+
+    watch = commands.add_parser("watch", help="scan at every press of the button, without a screen")
+    _add_annotations(watch)
+    watch.set_defaults(command=_watch)
+
+    dark = commands.add_parser("lights-off", help="all lights dark")
+    dark.set_defaults(command=_lights_off)
+    return parser
+
+
+def _add_annotations(parser: argparse.ArgumentParser) -> None:
+    for name in ("job", "part", "operator", "note"):
+        parser.add_argument(f"--{name}", help="kept with the scan")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1000.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length above 0 mm")
+    return value
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    with _hardware(options) as hardware:
+        outcome = calibrate(hardware, _store(options, hardware), options.ball_radius_mm, _say)
+    fit = outcome.fit
+    error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
+    _say(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
+    _say(f"Calibration {outcome.bundle.calibration_id} is active.")
+    return 0
+
+
+def _scan(options: argparse.Namespace) -> int:
+    with _hardware(options) as hardware:
+        scanner = Scanner(hardware, _store(options, hardware))
+        scanner.check_room()
+        _say("Press the object into the gel, then push the button.")
+        hardware.operator.ask(PressObject(options.object))
+        hardware.button.wait_for_press(None)
+        _report(scanner.scan(_annotations(options), lambda: _say("You may lift.")))
+    return 0
+
+
+def _watch(options: argparse.Namespace) -> int:
+    with _hardware(options) as hardware:
+        scanner = Scanner(hardware, _store(options, hardware))
+        _say(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
+        while hardware.button.wait_for_press(None):
+            try:
+                _report(scanner.scan(_annotations(options)))
+            except (DeviceError, HalError) as error:
+                _complain(error, 3)
+    return 0
+
+
+def _lights_off(options: argparse.Namespace) -> int:
+    with open_hardware(load_board_profile(options.board)).lights as lights:
+        lights.dark()
+    return 0
+
+
+def _hardware(options: argparse.Namespace) -> Hardware:
+    return open_hardware(load_board_profile(options.board))
+
+
+def _store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:
+    return BundleStore(options.store or default_store(os.environ), hardware.clock)
+
+
+def _annotations(options: argparse.Namespace) -> Annotations:
+    return Annotations(job=options.job, part=options.part, operator=options.operator, note=options.note)
+
+
+def _report(outcome: ScanOutcome) -> None:
+    verdict = outcome.bundle.record.verdict
+    _say(f"{verdict.level}: {verdict.reason} ({outcome.bundle.scan_id})")
+    if outcome.quick_look_fault:
+        _say(f"No quick look: {outcome.quick_look_fault}")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def _complain(what: object, code: int) -> int:
+    sys.stderr.write(f"retroscan: {what}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""Who this device is and how often it was pressed: the identity of every bundle, without the wall clock."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from device.durable import replace_file
+from device.records import BundleId, Count, Record, decode_record, encode_record, read_small
+
+DEVICE_SCHEMA: Final = "retrograph.device/1"
+DEVICE_FILE: Final = "device.json"
+_BOOT_ID_FILE: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+class DeviceState(Record, frozen=True, tag_field="schema", tag=DEVICE_SCHEMA):
+    """The device's id, drawn once, and the presses it has counted since, over all boots."""
+
+    device_id: BundleId
+    counter: Count
+
+
+def new_device() -> DeviceState:
+    """A device with a fresh random id and no presses."""
+    return DeviceState(device_id=f"rg{secrets.token_hex(4)}", counter=0)
+
+
+def read_device(root: Path) -> DeviceState | None:
+    """The device that a store belongs to, or None when it has none yet.
+
+    Raises
+    ------
+    RecordError
+        The file is there and damaged.
+    """
+    path = root / DEVICE_FILE
+    return decode_record(read_small(path), DeviceState, path) if path.exists() else None
+
+
+def write_device(root: Path, state: DeviceState) -> None:
+    """Store the device's state durably.
+
+    Raises
+    ------
+    OSError
+        The disk refused; the old state stands.
+    """
+    replace_file(root / DEVICE_FILE, encode_record(state))
+
+
+def count_press(state: DeviceState) -> DeviceState:
+    """The state after one more press."""
+    return msgspec.structs.replace(state, counter=state.counter + 1)
+
+
+def current_boot_id() -> str:
+    """Eight hex digits that name this boot; drawn at random where the kernel has no such name."""
+    try:
+        return _BOOT_ID_FILE.read_text().strip().replace("-", "")[:8]
+    except OSError:
+        return secrets.token_hex(4)

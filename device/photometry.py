@@ -1,0 +1,210 @@
+"""From raw counts to intensity: linear light, black level removed, divided by the reference frame.
+
+Device and workstation share these functions, so that a calibration means the same on both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.errors import CalibrationMismatch, FrameError
+from device.surface import Float32Array, MaskArray
+from hal.frame import BayerOrder, RawFrame
+
+REFERENCE_BLUR_PX: Final = 3.0
+"""Standard deviation of the reference's Gaussian: unblurred, its pixel noise enters every intensity once more."""
+
+DARK_FLOOR: Final = 0.002
+"""Share of full scale under which the reference is too dark to divide by."""
+
+SATURATED: Final = 0.98
+"""Share of full scale from which a pixel counts as clipped."""
+
+BLACK_FRAME: Final = 0.01
+"""A frame whose 99th percentile stays under this share of full scale saw no light."""
+
+_DEMOSAIC: Final[dict[BayerOrder, int]] = {
+    # OpenCV names the pattern by the second row's second and third pixel: its BG is RGGB.
+    "RGGB": cv2.COLOR_BAYER_BG2RGB,
+    "BGGR": cv2.COLOR_BAYER_RG2RGB,
+    "GRBG": cv2.COLOR_BAYER_GB2RGB,
+    "GBRG": cv2.COLOR_BAYER_GR2RGB,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFrame:
+    """One exposure as linear light.
+
+    rgb : float32 array of shape (H, W, 3), share of full scale above black, R, G, B
+    clipped : bool array of shape (H, W), True where a channel is saturated
+    """
+
+    rgb: Float32Array
+    clipped: MaskArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        rows, columns, _ = self.rgb.shape
+        return rows, columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntensityImage:
+    """A frame divided by its reference: a flat, untouched skin reads 1 in every channel.
+
+    values : float32 array of shape (H, W, 3)
+    valid : bool array of shape (H, W), False where the reference is too dark to divide by
+    clipped : bool array of shape (H, W), True where a channel is saturated: such a colour only bounds the slope
+    """
+
+    values: Float32Array
+    valid: MaskArray
+    clipped: MaskArray
+
+    @property
+    def faithful(self) -> MaskArray:
+        """True where the intensity is what the light was: fit for calibration."""
+        return self.valid & ~self.clipped
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        rows, columns = self.valid.shape
+        return rows, columns
+
+
+def demosaic(frame: RawFrame) -> LinearFrame:
+    """Full-size linear frame from a Bayer mosaic, missing colours by bilinear interpolation."""
+    scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
+    counts = cv2.cvtColor(frame.mosaic, _DEMOSAIC[frame.bayer_order])
+    rgb = (counts.astype(np.float32) - np.float32(frame.black_level_dn)) * scale
+    return LinearFrame(rgb, _clipped_neighbourhood(frame))
+
+
+def _clipped_neighbourhood(frame: RawFrame) -> MaskArray:
+    """True where a pixel's own count, or one that demosaicing mixes into it, is saturated."""
+    limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
+    clipped = (frame.mosaic >= limit).astype(np.uint8)
+    return cv2.dilate(clipped, np.ones((3, 3), np.uint8)).astype(bool)
+
+
+def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
+    """Linear frame of shape (H / factor, W / factor), each channel the mean of its own pixels; factor is even.
+
+    Rows and columns that do not fill a bin are left out.
+    """
+    if factor < 2 or factor % 2:
+        raise ValueError(f"binning factor {factor} is not a positive even number")
+    rows, columns = (size // factor * factor for size in frame.shape)
+    mosaic = frame.mosaic[:rows, :columns]
+    shape = (columns // factor, rows // factor)
+    scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
+    planes = []
+    for colour in "RGB":
+        sites = [i for i, letter in enumerate(frame.bayer_order) if letter == colour]
+        same = [mosaic[i // 2 :: 2, i % 2 :: 2] for i in sites]
+        plane = np.mean([cv2.resize(s, shape, interpolation=cv2.INTER_AREA) for s in same], axis=0, dtype=np.float32)
+        planes.append((plane - frame.black_level_dn) * scale)
+    limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
+    blocks = mosaic.reshape(rows // factor, factor, columns // factor, factor)
+    clipped = blocks.max(axis=(1, 3)) >= limit
+    return LinearFrame(np.stack(planes, axis=-1).astype(np.float32), clipped)
+
+
+def check_exposed(frame: LinearFrame, name: str) -> None:
+    """Refuse a black frame or one that is saturated over most of its area.
+
+    Raises
+    ------
+    FrameError
+        Names `name` and what to check.
+    """
+    sample = frame.rgb[::8, ::8]
+    if float(np.percentile(sample, 99)) < BLACK_FRAME:
+        raise FrameError(f"{name} is black: check that the lights are on and the lens is open, then take it again")
+    clipped = float(frame.clipped.mean())
+    if clipped > 0.5:
+        raise FrameError(f"{name} is saturated over {clipped:.0%} of its area: lower the exposure and take it again")
+
+
+def blurred_reference(reference: LinearFrame) -> Float32Array:
+    """The reference as a divisor: float32 array of shape (H, W, 3), share of full scale, noise blurred away."""
+    blurred = cv2.GaussianBlur(reference.rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float32)
+
+
+def divide(frame: LinearFrame, divisor: Float32Array) -> IntensityImage:
+    """Intensity of a frame under the divisor of its reference (`blurred_reference` or `pseudo_reference`).
+
+    Raises
+    ------
+    CalibrationMismatch
+        The frame's size differs from the reference's.
+    """
+    if frame.rgb.shape != divisor.shape:
+        sizes = [f"{shape[1]}x{shape[0]}" for shape in (frame.rgb.shape, divisor.shape)]
+        raise CalibrationMismatch(
+            f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
+        )
+    lit = np.asarray((divisor > DARK_FLOOR).all(axis=-1), np.bool_)
+    values: Float32Array = np.divide(frame.rgb, np.maximum(divisor, np.float32(DARK_FLOOR)), dtype=np.float32)
+    return IntensityImage(values, lit, frame.clipped)
+
+
+def pseudo_reference(frames: list[LinearFrame], degree: int = 6) -> Float32Array:
+    """Stand-in for a missing reference: a robust polynomial of log colour over position, fitted to all frames.
+
+    Most of every frame shows skin at rest, so an iteratively reweighted fit finds it.
+    Returns a float32 array of shape (H, W, 3), share of full scale.
+    """
+    step = max(1, int(np.sqrt(frames[0].rgb[..., 0].size * len(frames) / 60_000)))
+    rows, columns = frames[0].shape
+    basis_small = _position_polynomials(rows, columns, degree, step)
+    divisor = np.empty((rows, columns, 3), np.float32)
+    basis_row, basis_column = _chebyshev(rows, degree, 1), _chebyshev(columns, degree, 1)
+    for channel in range(3):
+        samples = np.concatenate([f.rgb[::step, ::step, channel].ravel() for f in frames])
+        seen = np.concatenate([~f.clipped[::step, ::step].ravel() for f in frames]) & (samples > DARK_FLOOR)
+        design = np.tile(basis_small, (len(frames), 1))[seen]
+        coefficients = _robust_fit(design, np.log(samples[seen]).astype(np.float64))
+        surface = np.zeros((rows, columns))
+        for value, (i, j) in zip(coefficients, _degrees(degree), strict=True):
+            surface += value * np.outer(basis_row[:, i], basis_column[:, j])
+        divisor[..., channel] = np.exp(np.clip(surface, np.log(DARK_FLOOR / 10), 0.0))
+    return divisor
+
+
+def _degrees(degree: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+
+
+def _chebyshev(size: int, degree: int, step: int) -> NDArray[np.float64]:
+    at = np.arange(0, size, step) * (2.0 / max(size - 1, 1)) - 1.0
+    return np.polynomial.chebyshev.chebvander(at, degree)
+
+
+def _position_polynomials(rows: int, columns: int, degree: int, step: int) -> NDArray[np.float64]:
+    along_row, along_column = _chebyshev(rows, degree, step), _chebyshev(columns, degree, step)
+    terms = [np.outer(along_row[:, i], along_column[:, j]).ravel() for i, j in _degrees(degree)]
+    return np.stack(terms, axis=-1)
+
+
+def _robust_fit(design: NDArray[np.float64], target: NDArray[np.float64], rounds: int = 12) -> NDArray[np.float64]:
+    """Coefficients of a Tukey-weighted least-squares fit."""
+    weight = np.ones_like(target)
+    coefficients: NDArray[np.float64] = np.zeros(design.shape[1])
+    for _ in range(rounds):
+        weighted = design * weight[:, None]
+        gram = weighted.T @ design + 1e-6 * len(target) * np.eye(design.shape[1])
+        coefficients = np.asarray(np.linalg.solve(gram, weighted.T @ target), np.float64)
+        residual = target - design @ coefficients
+        scale = 4.7 * 1.4826 * max(float(np.median(np.abs(residual))), 1e-6)
+        weight[:] = np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
+    return coefficients

@@ -1,0 +1,77 @@
+"""Quick look: a reduced height map of one raw frame, on the device, at once.
+
+bin -> intensity -> inverse map -> DCT integrator. The workstation's reconstruction shares the first three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.fft_integrator import integrate_dct
+from device.inverse_map import InverseMap
+from device.photometry import IntensityImage, LinearFrame, bin_bayer, blurred_reference, divide
+from device.surface import Float32Array, GradientField, HeightMap
+from hal.frame import RawFrame
+
+WIDEST_PX: Final = 512
+"""A quick look has at most this many columns."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuickLookModel:
+    """What the device keeps in memory between presses: the active calibration at quick-look size.
+
+    binning : sensor pixels per quick-look pixel, in each direction
+    divisor : float32 array of shape (H / binning, W / binning, 3), the blurred reference
+    inverse_map : slopes from intensity and position
+    pitch_um : distance of neighbouring sensor pixels on the skin, µm
+    """
+
+    binning: int
+    divisor: Float32Array
+    inverse_map: InverseMap
+    pitch_um: float
+
+    @classmethod
+    def prepare(cls, reference: RawFrame, inverse_map: InverseMap, pitch_um: float) -> QuickLookModel:
+        """The model of a calibration's reference frame and inverse map."""
+        binning = quick_look_binning(reference.shape)
+        return cls(binning, blurred_reference(bin_bayer(reference, binning)), inverse_map, pitch_um)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuickLook:
+    """A reduced height map with what it was made from; height pitch is the sensor's times the binning."""
+
+    height: HeightMap
+    gradients: GradientField
+    intensity: IntensityImage
+
+
+def quick_look_binning(shape: tuple[int, int]) -> int:
+    """Smallest even binning that brings a frame of `shape` (H, W) to at most `WIDEST_PX` columns."""
+    binning = 2
+    while shape[1] // binning > WIDEST_PX:
+        binning += 2
+    return binning
+
+
+def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
+    """The quick look of a frame that was binned by `model.binning`.
+
+    Raises
+    ------
+    CalibrationMismatch
+        The frame's size is not that of the calibration.
+    """
+    intensity = divide(frame, model.divisor)
+    gradients = model.inverse_map.gradients(intensity, model.binning)
+    # The DCT has no weights: where the map has no confidence the skin is taken as flat.
+    trusted = np.minimum(2.0 * gradients.weight, 1.0)
+    p, q = (np.where(gradients.valid, slope, 0.0) * trusted for slope in (gradients.p, gradients.q))
+    pitch_um = model.pitch_um * model.binning
+    z_um = integrate_dct(p.astype(np.float32), q.astype(np.float32), pitch_um)
+    return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)

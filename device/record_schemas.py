@@ -1,0 +1,39 @@
+"""JSON Schema of every record, for other programs: `docs/schemas/` holds what this module says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from device.active_calibration import ActiveCalibration
+from device.calibration_bundle import CalibrationRecord
+from device.device_identity import DeviceState
+from device.raw_file import RawHeader
+from device.records import Record
+from device.scan_bundle import ScanRecord
+
+_RECORDS: Final[tuple[type[Record], ...]] = (ScanRecord, CalibrationRecord, RawHeader, DeviceState, ActiveCalibration)
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """JSON Schema by file name, such as "scan-1.json"."""
+    return {_file_name(record): msgspec.json.schema(record) for record in _RECORDS}
+
+
+def write_schemas(folder: Path) -> None:
+    """Write every schema into a folder, one file a record."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, schema in schemas().items():
+        (folder / name).write_bytes(schema_bytes(schema))
+
+
+def schema_bytes(schema: dict[str, Any]) -> bytes:
+    """A schema as the committed files hold it."""
+    return msgspec.json.format(msgspec.json.encode(schema), indent=2) + b"\n"
+
+
+def _file_name(record: type[Record]) -> str:
+    tag = str(record.__struct_config__.tag)
+    return tag.removeprefix("retrograph.").replace("/", "-") + ".json"

@@ -1,0 +1,170 @@
+"""The scan bundle: one press of the button, one directory, immutable once published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from device.errors import RecordError
+from device.fingerprint import Fingerprint
+from device.raw_file import read_raw
+from device.records import (
+    BundleId,
+    FileEntry,
+    FileName,
+    Identity,
+    Positive,
+    Record,
+    Size,
+    decode_record,
+    read_manifest,
+    verify_files,
+)
+from hal.frame import CameraSettings, RawFrame
+
+SCAN_SCHEMA: Final = "retrograph.scan/1"
+SCAN_MANIFEST: Final = "scan.json"
+
+VerdictLevel = Literal["good", "doubtful", "retake"]
+
+
+class SettingsRecord(Record, frozen=True):
+    """Exposure (µs) and analogue gain of the camera."""
+
+    exposure_us: Positive
+    analogue_gain: Positive
+
+    @classmethod
+    def of(cls, settings: CameraSettings) -> SettingsRecord:
+        """The same as a record."""
+        return cls(exposure_us=settings.exposure_us, analogue_gain=settings.analogue_gain)
+
+
+class VerdictRecord(Record, frozen=True):
+    """What the quick look says of a press: a level, one sentence, and the figures behind it (None: not measured)."""
+
+    level: VerdictLevel
+    reason: str
+    figures: dict[str, float | None] = msgspec.field(default_factory=dict)
+
+
+class Annotations(Record, frozen=True):
+    """What people say about a scan; no part of its identity."""
+
+    job: str | None = None
+    part: str | None = None
+    operator: str | None = None
+    note: str | None = None
+
+
+class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
+    """The manifest of a scan bundle.
+
+    identity : what tells this scan from all others
+    wall_time : as the device believed it; an annotation
+    shape : (H, W) of the raw frame, sensor pixels
+    asked, granted : camera settings as asked for, and as the frame's own metadata states them
+    currents_ma : current of each light as granted, mA
+    calibration_id : of the calibration that was active, or None
+    files : hash and size of every file beside the manifest; filled in by the store
+    """
+
+    identity: Identity
+    wall_time: Annotated[datetime, msgspec.Meta(tz=True)]
+    board: str
+    pixel_pitch_um: Positive
+    shape: tuple[Size, Size]
+    gel_id: str
+    asked: SettingsRecord
+    granted: SettingsRecord
+    currents_ma: dict[str, Positive]
+    fingerprint: Fingerprint
+    calibration_id: BundleId | None
+    verdict: VerdictRecord
+    annotations: Annotations = Annotations()
+    raw_file: FileName = "raw.tif"
+    files: dict[FileName, FileEntry] = msgspec.field(default_factory=dict)
+
+    @property
+    def scan_id(self) -> str:
+        """The scan's id, also the name of its directory."""
+        return self.identity.id
+
+
+@dataclass(frozen=True, slots=True)
+class ScanBundle:
+    """A published scan: its directory and its record; the raw frame is read when it is asked for."""
+
+    directory: Path
+    record: ScanRecord
+
+    @property
+    def scan_id(self) -> str:
+        """The scan's id."""
+        return self.record.scan_id
+
+    def path(self, name: str) -> Path:
+        """Path of a file of the bundle.
+
+        Raises
+        ------
+        RecordError
+            The manifest lists no such file.
+        """
+        if name not in self.record.files:
+            raise RecordError(f"{self.directory}: holds no file {name!r}: its files are {', '.join(self.record.files)}")
+        return self.directory / name
+
+    def raw_frame(self) -> RawFrame:
+        """The raw frame, read from disk.
+
+        Raises
+        ------
+        RecordError
+            The file is missing or damaged, or not of the size that the record states.
+        """
+        path = self.path(self.record.raw_file)
+        frame = read_raw(path)
+        if frame.shape != self.record.shape:
+            raise RecordError(f"{path}: is {frame.shape} pixels (rows, columns), not {self.record.shape} as recorded")
+        return frame
+
+    def verify(self) -> None:
+        """Hash every file and compare.
+
+        Raises
+        ------
+        RecordError
+            Names every file that is missing or differs.
+        """
+        verify_files(self.directory, self.record.files)
+
+
+def decode_scan(data: bytes, source: str | Path) -> ScanRecord:
+    """The scan record that a manifest's bytes hold; `source` names it in errors.
+
+    Raises
+    ------
+    RecordError
+        Unknown version, damaged, or a named file is not listed.
+    """
+    record = decode_record(data, ScanRecord, source)
+    if record.raw_file not in record.files:
+        raise RecordError(f"{source}: raw_file: {record.raw_file!r} is not among files: fetch it again")
+    return record
+
+
+def read_scan(directory: Path) -> ScanBundle:
+    """The scan bundle in a directory; its manifest is proven, its other files are not read.
+
+    Raises
+    ------
+    RecordError
+        No scan there, an unknown version, or a damaged manifest.
+    """
+    manifest = read_manifest(directory, SCAN_MANIFEST)
+    return ScanBundle(directory, decode_scan(manifest, directory / SCAN_MANIFEST))

@@ -1,0 +1,1 @@
+"""What touches the instrument: capture, the scanner, guided calibration."""

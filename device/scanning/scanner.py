@@ -1,0 +1,140 @@
+"""The scanner: one press of the button becomes a published scan, a verdict and a quick look."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationBundle
+from device.errors import CalibrationMismatch, DeviceError, StoreError
+from device.fingerprint import Fingerprint
+from device.model_file import read_model
+from device.photometry import bin_bayer
+from device.quick_look import QuickLook, QuickLookModel, quick_look
+from device.quick_look_files import write_quick_look
+from device.raw_file import write_raw
+from device.scan_bundle import Annotations, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
+from device.scanning.capture import CapturePlan, capture
+from device.verdict import judge
+from hal.frame import RawFrame
+from hal.hardware import Hardware
+
+BYTES_PER_PIXEL: Final = 2.2
+"""A raw frame never needs more room than this, its quick look included."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanOutcome:
+    """A published scan and its quick look; when there is none, `quick_look_fault` says why."""
+
+    bundle: ScanBundle
+    quick_look: QuickLook | None
+    quick_look_fault: str
+
+
+class Scanner:
+    """Scans under the active calibration of a store.
+
+    Raises
+    ------
+    NoCalibration
+        None is active.
+    CalibrationMismatch
+        The active one was made with another board, gel, light or camera setting.
+    """
+
+    def __init__(self, hardware: Hardware, store: BundleStore) -> None:
+        self._hardware = hardware
+        self._store = store
+        self._plan = CapturePlan.of_board(hardware)
+        self._calibration = store.active_calibration()
+        _check_belongs(self._calibration, hardware, self._plan)
+        record = self._calibration.record
+        inverse_map = read_model(self._calibration.path(record.model_files[0]))
+        self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
+
+    def check_room(self) -> int:
+        """How many more scans fit.
+
+        Raises
+        ------
+        StoreError
+            Not one more fits: the press is refused before it is made.
+        """
+        rows, columns = self._hardware.camera.shape
+        left = self._store.scans_left(int(BYTES_PER_PIXEL * rows * columns))
+        if left < 1:
+            raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space first")
+        return left
+
+    def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
+        """Capture, judge, look and publish; `may_lift` is called as soon as the frame is in memory.
+
+        Raises
+        ------
+        StoreError
+            The disk is full; nothing is left behind.
+        FrameNotProven, HalError
+            No frame could be taken.
+        """
+        self.check_room()
+        frame = capture(self._hardware, self._plan)
+        may_lift()
+        binned = bin_bayer(frame, self._model.binning)
+        look, fault = None, ""
+        try:
+            look = quick_look(binned, self._model)
+        except DeviceError as error:
+            fault = str(error)
+        verdict = judge(binned, look.intensity if look else None)
+        record = self._record(frame, annotations, verdict)
+
+        def write(directory: Path) -> None:
+            write_raw(directory / record.raw_file, frame)
+            if look:
+                write_quick_look(directory, look.height)
+
+        return ScanOutcome(self._store.publish_scan(record, write), look, fault)
+
+    def _record(self, frame: RawFrame, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+        profile = self._hardware.profile
+        currents_ma = dict(self._plan.currents_ma)
+        return ScanRecord(
+            identity=self._store.next_identity("scans"),
+            wall_time=self._store.wall_time(),
+            board=profile.name,
+            pixel_pitch_um=profile.sensor.pixel_pitch_um,
+            shape=frame.shape,
+            gel_id=profile.gel.id,
+            asked=SettingsRecord.of(self._plan.settings),
+            granted=SettingsRecord.of(frame.granted),
+            currents_ma=currents_ma,
+            fingerprint=Fingerprint.of(profile, frame.granted, currents_ma),
+            calibration_id=self._calibration.calibration_id,
+            verdict=verdict,
+            annotations=annotations,
+        )
+
+
+def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: CapturePlan) -> None:
+    """Refuse a calibration of another board, gel, size, light or camera setting."""
+    record, profile = calibration.record, hardware.profile
+    differences = [
+        f"{what} ({mine}, not {theirs})"
+        for what, mine, theirs in (
+            ("board", record.board, profile.name),
+            ("gel", record.gel_id, profile.gel.id),
+            ("frame size", record.shape, hardware.camera.shape),
+        )
+        if mine != theirs
+    ]
+    present = Fingerprint.of(profile, plan.settings, plan.currents_ma)
+    sentence = f"they differ in {'; '.join(differences)}" if differences else record.fingerprint.mismatch(present)
+    if sentence:
+        raise CalibrationMismatch(
+            f"calibration {record.calibration_id} is not of this instrument as it is now: {sentence}; "
+            "run `retroscan calibrate`"
+        )

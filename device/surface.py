@@ -1,0 +1,54 @@
+"""Gradient field and height map, and the conventions that every module holds to.
+
+* Arrays are (row, column); the centre of the first pixel is (0, 0); rows grow downwards.
+* p = dz/dcolumn and q = dz/drow, dimensionless (µm/µm).
+* z is in µm, positive towards the camera: what bulges out of the object is positive.
+  Rows down and z to the camera make the frame left-handed; writers of formats with y upwards flip once.
+* Invalid is not zero: NaN in float arrays, False in masks.
+* Colour order is R, G, B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array: TypeAlias = NDArray[np.float32]
+Float64Array: TypeAlias = NDArray[np.float64]
+MaskArray: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GradientField:
+    """Slopes of a surface, as estimated per pixel.
+
+    p, q : float32 arrays of shape (H, W), µm/µm; finite everywhere that `valid` holds
+    valid : bool array of shape (H, W)
+    weight : float32 array of shape (H, W), relative confidence >= 0, zero where not valid
+    """
+
+    p: Float32Array
+    q: Float32Array
+    valid: MaskArray
+    weight: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """A surface on a grid.
+
+    z_um : float32 array of shape (H, W), µm, NaN where invalid
+    pitch_um : distance of neighbouring pixels on the skin, µm
+    """
+
+    z_um: Float32Array
+    pitch_um: float
+
+
+def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
+    """Slopes (p, q) of a height map by central differences, float32 arrays of shape (H, W), NaN beside the invalid."""
+    q, p = np.gradient(height.z_um / np.float32(height.pitch_um))
+    return p.astype(np.float32), q.astype(np.float32)

@@ -1,0 +1,1 @@
+"""The workstation: offload, library, full calibration, full reconstruction, renders."""

@@ -1,0 +1,32 @@
+"""One root error for the workstation; each leaf is also the built-in error that it resembles.
+
+A message is one sentence that names the file or part and says what to do.
+"""
+
+
+class HostError(Exception):
+    """Root of every error that the workstation raises for bad input or a state it refuses."""
+
+
+class FrameSetError(HostError, ValueError):
+    """A frame set or one of its images cannot be used. Mend the file and the key that the message names."""
+
+
+class SourceError(HostError, OSError):
+    """A device, card or folder cannot be read or holds no bundles. Connect it, or name the right one."""
+
+
+class LibraryError(HostError, OSError):
+    """The library cannot be read or written: full, read-only, missing or busy. Mend that, then repeat."""
+
+
+class NoSuchBundle(HostError, LookupError):
+    """No bundle of the library, or more than one, answers to a name. Give more of its id."""
+
+
+class MissingCalibration(HostError, LookupError):
+    """A scan names no calibration, or one that the library does not hold. Pull it from the device."""
+
+
+class ResultError(HostError, OSError):
+    """Results cannot be written where they belong: full, read-only or in the way. Free it or choose another place."""

@@ -1,0 +1,44 @@
+"""From image files to linear light."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.photometry import SATURATED, LinearFrame
+from device.surface import Float32Array
+from host_sync.errors import FrameSetError
+from host_sync.frame_set import FrameSpec
+from host_sync.frame_set_file import Encoding
+from host_sync.image_file import Pixels, read_pixels
+
+
+def read_frame(spec: FrameSpec) -> LinearFrame:
+    """The frame as share of full scale; a pixel is clipped where a channel reaches `SATURATED` of full scale.
+
+    Raises
+    ------
+    FrameSetError
+        An image is missing, truncated or not what the frame set promised; names it.
+    """
+    images = [read_pixels(path) for path in spec.images]
+    for path, image in zip(spec.images, images, strict=True):
+        if image.ndim != (3 if len(images) == 1 else 2) or image.shape[:2] != images[0].shape[:2]:
+            raise FrameSetError(
+                f"{path}: is of another size or kind than its frame set was checked with: load it again"
+            )
+    planes = [_linear(image, spec.encoding) for image in images]
+    rgb = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
+
+
+def _linear(pixels: Pixels, encoding: Encoding) -> Float32Array:
+    """Share of full scale of each stored value, by table."""
+    values = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
+    table = (decode_srgb(values) if encoding == "srgb" else values).astype(np.float32)
+    return table[pixels]
+
+
+def decode_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear light of sRGB values between 0 and 1 (IEC 61966-2-1)."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)

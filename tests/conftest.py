@@ -1,0 +1,113 @@
+"""Bundles for every part that reads or writes them: small frames, virtual time, a store in a temporary folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from device.bundle_store import BundleStore
+from device.calibration_bundle import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
+from device.fingerprint import Fingerprint
+from device.raw_file import write_raw
+from device.scan_bundle import Annotations, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
+from hal.board_profile import load_board_profile
+from hal.clock import VirtualClock
+from hal.frame import CameraSettings, RawFrame
+
+SHAPE = (32, 48)
+
+
+def _frame(seed: int = 0, shape: tuple[int, int] = SHAPE) -> RawFrame:
+    mosaic = np.random.default_rng(seed).integers(250, 4096, shape, dtype=np.uint16)
+    return RawFrame(mosaic, "RGGB", 256.0, 4095.0, CameraSettings(1998.4, 1.0), 123_456_789_012)
+
+
+@pytest.fixture
+def raw_frame() -> Callable[..., RawFrame]:
+    return _frame
+
+
+@pytest.fixture
+def fingerprint() -> Fingerprint:
+    profile = load_board_profile("twin")
+    return Fingerprint.of(profile, profile.camera.settings, profile.currents_ma)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> BundleStore:
+    return BundleStore(tmp_path / "store", VirtualClock(start_ns=5_000), boot_id="b0071d00")
+
+
+@pytest.fixture
+def scan_record(fingerprint: Fingerprint) -> Callable[..., ScanRecord]:
+    def build(store: BundleStore, calibration_id: str | None = None) -> ScanRecord:
+        settings = SettingsRecord(exposure_us=2000.0, analogue_gain=1.0)
+        return ScanRecord(
+            identity=store.next_identity("scans"),
+            wall_time=store.wall_time(),
+            board="twin",
+            pixel_pitch_um=12.0,
+            shape=SHAPE,
+            gel_id="twin-gel",
+            asked=settings,
+            granted=settings,
+            currents_ma={"red": 6.4, "green": 4.9, "blue": 4.4},
+            fingerprint=fingerprint,
+            calibration_id=calibration_id,
+            verdict=VerdictRecord(level="good", reason="the object touched", figures={"contact_share": 0.4}),
+            annotations=Annotations(job="J-7"),
+        )
+
+    return build
+
+
+@pytest.fixture
+def publish_scan(scan_record: Callable[..., ScanRecord]) -> Callable[..., ScanBundle]:
+    def publish(store: BundleStore, calibration_id: str | None = None) -> ScanBundle:
+        record = scan_record(store, calibration_id)
+
+        def write(directory: Path) -> None:
+            write_raw(directory / "raw.tif", _frame(record.identity.counter))
+            (directory / "preview.png").write_bytes(bytes(range(256)) * 20)
+
+        return store.publish_scan(record, write)
+
+    return publish
+
+
+@pytest.fixture
+def publish_calibration(fingerprint: Fingerprint) -> Callable[[BundleStore], CalibrationBundle]:
+    def publish(store: BundleStore) -> CalibrationBundle:
+        ball = BallRecord(column=20.0, row=15.0, contact_radius_px=6.0, radius_px=9.0)
+        record = CalibrationRecord(
+            identity=store.next_identity("calibrations"),
+            created=store.wall_time(),
+            board="twin",
+            gel_id="twin-gel",
+            pixel_pitch_um=12.0,
+            shape=SHAPE,
+            fingerprint=fingerprint,
+            reference_file="reference.tif",
+            presses=(
+                PressRecord(
+                    file="press-00.tif",
+                    ball_radius_mm=3.0,
+                    balls=(ball,),
+                    rejected=(RejectedRecord(column=1.0, row=2.0, reason="cut by the border"),),
+                ),
+            ),
+            model_files=("model.npz",),
+            figures={"held_out_deg": 0.9, "spread_deg": float("nan")},
+        )
+
+        def write(directory: Path) -> None:
+            write_raw(directory / "reference.tif", _frame(100))
+            write_raw(directory / "press-00.tif", _frame(101))
+            np.savez(directory / "model.npz", coefficients=np.ones(3))
+
+        return store.publish_calibration(record, write)
+
+    return publish

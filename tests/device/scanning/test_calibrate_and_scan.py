@@ -1,0 +1,146 @@
+"""The handheld's whole path on the twin: guided calibration, then presses of the button."""
+
+import dataclasses
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import tifffile
+
+from device.bundle_store import BundleStore
+from device.errors import CalibrationError, CalibrationMismatch, NoCalibration, StoreError
+from device.model_file import read_model
+from device.quick_look_files import HEIGHT_FILE, PICTURE_FILE
+from device.scan_bundle import Annotations
+from device.scanning.calibrate import calibrate, press_places
+from device.scanning.scanner import Scanner
+from hal.hardware import Hardware
+from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
+from hal.twin.bench import Bench
+
+BALL_RADIUS_MM = 3.0
+
+
+class Absent:
+    """An operator who pushes the button without pressing anything."""
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._operator = hardware.operator
+        self.asked: list[OperatorRequest] = []
+
+    def ask(self, request: OperatorRequest) -> None:
+        self.asked.append(request)
+        self._operator.ask(LiftOff())
+
+
+def press(hardware: Hardware, name: str) -> None:
+    hardware.operator.ask(PressObject(name))
+    hardware.button.wait_for_press(None)
+
+
+def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, store: BundleStore) -> None:
+    told: list[str] = []
+    with hardware:
+        outcome = calibrate(hardware, store, BALL_RADIUS_MM, told.append)
+    assert outcome.fit.kept.all()
+    assert len(outcome.fit.balls) == len(press_places())
+    assert outcome.fit.held_out_deg is not None
+    assert outcome.fit.held_out_deg < 3.0
+    assert any("far left, at the top" in line for line in told)
+    bundle = store.active_calibration()
+    bundle.verify()
+    assert bundle.calibration_id == outcome.bundle.calibration_id
+    assert len(bundle.record.presses) == len(press_places())
+    stored = read_model(bundle.path(bundle.record.model_files[0]))
+    np.testing.assert_array_equal(stored.coefficients, outcome.fit.map.coefficients)
+
+
+def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(
+    hardware: Hardware, calibrated: BundleStore, bench: Bench
+) -> None:
+    lifted: list[bool] = []
+    with hardware:
+        scanner = Scanner(hardware, calibrated)
+        press(hardware, "sphere")
+        outcome = scanner.scan(Annotations(job="test"), lambda: lifted.append(True))
+        truth = bench.truth()
+    bundle = outcome.bundle
+    bundle.verify()
+    assert lifted == [True]
+    assert bundle.record.verdict.level == "good"
+    assert bundle.record.annotations.job == "test"
+    assert bundle.record.calibration_id == calibrated.active_calibration().calibration_id
+    assert [found.scan_id for found in calibrated.scans().bundles] == [bundle.scan_id]
+    height = tifffile.imread(bundle.path(HEIGHT_FILE))
+    assert bundle.path(PICTURE_FILE).stat().st_size > 500
+    binned = truth.z_um.reshape(136, 2, 182, 2).mean(axis=(1, 3))
+    error = (height - height[:10].mean()) - (binned - binned[:10].mean())
+    assert np.sqrt((error**2).mean()) < 0.04 * np.ptp(binned)
+
+
+def test_nothing_pressed_is_doubted_and_no_light_is_a_retake(
+    hardware: Hardware, calibrated: BundleStore, bench: Bench
+) -> None:
+    with hardware:
+        scanner = Scanner(hardware, calibrated)
+        hardware.operator.ask(LiftOff())
+        hardware.button.wait_for_press(None)
+        assert scanner.scan(Annotations()).bundle.record.verdict.level == "doubtful"
+        bench.faults.lights_broken = True
+        verdict = scanner.scan(Annotations()).bundle.record.verdict
+    assert verdict.level == "retake"
+    assert "black" in verdict.reason
+
+
+def test_scanning_without_a_calibration_is_refused(hardware: Hardware, store: BundleStore) -> None:
+    with hardware, pytest.raises(NoCalibration, match="retroscan calibrate"):
+        Scanner(hardware, store)
+
+
+def test_a_calibration_of_another_gel_or_light_is_refused_by_name(hardware: Hardware, calibrated: BundleStore) -> None:
+    gel = msgspec.structs.replace(hardware.profile.gel, id="other-gel")
+    other_gel = dataclasses.replace(hardware, profile=msgspec.structs.replace(hardware.profile, gel=gel))
+    with pytest.raises(CalibrationMismatch, match=r"gel \(twin-gel, not other-gel\)"):
+        Scanner(other_gel, calibrated)
+    red, green, blue = hardware.profile.lights
+    moved = msgspec.structs.replace(green, position_mm=(-18.0, 12.0, 12.5))
+    lights = msgspec.structs.replace(hardware.profile, lights=(red, moved, blue))
+    with pytest.raises(CalibrationMismatch, match="place of light green"):
+        Scanner(dataclasses.replace(hardware, profile=lights), calibrated)
+
+
+def test_a_calibration_without_balls_is_refused_and_nothing_is_published(
+    hardware: Hardware, store: BundleStore
+) -> None:
+    absent = Absent(hardware)
+    lazy = dataclasses.replace(hardware, operator=absent)
+    with lazy, pytest.raises(CalibrationError, match="only 0 of 12 presses showed a usable ball"):
+        calibrate(lazy, store, BALL_RADIUS_MM, lambda _: None)
+    assert sum(isinstance(request, PressBall) for request in absent.asked) == 3 * len(press_places())
+    assert store.calibrations().bundles == ()
+
+
+def test_a_full_store_refuses_before_the_press(
+    hardware: Hardware, calibrated: BundleStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BundleStore, "scans_left", lambda _store, _size: 0)
+    with hardware, pytest.raises(StoreError, match="no room for another scan"):
+        Scanner(hardware, calibrated).scan(Annotations())
+    assert calibrated.scans().bundles == ()
+
+
+def test_a_disk_that_fills_while_writing_leaves_no_half_scan(
+    hardware: Hardware, calibrated: BundleStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, _frame: object) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("device.scanning.scanner.write_raw", refuse)
+    with hardware:
+        scanner = Scanner(hardware, calibrated)
+        with pytest.raises(StoreError, match="No space left"):
+            scanner.scan(Annotations())
+    assert calibrated.scans().bundles == ()
+    assert list((calibrated.root / "scans").iterdir()) == []

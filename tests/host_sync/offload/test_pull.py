@@ -1,0 +1,228 @@
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import pytest
+
+from device.bundle_layout import BundleKind
+from device.bundle_publishing import locked_directory
+from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationBundle
+from device.records import CHUNK_BYTES
+from device.scan_bundle import ScanBundle, ScanRecord
+from host_sync.errors import LibraryError, SourceError
+from host_sync.library import Library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.pull import PullProgress, pull
+
+PublishScan = Callable[..., ScanBundle]
+PublishCalibration = Callable[[BundleStore], CalibrationBundle]
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Library:
+    return Library(tmp_path / "library")
+
+
+@pytest.fixture
+def calibration(store: BundleStore, publish_calibration: PublishCalibration) -> CalibrationBundle:
+    return publish_calibration(store)
+
+
+@pytest.fixture
+def scans(store: BundleStore, publish_scan: PublishScan, calibration: CalibrationBundle) -> list[ScanBundle]:
+    return [publish_scan(store, calibration.calibration_id) for _ in range(3)]
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in directory.iterdir()}
+
+
+def test_everything_arrives_bit_by_bit(
+    store: BundleStore, library: Library, scans: list[ScanBundle], calibration: CalibrationBundle
+) -> None:
+    seen: list[PullProgress] = []
+    report = pull(DirectorySource(store.root), library, seen.append)
+    assert report.complete
+    assert report.copied == (calibration.calibration_id, *(scan.scan_id for scan in scans))
+    assert report.without_calibration == ()
+    assert report.copied_bytes == seen[-1].done_bytes == seen[-1].total_bytes
+    for bundle in library.scans().bundles:
+        assert contents(bundle.directory) == contents(store.root / "scans" / bundle.scan_id)
+        assert library.calibration_for(bundle).record == calibration.record
+    assert len(library.scans().bundles) == 3
+
+
+def test_a_second_pull_copies_nothing(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = DirectorySource(store.root)
+    pull(source, library)
+    opened: list[str] = []
+    genuine = DirectorySource.open_file
+
+    def noting(self: DirectorySource, kind: BundleKind, bundle_id: str, name: str) -> BinaryIO:
+        opened.append(name)
+        return genuine(self, kind, bundle_id, name)
+
+    monkeypatch.setattr(DirectorySource, "open_file", noting)
+    report = pull(source, library)
+    assert (report.copied, report.copied_bytes, len(report.already_there)) == ((), 0, 4)
+    assert {name.removesuffix(".sha256") for name in opened} == {"scan.json", "calibration.json"}
+
+
+@pytest.mark.parametrize("name", ["raw.tif", "preview.png", "scan.json", "scan.json.sha256"])
+@pytest.mark.parametrize("harm", ["flip", "cut", "grow", "remove", "link"])
+def test_a_damaged_bundle_is_named_and_the_others_go_on(
+    store: BundleStore, library: Library, scans: list[ScanBundle], tmp_path: Path, name: str, harm: str
+) -> None:
+    path = scans[1].directory / name
+    data = path.read_bytes()
+    path.unlink()
+    if harm == "link":
+        (tmp_path / "elsewhere").write_bytes(data)
+        path.symlink_to(tmp_path / "elsewhere")
+    elif harm != "remove":
+        middle = len(data) // 2
+        flipped = data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :]
+        path.write_bytes({"flip": flipped, "cut": data[:-7], "grow": data + b"\n"}[harm])
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == [scans[1].scan_id]
+    assert name.removesuffix(".sha256") in report.failed[0].reason
+    assert not report.complete
+    assert {bundle.scan_id for bundle in library.scans().bundles} == {scans[0].scan_id, scans[2].scan_id}
+    assert {path.name for path in (library.root / "scans").iterdir()} == {scans[0].scan_id, scans[2].scan_id}
+
+
+def test_a_bundle_that_a_store_damages_in_writing_is_never_published(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genuine = os.fsync
+
+    def rotting(descriptor: int) -> None:
+        genuine(descriptor)
+        written = Path(f"/proc/self/fd/{descriptor}").resolve()
+        if written.name == "preview.png" and scans[0].scan_id in str(written):
+            written.write_bytes(b"\0" * written.stat().st_size)
+
+    monkeypatch.setattr(os, "fsync", rotting)
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == [scans[0].scan_id]
+    assert "preview.png is damaged" in report.failed[0].reason
+
+
+def test_a_full_library_stops_the_pull_without_half_a_bundle(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genuine, calls = os.fsync, 0
+
+    def filling(descriptor: int) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 20:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        genuine(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", filling)
+        with pytest.raises(LibraryError, match="No space left"):
+            pull(DirectorySource(store.root), library)
+    for bundle in library.scans().bundles:
+        bundle.verify()
+    assert list((library.root / "scans").glob(".*")) == []
+    report = pull(DirectorySource(store.root), library)
+    assert report.complete
+    assert report.copied
+    assert report.already_there
+
+
+def test_a_pull_that_cannot_fit_is_refused_before_it_begins(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Library, "free_bytes", lambda _: 1000)
+    with pytest.raises(LibraryError, match="are to come and 0 MB are free"):
+        pull(DirectorySource(store.root), library)
+    assert library.scans().bundles == ()
+
+
+def test_another_bundle_under_the_same_id_is_never_overwritten(
+    store: BundleStore, library: Library, scans: list[ScanBundle]
+) -> None:
+    pull(DirectorySource(store.root), library)
+    kept = library.root / "scans" / scans[0].scan_id
+    (kept / "scan.json").write_bytes(b"mine")
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == [scans[0].scan_id]
+    assert "another bundle under this id" in report.failed[0].reason
+    assert (kept / "scan.json").read_bytes() == b"mine"
+
+
+def test_a_renamed_bundle_is_not_taken_for_another(
+    store: BundleStore, library: Library, scans: list[ScanBundle]
+) -> None:
+    shutil.copytree(scans[0].directory, store.root / "scans" / "copy-of-it")
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == ["copy-of-it"]
+    assert scans[0].scan_id in report.failed[0].reason
+
+
+def test_a_scan_without_its_calibration_is_told(
+    store: BundleStore, library: Library, scans: list[ScanBundle], calibration: CalibrationBundle
+) -> None:
+    shutil.rmtree(calibration.directory)
+    report = pull(DirectorySource(store.root), library)
+    assert report.without_calibration == tuple(scan.scan_id for scan in scans)
+
+
+def test_leftovers_are_cleared_and_two_pulls_do_not_mix(
+    store: BundleStore, library: Library, scans: list[ScanBundle]
+) -> None:
+    leftover = library.root / "scans" / f".{scans[0].scan_id}.partial"
+    leftover.mkdir(parents=True)
+    (leftover / "raw.tif").write_bytes(b"half")
+    with locked_directory(library.root), pytest.raises(LibraryError, match="another program"):
+        pull(DirectorySource(store.root), library)
+    assert pull(DirectorySource(store.root), library).complete
+    assert not leftover.exists()
+
+
+def test_memory_does_not_grow_with_the_files(
+    store: BundleStore, library: Library, scan_record: Callable[..., ScanRecord]
+) -> None:
+    def write(directory: Path) -> None:
+        with (directory / "raw.tif").open("wb") as stream:
+            for _ in range(24):
+                stream.write(os.urandom(CHUNK_BYTES))
+
+    store.publish_scan(scan_record(store), write)
+    tracemalloc.start()
+    try:
+        assert pull(DirectorySource(store.root), library).complete
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 6 * CHUNK_BYTES
+
+
+def test_the_store_is_found_on_a_card(store: BundleStore, tmp_path: Path, scans: list[ScanBundle]) -> None:
+    card = tmp_path / "card"
+    (card / "var" / "lib").mkdir(parents=True)
+    shutil.copytree(store.root, card / "var" / "lib" / "retroscan")
+    assert DirectorySource(card).root == card / "var" / "lib" / "retroscan"
+    shutil.copytree(store.root, card / "backup")
+    with pytest.raises(SourceError, match="several stores"):
+        DirectorySource(card)
+
+
+def test_a_place_without_scans_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "empty").mkdir()
+    for name, sentence in (("file", "Not a directory"), ("absent", "No such file"), ("empty", "holds no scans")):
+        with pytest.raises(SourceError, match=sentence):
+            DirectorySource(tmp_path / name)
