@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,9 +14,12 @@ from device.calibration_bundle import BallRecord, CalibrationBundle, Calibration
 from device.fingerprint import Fingerprint
 from device.raw_file import write_raw
 from device.scan_bundle import Annotations, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
-from hal.board_profile import load_board_profile
+from device.scanning.calibrate import calibrate
+from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame
+from hal.twin.bench import build
+from hal.twin.hardware import twin_hardware
 
 SHAPE = (32, 48)
 
@@ -111,3 +115,21 @@ def publish_calibration(fingerprint: Fingerprint) -> Callable[[BundleStore], Cal
         return store.publish_calibration(record, write)
 
     return publish
+
+
+@pytest.fixture(scope="session")
+def small_twin() -> BoardProfile:
+    """The reference twin with a quarter of its resolution over the same field."""
+    reference = load_board_profile("twin")
+    sensor = msgspec.structs.replace(reference.sensor, columns=364, rows=272, pixel_pitch_um=48.0)
+    return msgspec.structs.replace(reference, sensor=sensor)
+
+
+@pytest.fixture(scope="session")
+def calibrated_root(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardProfile) -> Path:
+    """A store with an active calibration of the small twin, made once; tests work on copies of it."""
+    root = tmp_path_factory.mktemp("calibrated") / "store"
+    hardware = twin_hardware(build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)))
+    with hardware:
+        calibrate(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f"), 3.0, lambda _: None)
+    return root

@@ -1,5 +1,6 @@
 """Synthetic balls with known centres, things that are no balls, and the labelled balls of real frames."""
 
+import dataclasses
 import os
 import tomllib
 from dataclasses import dataclass
@@ -66,6 +67,13 @@ def test_one_ball_is_found_to_half_a_pixel(contact: float, radius_px: float) -> 
     assert len(search.found) == 1
     assert search.rejected == ()
     assert distances(search, [centre])[0] < 0.5
+
+
+def test_positions_are_plain_numbers_that_a_record_can_hold() -> None:
+    search = find_balls(pressed((150.0, 120.0), (5.0, 200.0)), RADIUS_PX)
+    assert search.rejected
+    assert all(type(value) is float for ball in search.found for value in dataclasses.astuple(ball))
+    assert all(type(ball.column) is float and type(ball.row) is float for ball in search.rejected)
 
 
 @pytest.mark.parametrize("contact", [0.4, 0.5, 0.64])

@@ -1,0 +1,191 @@
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from device.ball import Ball, BallSamples, gather_samples
+from device.errors import CalibrationError, RecordError
+from device.held_out_ridge import angle_between_deg
+from device.photometry import IntensityImage
+from host_sync.calibration.figures import ambiguity_figure, reflectance_figure
+from host_sync.calibration.paper_model import estimate_gradients, fit_paper_model, load_paper_model
+
+SIZE = 220
+NOISE = 0.01
+LIGHTS = [np.array([np.cos(a), np.sin(a), np.tan(np.radians(40))]) for a in np.radians([90, 210, 330])]
+
+
+def reflectance(p, q):
+    """A skin half Lambertian, half a broad lobe, under three distant lights; it reads 1 where flat."""
+    normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / np.sqrt(1 + p * p + q * q)[..., None]
+    channels = []
+    for light in LIGHTS:
+        towards = light / np.linalg.norm(light)
+        half = towards + np.array([0.0, 0.0, 1.0])
+        half /= np.linalg.norm(half)
+        lobe = np.exp((normal @ half - 1.0) / (1.0 - np.cos(np.radians(25))))
+        flat = 0.5 * towards[2] + 0.5 * np.exp((half[2] - 1.0) / (1.0 - np.cos(np.radians(25))))
+        channels.append((0.5 * np.maximum(normal @ towards, 0.0) + 0.5 * lobe) / flat)
+    return np.stack(channels, axis=-1)
+
+
+def ball_slopes(ball):
+    row, column = np.mgrid[:SIZE, :SIZE].astype(float)
+    across, down = column - ball.column, row - ball.row
+    height = np.sqrt(np.maximum(ball.radius_px**2 - across**2 - down**2, 1.0))
+    inside = across**2 + down**2 < ball.contact_radius_px**2
+    return np.where(inside, -across / height, 0.0), np.where(inside, -down / height, 0.0), inside
+
+
+def rendered(ball, skin=reflectance, noise=NOISE, seed=0):
+    p, q, _ = ball_slopes(ball)
+    values = skin(p, q) + noise * np.random.default_rng(seed).standard_normal((SIZE, SIZE, 3))
+    nowhere = np.zeros((SIZE, SIZE), bool)
+    return IntensityImage(values.astype(np.float32), ~nowhere, nowhere)
+
+
+TEACHER = Ball(104.3, 110.6, 80.0, 110.0)
+JUDGED = Ball(117.8, 101.2, 62.0, 90.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return fit_paper_model(gather_samples([(rendered(TEACHER), [TEACHER])]))
+
+
+def error_deg(gradients, ball):
+    p, q, inside = ball_slopes(ball)
+    ok = inside & gradients.valid
+    slope = np.stack([gradients.p[ok], gradients.q[ok]], axis=-1).astype(float)
+    return angle_between_deg(slope, np.stack([p[ok], q[ok]], axis=-1)), ok.sum() / inside.sum()
+
+
+def test_a_ball_that_taught_nothing_is_measured(model):
+    image = rendered(JUDGED, seed=1)
+    error, kept = error_deg(estimate_gradients(model, image), JUDGED)
+    assert error.mean() < 1.5
+    assert kept > 0.999
+
+
+def test_untouched_skin_is_flat(model):
+    gradients = estimate_gradients(model, rendered(JUDGED, seed=2))
+    outside = ~ball_slopes(JUDGED)[2]
+    assert abs(gradients.p[outside].mean()) < 0.01
+    assert abs(gradients.q[outside].mean()) < 0.01
+    assert np.median(gradients.weight[outside]) > 0.5
+
+
+def test_the_table_returns_a_samples_slope_within_quantisation(model):
+    p, q = np.array([0.3, -0.5, 0.1, -0.2]), np.array([0.2, 0.3, -0.6, -0.1])
+    for slope, intensity in zip(np.stack([p, q], axis=-1), reflectance(p, q), strict=True):
+        candidates = model.table.candidates_of(intensity.astype(np.float32))
+        jacobian = candidates[0, 5:11].reshape(3, 2)
+        bin_in_slope = np.linalg.norm(model.table.step) / np.linalg.svd(jacobian)[1][-1]
+        assert np.linalg.norm(candidates[:, :2] - slope, axis=1).min() < 1.5 * bin_in_slope
+
+
+def test_refinement_is_finer_than_the_bins(model):
+    p, q, inside = ball_slopes(JUDGED)
+    image = rendered(JUDGED, noise=0.0)
+    refined, _ = error_deg(estimate_gradients(model, image), JUDGED)
+    indices = model.table.bin_indices(image.values[inside])
+    coarse = model.table.candidates[model.table.first[model.table.bin_of[tuple(indices.T)]], :2]
+    truth = np.stack([p[inside], q[inside]], axis=-1)
+    assert refined.mean() < 0.6 * angle_between_deg(coarse.astype(float), truth).mean()
+
+
+def test_clipped_pixels_keep_a_slope_and_little_weight_and_dark_ones_none(model):
+    image = rendered(JUDGED)
+    valid, clipped = image.valid.copy(), image.clipped.copy()
+    valid[:50], clipped[60:80] = False, True
+    gradients = estimate_gradients(model, IntensityImage(image.values, valid, clipped))
+    assert not gradients.valid[:50].any()
+    assert not gradients.weight[:50].any()
+    assert gradients.valid[60:80].all()
+    assert gradients.weight[60:80].max() <= 0.03
+
+
+def test_what_is_no_number_is_not_valid(model):
+    image = rendered(JUDGED)
+    image.values[10, 10] = np.nan
+    image.values[20, 20, 1] = np.inf
+    gradients = estimate_gradients(model, image)
+    assert not gradients.valid[10, 10]
+    assert not gradients.valid[20, 20]
+    assert gradients.valid[11, 11]
+    assert np.isfinite(gradients.p).all()
+    assert np.isfinite(gradients.weight).all()
+
+
+def test_colours_far_from_every_balls_lose_weight_then_validity(model):
+    image = rendered(JUDGED, noise=0.0)
+    image.values[5, :] += np.float32([0.3, 0.3, 0.3])
+    image.values[15, :] += np.float32(50.0)
+    gradients = estimate_gradients(model, image)
+    assert gradients.weight[5, 100] < 0.8 * gradients.weight[1, 100]
+    assert not gradients.valid[15].any()
+
+
+def test_a_saved_model_comes_back_bit_for_bit(model, tmp_path):
+    model.save(tmp_path / "model.npz")
+    again = load_paper_model(tmp_path / "model.npz")
+    image = rendered(JUDGED)
+    before, after = estimate_gradients(model, image), estimate_gradients(again, image)
+    for field in fields(before):
+        np.testing.assert_array_equal(getattr(before, field.name), getattr(after, field.name))
+    assert again.settings == model.settings
+    assert again.residual_order_5 == model.residual_order_5
+    np.testing.assert_array_equal(again.harmonics.coefficients, model.harmonics.coefficients)
+    np.testing.assert_array_equal(again.maps.mean, model.maps.mean)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", None])
+def test_a_damaged_model_is_refused_by_name(content, tmp_path):
+    path = tmp_path / "model.npz"
+    if content is None:
+        np.savez(path, reach=np.array(1.0))
+    else:
+        path.write_bytes(content)
+    with pytest.raises(RecordError, match=r"model\.npz holds no model"):
+        load_paper_model(path)
+
+
+def test_too_few_slopes_are_refused():
+    nothing = BallSamples(*(np.zeros(shape, np.float32) for shape in ((0, 3), 0, 0, 0, 0)), np.zeros(0, np.intp))
+    with pytest.raises(CalibrationError, match="no usable pixel"):
+        fit_paper_model(nothing)
+    small = Ball(100.0, 100.0, 3.0, 110.0)
+    with pytest.raises(CalibrationError, match="different slopes"):
+        fit_paper_model(gather_samples([(rendered(small), [small])]))
+
+
+def test_figures_show_three_by_three_maps_and_two_panels(model, tmp_path):
+    maps = reflectance_figure(model)
+    assert sum("red" in axes.get_title() for axes in maps.axes) == 3
+    maps.savefig(tmp_path / "maps.png", dpi=40)
+    ambiguity = ambiguity_figure(model)
+    assert [axes.get_xlabel()[0] for axes in ambiguity.axes] == ["a", "p"]
+    ambiguity.savefig(tmp_path / "ambiguity.png", dpi=40)
+
+
+def folded(p, q):
+    """Three slopes, 120 degrees apart, make the same colour: intensity follows the cube of p + iq."""
+    cube = (p + 1j * q) ** 3
+    return np.stack([1.0 + cube.real, 1.0 + cube.imag, np.ones_like(p)], axis=-1)
+
+
+def test_the_gate_picks_the_right_slope_where_three_make_one_colour():
+    model = fit_paper_model(gather_samples([(rendered(TEACHER, folded, 0.002), [TEACHER])]))
+    gradients = estimate_gradients(model, rendered(JUDGED, folded, 0.0))
+    p, q, inside = ball_slopes(JUDGED)
+    steep = np.hypot(p, q)
+    judged = inside & (steep > 0.5) & (steep < 0.85)
+    judged &= np.hypot(*np.mgrid[-JUDGED.row : SIZE - JUDGED.row, -JUDGED.column : SIZE - JUDGED.column]) < 60.0
+    intensity = folded(p, q)[judged].astype(np.float32)
+    counts = [len(model.table.candidates_of(colour)) for colour in intensity[::97]]
+    assert np.median(counts) == 3
+    assert model.table.ambiguous_share > 0.5
+    wrong = np.hypot(gradients.p - p, gradients.q - q)[judged] > 0.2
+    assert wrong.mean() < 0.02
+    figure = ambiguity_figure(model)
+    assert len(figure.legends) == 1

@@ -1,0 +1,92 @@
+"""The stated σ against errors that are put in, and the level against skin whose rest is known."""
+
+import numpy as np
+import pytest
+
+from device.surface import GradientField, HeightMap, surface_slopes
+from host_sync.calibration.slope_error import SlopeError
+from host_sync.reconstruction.level import levelled, untouched_skin
+from host_sync.reconstruction.multigrid import integrate
+from host_sync.reconstruction.uncertainty import contradicted_slope, height_sigma_um
+
+SHAPE = (200, 256)
+PITCH_UM = 10.0
+
+
+def bump() -> np.ndarray:
+    """A plateau in the middle, flat skin around it; µm."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    distance = np.hypot(row - 100.0, column - 128.0)
+    return 150.0 / (1.0 + np.exp((distance - 50.0) / 4.0))
+
+
+def gradients_of(z_um: np.ndarray, noise: float, seed: int = 0) -> GradientField:
+    q, p = np.gradient(z_um / PITCH_UM)
+    random = np.random.default_rng(seed)
+    p, q = (slope + noise * random.standard_normal(SHAPE) for slope in (p, q))
+    ones = np.ones(SHAPE, np.float32)
+    return GradientField(p.astype(np.float32), q.astype(np.float32), ones > 0, ones)
+
+
+def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
+    none = (np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32))
+    return height_sigma_um(gradients, none, none[0], error, PITCH_UM, untouched_skin(gradients))
+
+
+def test_the_level_is_the_untouched_skin_not_the_plateau() -> None:
+    gradients = gradients_of(bump(), 0.01)
+    at_rest = untouched_skin(gradients)
+    assert at_rest[:20].mean() > 0.9
+    assert not at_rest[95:105, 120:136].any()
+    height = levelled(HeightMap(bump().astype(np.float32) + np.float32(77.0), PITCH_UM), at_rest)
+    assert abs(float(np.median(height.z_um[:20]))) < 1.0
+
+
+def test_without_flat_skin_every_pixel_gives_the_level() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    assert untouched_skin(gradients_of(3.0 * PITCH_UM * (column + row), 0.01)).all()
+
+
+def test_sigma_is_the_spread_of_heights_under_pixel_noise() -> None:
+    noise = 0.05
+    heights = []
+    for seed in range(12):
+        gradients = gradients_of(0.0 * bump(), noise, seed)
+        height, _ = integrate(gradients, PITCH_UM)
+        heights.append(levelled(height, gradients.valid).z_um)
+    spread = float(np.std(heights, axis=0).mean())
+    stated = float(sigma_of(gradients_of(0.0 * bump(), 0.0), SlopeError(np.degrees(noise), 0.0, 5.0, (0, 0, 0))).mean())
+    assert stated == pytest.approx(spread, rel=0.35)
+
+
+def test_errors_of_a_patch_bend_the_height_more_than_errors_of_a_pixel() -> None:
+    gradients = gradients_of(bump(), 0.0)
+    pixel = sigma_of(gradients, SlopeError(2.0, 0.0, 8.0, (0, 0, 0)))
+    patch = sigma_of(gradients, SlopeError(0.0, 2.0, 8.0, (0, 0, 0)))
+    assert patch.mean() > 4.0 * pixel.mean()
+
+
+def test_slopes_that_belong_to_no_surface_betray_themselves() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    swirl = np.exp(-((row - 100.0) ** 2 + (column - 128.0) ** 2) / 800.0) / 20.0
+    clean = gradients_of(bump(), 0.0)
+    false = GradientField(
+        clean.p - (swirl * (row - 100.0)).astype(np.float32) * 0.05,
+        clean.q + (swirl * (column - 128.0)).astype(np.float32) * 0.05,
+        clean.valid,
+        clean.weight,
+    )
+    betrayed = []
+    for gradients in (clean, false):
+        height, _ = integrate(gradients, PITCH_UM)
+        betrayed.append(contradicted_slope(gradients, *surface_slopes(height)))
+    assert betrayed[1][100, 128] > 10.0 * betrayed[0][100, 128]
+    assert betrayed[1][100, 128] > 5.0 * betrayed[1][10, 10]
+
+
+def test_an_invalid_pixel_has_no_sigma() -> None:
+    gradients = gradients_of(bump(), 0.0)
+    gradients.valid[3, 4] = False
+    sigma = sigma_of(gradients, SlopeError(1.0, 0.5, 8.0, (0, 0, 0)))
+    assert np.isnan(sigma[3, 4])
+    assert np.isfinite(sigma[10, 10])

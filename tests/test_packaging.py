@@ -1,0 +1,94 @@
+"""What the wheel holds, and that it works away from the checkout."""
+
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("hal", "device", "host_sync")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def held(wheel: Path) -> frozenset[str]:
+    return frozenset(zipfile.ZipFile(wheel).namelist())
+
+
+@pytest.fixture(scope="module")
+def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    zipfile.ZipFile(wheel).extractall(folder)
+    return folder
+
+
+def run_away_from_checkout(unpacked: Path, *arguments: str) -> str:
+    """What Python prints when the wheel comes first on its path and the checkout is not its folder."""
+    environment = {**os.environ, "PYTHONPATH": str(unpacked)}
+    ran = subprocess.run(
+        [sys.executable, *arguments], cwd=unpacked.parent, env=environment, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    return ran.stdout
+
+
+def test_wheel_holds_the_three_packages_and_nothing_else(held: frozenset[str]) -> None:
+    assert {name.partition("/")[0] for name in held if ".dist-info/" not in name} == set(PACKAGES)
+    assert {Path(name).suffix for name in held if ".dist-info/" not in name} <= {".py", ".toml"}
+
+
+def test_wheel_holds_every_module(held: frozenset[str]) -> None:
+    modules = {path.relative_to(ROOT).as_posix() for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    assert {name for name in held if name.endswith(".py")} == modules
+
+
+def test_wheel_holds_every_board_profile(held: frozenset[str]) -> None:
+    profiles = {f"hal/board/{path.name}" for path in (ROOT / "board").glob("*.toml")}
+    assert "hal/board/twin.toml" in profiles
+    assert profiles <= held
+
+
+def test_wheel_carries_its_licence(held: frozenset[str]) -> None:
+    carried = {Path(name).name for name in held if ".dist-info/licenses/" in name}
+    assert carried == {"LICENSE", "NOTICE"}
+
+
+def test_board_profile_loads_from_the_wheel(unpacked: Path) -> None:
+    told = run_away_from_checkout(
+        unpacked,
+        "-c",
+        "import hal.board_profile as b; print(b.__file__); print(b.load_board_profile('twin').name)",
+    )
+    assert told.split() == [str(unpacked / "hal" / "board_profile.py"), "twin"]
+
+
+@pytest.mark.parametrize("command", ["retroscan", "retrosync"])
+def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+    module, _, _ = scripts[command].partition(":")
+    assert command in run_away_from_checkout(unpacked, "-m", module, "--help")
+
+
+def test_lock_holds_what_the_project_asks_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    asked = [*project["dependencies"], *extras["device"], *extras["host"], *extras["dev"]]
+    names = {need.partition(">")[0].partition("[")[0] for need in asked} - {project["name"]}
+    pinned = {line.partition("==")[0] for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()}
+    assert names <= pinned

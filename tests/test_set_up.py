@@ -1,0 +1,117 @@
+"""What a fresh machine that lacks something is told: one plain sentence, and nothing is left behind."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A copy of what set-up reads, without an environment."""
+    folder = tmp_path / "a checkout"
+    (folder / ".ci").mkdir(parents=True)
+    for name in ("Makefile", "pyproject.toml", "requirements.lock", ".ci/set-up"):
+        shutil.copy(ROOT / name, folder / name)
+    return folder
+
+
+def script(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(("#!/bin/sh", *lines, "")), encoding="utf-8")
+    path.chmod(0o755)
+    return path
+
+
+def make(checkout: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "PIP_", "MFLAGS"))}
+    return subprocess.run(
+        ["make", *arguments], cwd=checkout, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def complaint(run: subprocess.CompletedProcess[str]) -> str:
+    """What was said of a run that failed without a traceback."""
+    assert run.returncode != 0
+    assert "Traceback" not in run.stdout + run.stderr
+    return run.stderr
+
+
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_no_python(checkout: Path, target: str) -> None:
+    said = complaint(make(checkout, target, "PYTHON=no-such-python"))
+    assert "there is no 'no-such-python' here: install Python 3.11" in said
+    assert not (checkout / ".venv").exists()
+
+
+@pytest.mark.parametrize("version", ["2.7.18", "3.10.13", "3.14.0"])
+def test_python_of_another_version(checkout: Path, tmp_path: Path, version: str) -> None:
+    python = script(tmp_path / "python", f"echo {version}")
+    assert f"is Python {version}, but 3.11, 3.12 or 3.13 is needed" in complaint(
+        make(checkout, "test", f"PYTHON={python}")
+    )
+    assert not (checkout / ".venv").exists()
+
+
+def test_python_without_venv(checkout: Path, tmp_path: Path) -> None:
+    python = script(
+        tmp_path / "python",
+        'case "$2" in *ensurepip*) echo "ModuleNotFoundError: No module named ensurepip" >&2; exit 1 ;; esac',
+        f'exec "{sys.executable}" "$@"',
+    )
+    assert "apt install python3-venv" in complaint(make(checkout, "test", f"PYTHON={python}"))
+    assert not (checkout / ".venv").exists()
+
+
+def test_packages_out_of_reach_then_within_reach(checkout: Path, tmp_path: Path) -> None:
+    """An interrupted set-up leaves no `ready` behind, so that the next run begins again."""
+    python = fake_python(tmp_path, "echo 'ERROR: No matching distribution found for numpy' >&2; exit 1")
+    said = complaint(make(checkout, "set-up", f"PYTHON={python}"))
+    assert "could not be installed" in said
+    assert "No matching distribution found for numpy" in said
+    assert not (checkout / ".venv" / "ready").exists()
+
+    python = fake_python(tmp_path, "exit 0")
+    assert make(checkout, "set-up", f"PYTHON={python}").returncode == 0
+    assert (checkout / ".venv" / "ready").is_file()
+
+
+def test_no_network(checkout: Path, tmp_path: Path) -> None:
+    python = fake_python(tmp_path, "echo 'WARNING: Retrying after NewConnectionError(...)' >&2; exit 1")
+    assert "the package index cannot be reached" in complaint(make(checkout, "set-up", f"PYTHON={python}"))
+
+
+def test_second_run_installs_nothing_until_the_lock_or_the_project_changes(checkout: Path, tmp_path: Path) -> None:
+    calls = tmp_path / "calls"
+    python = fake_python(tmp_path, f'echo "$*" >> "{calls}"')
+
+    def installed() -> list[str]:
+        calls.write_text("", encoding="utf-8")
+        assert make(checkout, "set-up", f"PYTHON={python}").returncode == 0
+        return ["lock" if "requirements.lock" in line else "checkout" for line in calls.read_text().splitlines()]
+
+    assert installed() == ["lock", "checkout"]
+    assert installed() == []
+    with (checkout / "pyproject.toml").open("a", encoding="utf-8") as project:
+        project.write("\n# changed\n")
+    assert installed() == ["checkout"]
+    with (checkout / "requirements.lock").open("a", encoding="utf-8") as lock:
+        lock.write("# changed\n")
+    assert installed() == ["lock", "checkout"]
+
+
+def fake_python(folder: Path, pip: str) -> Path:
+    """A Python whose environments are made at once and whose pip does what is given."""
+    return script(
+        folder / "python",
+        'case "$1 $2" in',
+        '\'-m venv\') mkdir -p "$3/bin" && touch "$3/pyvenv.cfg" && cp "$0" "$3/bin/python" ;;',
+        f"'-m pip') {pip} ;;",
+        f'*) exec "{sys.executable}" "$@" ;;',
+        "esac",
+    )
