@@ -17,7 +17,7 @@ from device.scan_bundle import Annotations
 from device.scanning.calibrate import calibrate
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.store_location import default_store
-from hal.board_profile import load_board_profile
+from hal.board_profile import load_board_profile, profile_names
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.hardware import Hardware, open_hardware
 from hal.interfaces import PressObject
@@ -43,7 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="retroscan", description="Scan surfaces with a gel at the push of a button.")
-    parser.add_argument("--board", default="twin", help="board profile: a name or a .toml file (default: %(default)s)")
+    known = ", ".join(profile_names())
+    parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
     parser.add_argument("--store", type=Path, help="folder of scans and calibrations")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 

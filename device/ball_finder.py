@@ -92,7 +92,8 @@ def _look(image: IntensityImage, radius_px: float) -> list[_Sighting]:
     sightings = []
     for centre in join_centres(fine, np.array(circles), np.array(apexes), reduced_radius):
         rings = read_rings(fine, centre, reduced_radius, np.asarray(CONTACT_RINGS))
-        sightings.append(_Sighting(*fine.to_full(*centre), find_contact(rings), rings))
+        column, row = (float(place) for place in fine.to_full(*centre))
+        sightings.append(_Sighting(column, row, float(find_contact(rings)), rings))
     return sightings
 
 

@@ -26,7 +26,7 @@ PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 
 REFINEMENT_ROUNDS: Final = 4
 SHIFT_TAKEN: Final = 0.8
 """Share of a centre's indicated shift that is taken."""
-FLAT_SHARE: Final = 0.05
+FLAT_SHARE: Final = 0.1
 """Untouched skin, as a share of the ball pixels: it pins intensity 1 to slope 0 everywhere in the field."""
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 FEWEST_PIXELS: Final = 500

@@ -30,3 +30,7 @@ class MissingCalibration(HostError, LookupError):
 
 class ResultError(HostError, OSError):
     """Results cannot be written where they belong: full, read-only or in the way. Free it or choose another place."""
+
+
+class IntegrationError(HostError, ValueError):
+    """Slopes cannot be integrated: shapes differ, or values are not numbers. Mask what is invalid first."""

@@ -85,12 +85,12 @@ class Library:
             )
         return read_calibration(directory)
 
-    def result_folder(self, scan: ScanBundle, version: str, calibration_id: str) -> Path:
+    def result_folder(self, bundle: ScanBundle | CalibrationBundle, version: str, calibration_id: str) -> Path:
         """Where the results of one program version and one calibration belong; not made here."""
         name = f"{version}-{calibration_id}"
         if not _RESULT_NAME.fullmatch(name):
             raise LibraryError(f"{name!r} cannot name a folder of results: use letters, digits and . _ + -")
-        return scan.directory / RESULTS / name
+        return bundle.directory / RESULTS / name
 
     def results(self, scan: ScanBundle) -> tuple[Path, ...]:
         """Folders of the results that a scan has, sorted."""

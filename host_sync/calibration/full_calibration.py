@@ -1,0 +1,153 @@
+"""The workstation's calibration: from press frames to the models that turn intensity into slope."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from device.ball import BallSamples, gather_samples
+from device.errors import CalibrationError
+from device.held_out_ridge import angle_between_deg
+from device.inverse_fit import InverseFit, fit_inverse_map
+from device.photometry import LinearFrame, blurred_reference, pseudo_reference
+from device.surface import Float32Array, Float64Array
+from host_sync.calibration.ball_location import (
+    PressFrame,
+    UsedPress,
+    after_fit,
+    check_sizes,
+    locate,
+    seen_instead_of_labelled,
+)
+from host_sync.calibration.held_out import held_out_paper_deg
+from host_sync.calibration.paper_model import PaperModel, fit_paper_model
+from host_sync.calibration.slope_error import SlopeError, measure_slope_error
+
+Method = Literal["direct", "paper"]
+Centres = Literal["found", "labelled", "found at labels"]
+METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
+FITTED_SAMPLES: Final = 40_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Everything that reconstruction needs, and what the report tells.
+
+    calibration_id : digest of the models and the reference
+    divisor : float32 array of shape (H, W, 3), what frames are divided by
+    has_reference : False when the divisor is a stand-in fitted to the frames
+    pitch_um : distance of neighbouring pixels on the skin, µm
+    centres : where the balls' centres came from before they were refined
+    inverse : the position-aware inverse map and its held-out errors
+    paper : the paper's model
+    held_out_deg : mean angular error on held-out balls by method, NaN when one ball is all there is
+    """
+
+    calibration_id: str
+    divisor: Float32Array
+    has_reference: bool
+    pitch_um: float
+    presses: tuple[UsedPress, ...]
+    centres: Centres
+    inverse: InverseFit
+    paper: PaperModel
+    slope_error: SlopeError
+    held_out_deg: dict[Method, float]
+
+    @property
+    def preferred(self) -> Method:
+        """The method that held-out balls prefer."""
+        return "paper" if self.held_out_deg["paper"] < self.held_out_deg["direct"] else "direct"
+
+
+def calibrate(
+    presses: Sequence[PressFrame],
+    reference: LinearFrame | None,
+    pitch_um: float,
+    *,
+    others: Sequence[LinearFrame] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """The calibration of one gel and set of lights.
+
+    reference : frame of the skin at rest; None fits a stand-in to the presses and `others`
+    tell : is given a few words as each step begins
+
+    Raises
+    ------
+    CalibrationError
+        No press, no ball in a press, or too few pixels.
+    CalibrationMismatch
+        Frames of different sizes or channel orders.
+    """
+    if not presses:
+        raise CalibrationError("there is no calibration press: press a ball of known radius into the gel")
+    check_sizes(presses, reference)
+    tell("dividing by the reference")
+    divisor = blurred_reference(reference) if reference else pseudo_reference([p.frame for p in presses] + list(others))
+    tell("finding balls")
+    located: Sequence[UsedPress] = [locate(press, divisor) for press in presses]
+    tell("fitting the position-aware inverse map")
+    inverse, located, centres = _fit(presses, located)
+    used = after_fit(located, inverse)
+    kept = [(press.intensity, press.balls) for press in used]
+    taught = gather_samples(kept)
+    tell("building reflectance maps and the lookup table")
+    paper = fit_paper_model(taught)
+    held_out: dict[Method, float] = {
+        "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan"),
+        "paper": held_out_paper_deg(kept),
+    }
+    tell("measuring the slope error")
+    fitted = _fitted_error_deg(inverse, taught)
+    inflation = max((inverse.held_out_deg or 2.0 * fitted) / fitted, 1.0)
+    error = measure_slope_error(kept, inverse.map, inflation)
+    digest = _digest(inverse, divisor, pitch_um)
+    return Calibration(digest, divisor, reference is not None, pitch_um, used, centres, inverse, paper, error, held_out)
+
+
+def _fit(
+    presses: Sequence[PressFrame], located: Sequence[UsedPress]
+) -> tuple[InverseFit, Sequence[UsedPress], Centres]:
+    """The inverse map; where a hand labelled the balls, fitted with the centres that held-out balls prefer."""
+    fit = _fit_to(located)
+    if not any(press.labelled_by_hand for press in presses):
+        return fit, located, "found"
+    seen = [
+        seen_instead_of_labelled(used, press.radius_px) if press.labelled_by_hand else used
+        for press, used in zip(presses, located, strict=True)
+    ]
+    other = _fit_to(seen)
+    if fit.held_out_deg is not None and other.held_out_deg is not None and other.held_out_deg < fit.held_out_deg:
+        return other, seen, "found at labels"
+    return fit, located, "labelled"
+
+
+def _fit_to(presses: Sequence[UsedPress]) -> InverseFit:
+    samples = gather_samples([(press.intensity, press.balls) for press in presses])
+    balls = [ball for press in presses for ball in press.balls]
+    return fit_inverse_map(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES)
+
+
+def _fitted_error_deg(inverse: InverseFit, samples: BallSamples) -> float:
+    """Mean angular error of the inverse map on the balls that taught it."""
+    step = max(1, len(samples.p) // 20_000)
+    predicted = inverse.map.predict(samples.intensity[::step], samples.column[::step], samples.row[::step])
+    return float(angle_between_deg(predicted, _truth(samples)[::step]).mean())
+
+
+def _truth(samples: BallSamples) -> Float64Array:
+    return np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
+
+
+def _digest(inverse: InverseFit, divisor: Float32Array, pitch_um: float) -> str:
+    """Twelve hexadecimal digits that change when the calibration does."""
+    digest = hashlib.sha256(np.float64(pitch_um).tobytes())
+    for _, array in sorted(inverse.map.arrays().items()):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(np.ascontiguousarray(divisor).tobytes())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,76 @@
+"""The calibration report: a record and the pictures that let a person judge it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from host_sync.calibration.balls_figure import balls_figure, residuals_figure
+from host_sync.calibration.figures import ambiguity_figure, reflectance_figure
+from host_sync.calibration.full_calibration import Calibration
+from host_sync.reconstruction.whole_directory import whole_directory
+
+SCHEMA = "retrograph.calibration-report/1"
+
+
+def write_report(target: Path, calibration: Calibration) -> None:
+    """Write `report.json` and the pictures to the directory `target`, replacing what stood there.
+
+    Raises
+    ------
+    ResultError
+        The place cannot be written.
+    """
+    with whole_directory(target) as folder:
+        record = msgspec.json.encode(report_record(calibration))
+        (folder / "report.json").write_bytes(msgspec.json.format(record, indent=2))
+        balls_figure(calibration.presses).savefig(folder / "balls.png", dpi=120)
+        residuals_figure(calibration).savefig(folder / "residuals.png", dpi=120)
+        reflectance_figure(calibration.paper).savefig(folder / "reflectance-maps.png", dpi=120)
+        ambiguity_figure(calibration.paper).savefig(folder / "ambiguous-bins.png", dpi=120)
+
+
+def report_record(calibration: Calibration) -> dict[str, Any]:
+    """What `report.json` says; angles in degrees, positions in pixels, unknown figures null."""
+    inverse = calibration.inverse
+    paper = calibration.paper
+    return {
+        "schema": SCHEMA,
+        "calibration_id": calibration.calibration_id,
+        "pixel_pitch_um": calibration.pitch_um,
+        "reference": "frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
+        "ball_centres": calibration.centres,
+        "preferred_method": calibration.preferred,
+        "held_out_error_deg": {method: _number(error) for method, error in calibration.held_out_deg.items()},
+        "held_out_error_by_slope": [
+            {"from_deg": band.from_deg, "to_deg": band.to_deg, "error_deg": band.error_deg, "pixels": band.pixels}
+            for band in inverse.bands
+        ],
+        "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.steepest))),
+        "degree_in_position": inverse.map.position_degree,
+        "slope_error": calibration.slope_error,
+        "paper": {
+            "residual_order_2": paper.residual_order_2,
+            "residual_order_5": paper.residual_order_5,
+            "ambiguous_bin_share": paper.table.ambiguous_share,
+            "filled_bins": paper.table.filled_bins,
+        },
+        "presses": [
+            {
+                "name": press.name,
+                "balls": [
+                    {"x": ball.column, "y": ball.row, "r": ball.contact_radius_px, "radius_px": ball.radius_px}
+                    for ball in press.balls
+                ],
+                "rejected": [{"x": ball.column, "y": ball.row, "reason": ball.reason} for ball in press.rejected],
+            }
+            for press in calibration.presses
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""From intensity to height: gradients, gate, weights, multigrid."""

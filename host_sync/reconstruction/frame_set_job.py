@@ -1,0 +1,103 @@
+"""Calibrates from a frame set and reconstructs its scans: results to DIR/<scan>/, the report to DIR/calibration/."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.errors import DeviceError
+from host_sync.calibration.ball_location import PressFrame
+from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.report import write_report
+from host_sync.errors import FrameSetError, HostError
+from host_sync.frame_reading import read_frame
+from host_sync.frame_set import FrameSet, ScanSpec
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.results import write_result
+
+CALIBRATION_FOLDER = "calibration"
+NO_REFERENCE_FRAMES = 24
+"""At most so many frames stand in for a missing reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFailure:
+    """A scan that could not be reconstructed, and the sentence that says why."""
+
+    name: str
+    reason: str
+
+
+def calibrate_frame_set(frame_set: FrameSet, tell: Callable[[str], None] = lambda _: None) -> Calibration:
+    """The calibration that a frame set's presses carry.
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        A frame is unreadable, or the presses do not carry a calibration.
+    """
+    tell("reading frames")
+    presses = [
+        PressFrame(
+            name=f"{press.name} ({press.frame.name})",
+            frame=read_frame(press.frame),
+            radius_px=press.radius_px,
+            balls=press.balls,
+            labelled_by_hand=press.balls is not None,
+        )
+        for press in frame_set.presses
+    ]
+    reference = read_frame(frame_set.reference) if frame_set.reference else None
+    others = [] if reference else [read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
+    return calibrate(presses, reference, frame_set.pixel_pitch_um, others=others, tell=tell)
+
+
+def chosen_scans(frame_set: FrameSet, names: Sequence[str]) -> list[ScanSpec]:
+    """The scans of these names, or all when none is named.
+
+    Raises
+    ------
+    FrameSetError
+        The set has no such scan.
+    """
+    known = {scan.name: scan for scan in frame_set.scans}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise FrameSetError(
+            f"{frame_set.path} has no scan {', '.join(unknown)}: name one of {', '.join(known) or '(it has none)'}"
+        )
+    return [known[name] for name in names] if names else list(frame_set.scans)
+
+
+def reconstruct_frame_set(
+    frame_set: FrameSet,
+    out: Path,
+    method: Method | None = None,
+    names: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
+    """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        There is no calibration to work with.
+    ResultError
+        Nothing can be written to `out`.
+    """
+    scans = chosen_scans(frame_set, names)
+    calibration = calibrate_frame_set(frame_set, tell)
+    write_report(out / CALIBRATION_FOLDER, calibration)
+    done: dict[str, Reconstruction] = {}
+    failures = []
+    for scan in scans:
+        tell(f"{scan.name}: slopes and height")
+        try:
+            reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method)
+            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name})
+        except (DeviceError, HostError) as error:
+            failures.append(ScanFailure(scan.name, str(error)))
+        else:
+            done[scan.name] = reconstruction
+    return done, failures

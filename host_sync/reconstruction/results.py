@@ -1,0 +1,99 @@
+"""The result files of one reconstruction, written whole or not at all."""
+
+from __future__ import annotations
+
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import tifffile
+
+from device.surface import Float32Array
+from host_sync.calibration.full_calibration import Calibration
+from host_sync.reconstruction.pipeline import Reconstruction
+from host_sync.reconstruction.whole_directory import whole_directory
+from host_sync.render.relief import write_relief
+
+SCHEMA = "retrograph.result/1"
+
+
+def write_result(
+    target: Path,
+    reconstruction: Reconstruction,
+    calibration: Calibration,
+    name: str,
+    facts: dict[str, Any] | None = None,
+) -> None:
+    """Write height, slopes, σ, relief and `result.json` to the directory `target`, replacing what stood there.
+
+    facts : more entries for `result.json`
+
+    Raises
+    ------
+    ResultError
+        The place cannot be written; what stood there stands.
+    """
+    with whole_directory(target) as folder:
+        pitch_um = calibration.pitch_um
+        write_field(folder / "height_um.tif", reconstruction.height.z_um, pitch_um, "height, um")
+        write_field(folder / "slope_p.tif", reconstruction.p, pitch_um, "dz/dcolumn, um/um")
+        write_field(folder / "slope_q.tif", reconstruction.q, pitch_um, "dz/drow, um/um")
+        write_field(
+            folder / "height_sigma_um.tif", reconstruction.sigma_um, pitch_um, "standard uncertainty of height, um"
+        )
+        write_relief(folder / "relief.png", reconstruction.height, name)
+        record = result_record(name, reconstruction, calibration) | (facts or {})
+        (folder / "result.json").write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
+
+
+def write_field(path: Path, values: Float32Array, pitch_um: float, description: str) -> None:
+    """Write a float32 TIFF, tiled, not compressed (every reader opens it), NaN where invalid, with its resolution."""
+    per_cm = 1e4 / pitch_um
+    tifffile.imwrite(
+        path,
+        np.ascontiguousarray(values, np.float32),
+        tile=(256, 256),
+        resolution=(per_cm, per_cm),
+        resolutionunit="CENTIMETER",
+        description=f"{description}; pixel pitch {pitch_um:g} um; NaN is invalid",
+        metadata=None,
+    )
+
+
+def result_record(name: str, reconstruction: Reconstruction, calibration: Calibration) -> dict[str, Any]:
+    """What `result.json` says: units are in the names, missing readings are null."""
+    z_um = reconstruction.height.z_um
+    finite = bool(np.isfinite(z_um).any())
+    rows, columns = z_um.shape
+    return {
+        "schema": SCHEMA,
+        "name": name,
+        "program": f"retrograph {version('retrograph')}",
+        "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "method": reconstruction.method,
+        "calibration_id": calibration.calibration_id,
+        "reference": "frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
+        "rows": rows,
+        "columns": columns,
+        "pixel_pitch_um": calibration.pitch_um,
+        "height_min_um": float(np.nanmin(z_um)) if finite else None,
+        "height_max_um": float(np.nanmax(z_um)) if finite else None,
+        "height_sigma_median_um": float(np.nanmedian(reconstruction.sigma_um)) if finite else None,
+        "height_zero": "median of untouched skin",
+        "masked_share": reconstruction.masked_share,
+        "clipped_share": reconstruction.clipped_share,
+        "held_out_error_deg": _number(calibration.held_out_deg[reconstruction.method]),
+        "integration": {
+            "cycles": reconstruction.integration.cycles,
+            "residuals": [float(value) for value in reconstruction.integration.residuals],
+            "islands": reconstruction.integration.islands,
+            "converged": reconstruction.integration.converged,
+        },
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

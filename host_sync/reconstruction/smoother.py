@@ -1,0 +1,81 @@
+"""Chebyshev-Jacobi smoothing of a graph Laplacian, one row at a time.
+
+A row's operator is written as a sum of neighbour differences, Σ w_e (z_neighbour - z): in float32 the form Dz - Σ w z
+loses the small differences of a large height, and no compiler flag that reorders sums may be set here for that reason.
+Jacobi sweeps read one array and write another, so the result cannot depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from device.surface import Float32Array
+
+LOWEST, HIGHEST = 0.5, 2.0
+"""Eigenvalues of D⁻¹A that smoothing has to damp: the next level sees the lower ones, and none exceeds 2."""
+
+CONTRACT: Final = {"contract"}
+"""A product and a sum may become one instruction; nothing may be reordered."""
+
+
+def chebyshev_steps(sweeps: int) -> Float32Array:
+    """Relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST, HIGHEST]."""
+    angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * max(sweeps, 1))
+    return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def inverse_diagonal(across: Any, above: Any, below: Any, out: Any) -> None:
+    """Write 1 / Σ w_e of a row's pixels, nought for a pixel without edges."""
+    one, nought = np.float32(1.0), np.float32(0.0)
+    for c in range(out.size):
+        total = (across[c] + across[c + 1]) + (above[c] + below[c])
+        out[c] = one / total if total > nought else nought
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def residual_row(up: Any, mid: Any, low: Any, rhs: Any, across: Any, above: Any, below: Any, out: Any) -> None:
+    """Write a row of b - Az; `up`, `mid`, `low` are rows of z with one pixel of padding at each end."""
+    for c in range(rhs.size):
+        z = mid[c + 1]
+        sides = across[c] * (mid[c] - z) + across[c + 1] * (mid[c + 2] - z)
+        out[c] = rhs[c] + (sides + (above[c] * (up[c + 1] - z) + below[c] * (low[c + 1] - z)))
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def relax_row(
+    up: Any, mid: Any, low: Any, rhs: Any, across: Any, above: Any, below: Any, inverse: Any, step: Any, out: Any
+) -> None:
+    """Write a row of z + step D⁻¹(b - Az)."""
+    for c in range(rhs.size):
+        z = mid[c + 1]
+        sides = across[c] * (mid[c] - z) + across[c + 1] * (mid[c + 2] - z)
+        flow = rhs[c] + (sides + (above[c] * (up[c + 1] - z) + below[c] * (low[c + 1] - z)))
+        out[c + 1] = z + step * inverse[c] * flow
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_residual_row(up: Any, mid: Any, low: Any, rhs: Any, out: Any) -> None:
+    """Write a row of b - Az where every edge weighs 1 and padding repeats the border."""
+    for c in range(rhs.size):
+        z = mid[c + 1]
+        out[c] = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, vertical: int, step: Any, out: Any) -> None:
+    """Write a row of z + step D⁻¹(b - Az) where every edge weighs 1; `vertical` counts the rows beside this one."""
+    last = rhs.size - 1
+    scale = step / np.float32(vertical + 2)
+    for c in range(rhs.size):
+        z = mid[c + 1]
+        flow = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
+        out[c + 1] = z + scale * flow
+    border = step / np.float32(vertical + 1) - scale
+    for c in (0, last):
+        z = mid[c + 1]
+        flow = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
+        out[c + 1] = (z + scale * flow) + border * flow

@@ -1,0 +1,92 @@
+"""Between a level and the next coarser one: restriction sums 2x2 pixels, prolongation interpolates linearly.
+
+Levels are cell-centred: coarse pixel (R, C) covers the fine pixels (2R, 2C) to (2R+1, 2C+1), fewer at an odd end.
+A fine pixel takes its own coarse value and a quarter of the way to each coarse neighbour on its side,
+
+    z = z₀ + s_h (z_h - z₀) / 4 + s_v (z_v - z₀) / 4,
+
+with s = 1 where a fine edge leads over and s = 0 beside a hole. (Letting s follow the weights as well changed no rate
+of convergence that was measured.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from host_sync.reconstruction.smoother import CONTRACT
+
+
+@njit(cache=True)
+def copy_row(source: Any, start: int, out: Any, at: int, size: int) -> None:
+    """Copy `size` pixels of a row; a plain loop, for assigning slices costs ten times as much."""
+    for c in range(size):
+        out[at + c] = source[start + c]
+
+
+@njit(cache=True)
+def restrict_row(fine: Any, add: bool, out: Any) -> None:
+    """Write (or add) the sums of neighbouring pairs of a fine row to a coarse one."""
+    pairs = fine.size // 2
+    if add:
+        for c in range(pairs):
+            out[c] += fine[2 * c] + fine[2 * c + 1]
+    else:
+        for c in range(pairs):
+            out[c] = fine[2 * c] + fine[2 * c + 1]
+    if fine.size > 2 * pairs:
+        out[pairs] = fine[fine.size - 1] + (out[pairs] if add else np.float32(0.0))
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def prolong_row(near: Any, far: Any, out: Any) -> None:
+    """Add a row interpolated on a full grid; `near` and `far` are the coarse rows of z₀ and z_v, `out` is padded."""
+    quarter, width, last = np.float32(0.25), out.size - 2, near.size - 1
+    for c in range(1, last):
+        z = near[c]
+        base = z + quarter * (far[c] - z)
+        out[2 * c + 1] += base + quarter * (near[c - 1] - z)
+        out[2 * c + 2] += base + quarter * (near[c + 1] - z)
+    for end in (0, last):
+        for c in range(2 * end, min(2 * end + 2, width)):
+            z = near[end]
+            side = near[min(max(end + 2 * (c % 2) - 1, 0), last)]
+            out[c + 1] += (z + quarter * (far[end] - z)) + quarter * (side - z)
+        if last == 0:
+            break
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def prolong_weighted_row(near: Any, far: Any, across: Any, over: Any, out: Any) -> None:
+    """Add a row interpolated where edges lead over.
+
+    `across` are the row's own edges, `over` the edges to the fine row beyond, towards `far`.
+    """
+    quarter, nought = np.float32(0.25), np.float32(0.0)
+    width, last = out.size - 2, near.size - 1
+    for c in range(1, last):
+        z = near[c]
+        step = quarter * (far[c] - z)
+        first = z + (step if over[2 * c] > nought else nought)
+        second = z + (step if over[2 * c + 1] > nought else nought)
+        out[2 * c + 1] += first + (quarter * (near[c - 1] - z) if across[2 * c] > nought else nought)
+        out[2 * c + 2] += second + (quarter * (near[c + 1] - z) if across[2 * c + 2] > nought else nought)
+    for end in (0, last):
+        for c in range(2 * end, min(2 * end + 2, width)):
+            z, odd = near[end], c % 2
+            side = near[min(max(end + 2 * odd - 1, 0), last)]
+            base = z + (quarter * (far[end] - z) if over[c] > nought else nought)
+            out[c + 1] += base + (quarter * (side - z) if across[c + odd] > nought else nought)
+        if last == 0:
+            break
+
+
+@njit(cache=True, parallel=True)
+def restrict_field(fine: Any, coarse: Any) -> None:
+    """Write the sums of 2x2 pixels of a field, float32 arrays of shapes (H, W) and (⌈H/2⌉, ⌈W/2⌉)."""
+    for r in prange(coarse.shape[0]):
+        restrict_row(fine[2 * r], False, coarse[r])
+        if 2 * r + 1 < fine.shape[0]:
+            restrict_row(fine[2 * r + 1], True, coarse[r])

@@ -1,0 +1,1 @@
+"""Pictures of a relief: shading, error maps, level curves."""
