@@ -88,7 +88,7 @@ def locate(press: PressFrame, divisor: Float32Array) -> UsedPress:
 
 
 def seen_instead_of_labelled(press: UsedPress, radius_px: float) -> UsedPress:
-    """The press with each labelled centre moved to the ball that is seen there; a label without one stays."""
+    """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay."""
     found = find_balls(press.intensity, radius_px).found
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))
 
@@ -102,7 +102,8 @@ def _nearest(label: Ball, found: Sequence[Ball]) -> Ball:
     if not near:
         return label
     _, ball = min(near, key=lambda pair: pair[0])
-    return replace(label, column=ball.column, row=ball.row)
+    contact_px = min(label.contact_radius_px, ball.contact_radius_px)
+    return replace(label, column=ball.column, row=ball.row, contact_radius_px=contact_px)
 
 
 def after_fit(located: Sequence[UsedPress], inverse: InverseFit) -> tuple[UsedPress, ...]:
