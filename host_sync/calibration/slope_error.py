@@ -1,9 +1,10 @@
-"""How wrong the slopes are, in three parts that bend a height map over ever longer distances.
+"""How wrong the slopes are, in four parts that bend a height map over ever longer distances.
 
 * from pixel to pixel: noise and pigment, which average out
 * over a patch: what the map gets wrong of a ball it did not see
 * over the whole press: a ball shows each slope at one elevation only. Raised skin stands closer to the lights and is
   brighter at the same slope; an object that shows that slope at another elevation is read wrong, everywhere alike.
+* over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.ball import Ball, gather_samples, sphere_slopes
+from device.ball import Ball, BallSamples, gather_samples, sphere_slopes
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float64Array, MaskArray
@@ -26,6 +27,7 @@ SPLIT_SHARE: Final = 0.1
 APEX_SLOPE: Final = 0.1
 INNER_SHARE: Final = 0.9
 FEWEST_PIXELS: Final = 50
+MOST_SAMPLES: Final = 20_000
 
 Pressed = Sequence[tuple[IntensityImage, Sequence[Ball]]]
 
@@ -37,12 +39,14 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_deg : the part that is the same over a patch
     patch_px : size of such a patch, the standard deviation of a Gaussian
     raised_shade : by what share the balls' apexes are brighter than untouched skin, in R, G, B
+    scale_share : by what share a ball's slopes are read too steep or too flat, root mean square over balls
     """
 
     pixel_deg: float
     patch_deg: float
     patch_px: float
     raised_shade: tuple[float, float, float]
+    scale_share: float
 
 
 def measure_slope_error(presses: Pressed, inverse_map: InverseMap, inflation: float) -> SlopeError:
@@ -60,7 +64,14 @@ def measure_slope_error(presses: Pressed, inverse_map: InverseMap, inflation: fl
         patch.append(smooth[inside] ** 2)
         widths.append(3.0 * sigma_px)
     pixel_deg, patch_deg = (float(np.degrees(np.sqrt(np.concatenate(part).mean()))) for part in (pixel, patch))
-    return SlopeError(pixel_deg, patch_deg * inflation, float(np.median(widths)), _raised_shade(presses))
+    samples = gather_samples(presses)
+    return SlopeError(
+        pixel_deg=pixel_deg,
+        patch_deg=patch_deg * inflation,
+        patch_px=float(np.median(widths)),
+        raised_shade=_raised_shade(samples),
+        scale_share=_scale_share(samples, inverse_map),
+    )
 
 
 def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[tuple[Ball, Float64Array, MaskArray]]:
@@ -81,8 +92,19 @@ def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[tuple[Ba
                 yield ball, np.where(inside, (slope[rows, columns] - true) / tilt, 0.0).astype(np.float64), inside
 
 
-def _raised_shade(presses: Pressed) -> tuple[float, float, float]:
-    samples = gather_samples(presses)
+def _scale_share(samples: BallSamples, inverse_map: InverseMap) -> float:
+    """Root mean square over balls of the factor that fits read to true slopes, less 1."""
+    step = max(1, len(samples.p) // MOST_SAMPLES)
+    true = np.stack([samples.p[::step], samples.q[::step]], axis=-1).astype(np.float64)
+    read = inverse_map.predict(samples.intensity[::step], samples.column[::step], samples.row[::step])
+    ball = samples.ball[::step]
+    agreement = np.bincount(ball, (read * true).sum(axis=-1))
+    square = np.bincount(ball, (true**2).sum(axis=-1))
+    known = square > 0.0
+    return float(np.sqrt(np.mean((agreement[known] / square[known] - 1.0) ** 2)))
+
+
+def _raised_shade(samples: BallSamples) -> tuple[float, float, float]:
     apex = samples.p**2 + samples.q**2 < APEX_SLOPE**2
     shade = samples.intensity[apex].mean(axis=0) - 1.0 if apex.any() else np.zeros(3)
     red, green, blue = (float(value) for value in shade)

@@ -71,7 +71,7 @@ def reconstruct(
     p, q = surface_slopes(height)
     raised = raised_slopes(gradients, intensity, calibration.inverse.map, calibration.slope_error)
     contradiction = contradicted_slope(gradients, p, q)
-    sigma_um = height_sigma_um(gradients, raised, contradiction, calibration.slope_error, calibration.pitch_um, at_rest)
+    sigma_um = height_sigma_um(height, gradients, raised, contradiction, calibration.slope_error, at_rest)
     clipped = float(frame.clipped.mean())
     return Reconstruction(chosen, height, sigma_um, p, q, gradients, integration, clipped)
 

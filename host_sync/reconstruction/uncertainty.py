@@ -15,7 +15,7 @@ import numpy as np
 from device.fft_integrator import integrate_dct
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
-from device.surface import Float32Array, GradientField, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.slope_error import SlopeError
 
 DRAWS: Final = 16
@@ -55,16 +55,17 @@ def raised_slopes(
 
 
 def height_sigma_um(
+    height: HeightMap,
     gradients: GradientField,
     raised: SlopePair,
     contradiction: Float32Array,
     error: SlopeError,
-    pitch_um: float,
     at_rest: MaskArray,
     seed: int = 0,
 ) -> Float32Array:
     """Standard uncertainty of the height: float32 array of shape (H, W), µm, NaN where invalid.
 
+    height : levelled, zero at untouched skin
     raised : as `raised_slopes` returns it
     contradiction : as `contradicted_slope` returns it
     at_rest : where the height map's zero was taken
@@ -83,10 +84,11 @@ def height_sigma_um(
     for _ in range(DRAWS):
         lift = np.float32(RAISED_SPREAD * rng.standard_normal())
         p, q = (_slope_draw(rng, scale, betrayed, error, reduction) + lift * slope for slope in raised_small)
-        z_um = integrate_dct(p, q, pitch_um * reduction)
+        z_um = integrate_dct(p, q, height.pitch_um * reduction)
         total += (z_um - float((z_um * zero).sum())) ** 2
     sigma = cv2.resize(np.sqrt(total / DRAWS).astype(np.float32), (columns, rows), interpolation=cv2.INTER_LINEAR)
-    return np.where(gradients.valid, sigma, np.nan).astype(np.float32)
+    scaled = error.scale_share * np.abs(height.z_um)
+    return np.where(gradients.valid, np.hypot(sigma, scaled), np.nan).astype(np.float32)
 
 
 def _error_scale(gradients: GradientField) -> Float32Array:

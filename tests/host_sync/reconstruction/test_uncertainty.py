@@ -30,7 +30,8 @@ def gradients_of(z_um: np.ndarray, noise: float, seed: int = 0) -> GradientField
 
 def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
     none = (np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32))
-    return height_sigma_um(gradients, none, none[0], error, PITCH_UM, untouched_skin(gradients))
+    height = HeightMap(bump().astype(np.float32), PITCH_UM)
+    return height_sigma_um(height, gradients, none, none[0], error, untouched_skin(gradients))
 
 
 def test_the_level_is_the_untouched_skin_not_the_plateau() -> None:
@@ -55,14 +56,16 @@ def test_sigma_is_the_spread_of_heights_under_pixel_noise() -> None:
         height, _ = integrate(gradients, PITCH_UM)
         heights.append(levelled(height, gradients.valid).z_um)
     spread = float(np.std(heights, axis=0).mean())
-    stated = float(sigma_of(gradients_of(0.0 * bump(), 0.0), SlopeError(np.degrees(noise), 0.0, 5.0, (0, 0, 0))).mean())
+    stated = float(
+        sigma_of(gradients_of(0.0 * bump(), 0.0), SlopeError(np.degrees(noise), 0.0, 5.0, (0, 0, 0), 0.0)).mean()
+    )
     assert stated == pytest.approx(spread, rel=0.35)
 
 
 def test_errors_of_a_patch_bend_the_height_more_than_errors_of_a_pixel() -> None:
     gradients = gradients_of(bump(), 0.0)
-    pixel = sigma_of(gradients, SlopeError(2.0, 0.0, 8.0, (0, 0, 0)))
-    patch = sigma_of(gradients, SlopeError(0.0, 2.0, 8.0, (0, 0, 0)))
+    pixel = sigma_of(gradients, SlopeError(2.0, 0.0, 8.0, (0, 0, 0), 0.0))
+    patch = sigma_of(gradients, SlopeError(0.0, 2.0, 8.0, (0, 0, 0), 0.0))
     assert patch.mean() > 4.0 * pixel.mean()
 
 
@@ -87,6 +90,11 @@ def test_slopes_that_belong_to_no_surface_betray_themselves() -> None:
 def test_an_invalid_pixel_has_no_sigma() -> None:
     gradients = gradients_of(bump(), 0.0)
     gradients.valid[3, 4] = False
-    sigma = sigma_of(gradients, SlopeError(1.0, 0.5, 8.0, (0, 0, 0)))
+    sigma = sigma_of(gradients, SlopeError(1.0, 0.5, 8.0, (0, 0, 0), 0.0))
     assert np.isnan(sigma[3, 4])
     assert np.isfinite(sigma[10, 10])
+
+
+def test_an_error_of_scale_grows_with_the_height() -> None:
+    sigma = sigma_of(gradients_of(bump(), 0.0), SlopeError(0.0, 0.0, 8.0, (0, 0, 0), 0.02))
+    np.testing.assert_allclose(sigma, 0.02 * np.abs(bump()), rtol=1e-3, atol=1e-3)
