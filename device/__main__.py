@@ -39,6 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(error, 2)
     except KeyboardInterrupt:
         return _complain("stopped", 130)
+    except BrokenPipeError:
+        # Whoever read the output has gone: let the interpreter's last flush go nowhere too.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
 
 
 def _parser() -> argparse.ArgumentParser:

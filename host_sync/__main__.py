@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 partly done (what failed is named), 2 bad input, 3 connect
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -40,6 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT  # it has said in its own words which argument is wrong
     except KeyboardInterrupt:
         return _complain("stopped", 130)
+    except BrokenPipeError:
+        # Whoever read the output has gone: let the interpreter's last flush go nowhere too.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     return int(result or DONE)
 
 

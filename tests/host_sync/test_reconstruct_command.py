@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -265,3 +267,14 @@ def test_from_card_to_library_to_results(
 def test_an_empty_library_and_a_missing_card_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "there is no library" in refusal(capsys, ["reconstruct", "--library", str(tmp_path / "library")])
     assert "nowhere" in refusal(capsys, ["pull", str(tmp_path / "nowhere"), "--library", str(tmp_path / "lib")], 3)
+
+
+def test_a_reader_that_has_gone_is_no_traceback(calibrated_root: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "host_sync", "pull", str(calibrated_root), "--library", str(tmp_path / "library")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        error = running.stderr.read()
+    assert running.returncode in {1, 141}
+    assert "Traceback" not in error
