@@ -9,6 +9,8 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
 from device.bundle_store import BundleStore
@@ -47,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="retroscan", description="Scan surfaces with a gel at the push of a button.")
+    parser.add_argument("--version", action="version", version=f"retrograph {version('retrograph')}")
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
     parser.add_argument("--store", type=Path, help="folder of scans and calibrations")
@@ -72,7 +75,15 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_annotations(parser: argparse.ArgumentParser) -> None:
     for name in ("job", "part", "operator", "note"):
-        parser.add_argument(f"--{name}", help="kept with the scan")
+        parser.add_argument(f"--{name}", type=_text, help="kept with the scan")
+
+
+def _text(text: str) -> str:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not text in UTF-8") from error
+    return text
 
 
 def _positive(text: str) -> float:
@@ -102,7 +113,7 @@ def _scan(options: argparse.Namespace) -> int:
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
         hardware.button.wait_for_press(None)
-        _report(scanner.scan(_annotations(options), lambda: _say("You may lift.")))
+        _report(scanner.scan(_annotations(options), _cue_lift))
     return 0
 
 
@@ -146,6 +157,12 @@ def _report(outcome: ScanOutcome) -> None:
 def _say(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
+
+
+def _cue_lift() -> None:
+    """Say that the frame is in memory; nobody listening must not cost the scan."""
+    with suppress(OSError):
+        _say("You may lift.")
 
 
 def _complain(what: object, code: int) -> int:

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,11 @@ from host_sync.offload.pull import PullProgress, pull
 
 DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
 
-app = App(name="retrosync", help="Fetch scans from a handheld, prove them, reconstruct their surfaces.")
+app = App(
+    name="retrosync",
+    version=lambda: f"retrograph {version('retrograph')}",
+    help="Fetch scans from a handheld, prove them, reconstruct their surfaces.",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

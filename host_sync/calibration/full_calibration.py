@@ -13,7 +13,7 @@ from device.ball import BallSamples, gather_samples
 from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg
 from device.inverse_fit import InverseFit, fit_inverse_map
-from device.photometry import LinearFrame, blurred_reference, pseudo_reference
+from device.photometry import LinearFrame, blurred_reference, check_exposed, pseudo_reference
 from device.surface import Float32Array, Float64Array
 from host_sync.calibration.ball_location import (
     PressFrame,
@@ -87,6 +87,8 @@ def calibrate(
     if not presses:
         raise CalibrationError("there is no calibration press: press a ball of known radius into the gel")
     check_sizes(presses, reference)
+    if reference is not None:
+        check_exposed(reference, "the reference")
     tell("dividing by the reference")
     divisor = blurred_reference(reference) if reference else pseudo_reference([p.frame for p in presses] + list(others))
     tell("finding balls")

@@ -14,6 +14,7 @@ from host_sync.calibration.full_calibration import Calibration
 from host_sync.reconstruction.whole_directory import whole_directory
 
 SCHEMA = "retrograph.calibration-report/1"
+REPORT_FILE = "report.json"
 
 
 def write_report(target: Path, calibration: Calibration) -> None:
@@ -24,9 +25,9 @@ def write_report(target: Path, calibration: Calibration) -> None:
     ResultError
         The place cannot be written.
     """
-    with whole_directory(target) as folder:
+    with whole_directory(target, REPORT_FILE) as folder:
         record = msgspec.json.encode(report_record(calibration))
-        (folder / "report.json").write_bytes(msgspec.json.format(record, indent=2))
+        (folder / REPORT_FILE).write_bytes(msgspec.json.format(record, indent=2))
         balls_figure(calibration.presses).savefig(folder / "balls.png", dpi=120)
         residuals_figure(calibration).savefig(folder / "residuals.png", dpi=120)
         reflectance_figure(calibration.paper).savefig(folder / "reflectance-maps.png", dpi=120)

@@ -18,6 +18,7 @@ from host_sync.reconstruction.whole_directory import whole_directory
 from host_sync.render.relief import write_relief
 
 SCHEMA = "retrograph.result/1"
+RECORD_FILE = "result.json"
 
 
 def write_result(
@@ -36,7 +37,7 @@ def write_result(
     ResultError
         The place cannot be written; what stood there stands.
     """
-    with whole_directory(target) as folder:
+    with whole_directory(target, RECORD_FILE) as folder:
         pitch_um = calibration.pitch_um
         write_field(folder / "height_um.tif", reconstruction.height.z_um, pitch_um, "height, um")
         write_field(folder / "slope_p.tif", reconstruction.p, pitch_um, "dz/dcolumn, um/um")
@@ -46,7 +47,7 @@ def write_result(
         )
         write_relief(folder / "relief.png", reconstruction.height, name)
         record = result_record(name, reconstruction, calibration) | (facts or {})
-        (folder / "result.json").write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
+        (folder / RECORD_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
 
 
 def write_field(path: Path, values: Float32Array, pitch_um: float, description: str) -> None:

@@ -11,26 +11,41 @@ from host_sync.errors import ResultError
 
 
 @contextmanager
-def whole_directory(target: Path) -> Iterator[Path]:
+def whole_directory(target: Path, marker: str) -> Iterator[Path]:
     """A temporary directory that takes the place of `target` when the block ends well, and vanishes otherwise.
+
+    marker : name of the file by which a directory of results is known; only such a one, or an empty one, is replaced
 
     Raises
     ------
     ResultError
-        The place cannot be written.
+        The place cannot be written, or holds something else.
     """
     partial = target.with_name(f".{target.name}.partial")
     replaced = target.with_name(f".{target.name}.replaced")
     try:
+        _check_replaceable(target, marker)
         shutil.rmtree(partial, ignore_errors=True)
+        if replaced.is_dir() and not target.exists():
+            replaced.rename(target)  # an earlier run ended between its two renames
         partial.mkdir(parents=True)
         yield partial
         shutil.rmtree(replaced, ignore_errors=True)
         if target.exists():
             target.rename(replaced)
         partial.rename(target)
+        shutil.rmtree(replaced, ignore_errors=True)
     except OSError as error:
+        if isinstance(error, ResultError):
+            raise
         raise ResultError(f"{target} cannot be written ({error.strerror or error}): free or choose another") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-        shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _check_replaceable(target: Path, marker: str) -> None:
+    """Refuse a place that holds what nobody asked to be replaced."""
+    if not target.exists():
+        return
+    if not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file()):
+        raise ResultError(f"{target} cannot be written: it holds something else than results; choose another folder")

@@ -238,6 +238,26 @@ def test_results_that_cannot_be_written_are_refused(
     assert leftovers(tmp_path) == []
 
 
+def test_a_folder_of_the_users_own_is_never_replaced(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = frames.copy(tmp_path / "set")
+    mine = path.parent / "calibration" / "notes.txt"
+    mine.parent.mkdir()
+    mine.write_text("keep")
+    assert "something else than results" in refusal(capsys, ["reconstruct", str(path), "--out", str(path.parent)])
+    assert mine.read_text() == "keep"
+
+
+@pytest.mark.parametrize(("name", "word"), [("black", "is black"), ("bright", "is saturated")])
+def test_a_reference_that_is_black_or_saturated_is_refused(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, word: str
+) -> None:
+    path = frames.copy(tmp_path / "set")
+    path.write_text(path.read_text().replace("flat.png", f"{name}.png"))
+    assert f"the reference {word}" in refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
+
+
 def test_from_card_to_library_to_results(
     calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
