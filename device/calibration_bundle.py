@@ -10,9 +10,9 @@ from typing import Annotated, Final
 import msgspec
 
 from device.ball import Ball
+from device.bundle_files import listed_file, recorded_frame
 from device.errors import RecordError
 from device.fingerprint import Fingerprint
-from device.raw_file import read_raw
 from device.records import (
     FileEntry,
     FileName,
@@ -120,9 +120,7 @@ class CalibrationBundle:
         RecordError
             The manifest lists no such file.
         """
-        if name not in self.record.files:
-            raise RecordError(f"{self.directory}: holds no file {name!r}: its files are {', '.join(self.record.files)}")
-        return self.directory / name
+        return listed_file(self.directory, self.record.files, name)
 
     def reference(self) -> RawFrame:
         """The frame of the skin at rest, read from disk.
@@ -155,12 +153,7 @@ class CalibrationBundle:
         verify_files(self.directory, self.record.files)
 
     def _frame(self, name: str) -> RawFrame:
-        frame = read_raw(self.path(name))
-        if frame.shape != self.record.shape:
-            raise RecordError(
-                f"{self.directory / name}: is {frame.shape} pixels (rows, columns), not {self.record.shape} as recorded"
-            )
-        return frame
+        return recorded_frame(self.path(name), self.record.shape)
 
 
 def decode_calibration(data: bytes, source: str | Path) -> CalibrationRecord:

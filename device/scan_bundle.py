@@ -9,9 +9,9 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from device.bundle_files import listed_file, recorded_frame
 from device.errors import RecordError
 from device.fingerprint import Fingerprint
-from device.raw_file import read_raw
 from device.records import (
     BundleId,
     FileEntry,
@@ -115,9 +115,7 @@ class ScanBundle:
         RecordError
             The manifest lists no such file.
         """
-        if name not in self.record.files:
-            raise RecordError(f"{self.directory}: holds no file {name!r}: its files are {', '.join(self.record.files)}")
-        return self.directory / name
+        return listed_file(self.directory, self.record.files, name)
 
     def raw_frame(self) -> RawFrame:
         """The raw frame, read from disk.
@@ -127,11 +125,7 @@ class ScanBundle:
         RecordError
             The file is missing or damaged, or not of the size that the record states.
         """
-        path = self.path(self.record.raw_file)
-        frame = read_raw(path)
-        if frame.shape != self.record.shape:
-            raise RecordError(f"{path}: is {frame.shape} pixels (rows, columns), not {self.record.shape} as recorded")
-        return frame
+        return recorded_frame(self.path(self.record.raw_file), self.record.shape)
 
     def verify(self) -> None:
         """Hash every file and compare.
