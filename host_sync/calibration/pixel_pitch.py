@@ -1,0 +1,141 @@
+"""The pixel pitch that ball grids of known spacing measure, with its standard uncertainty.
+
+It holds at the height of the balls' tops: an object there fills as many pixels as the balls do. Untouched skin lies
+lower and, seen from a finite distance, has a pitch that is larger by the depth of the press over that distance. It is
+the mean over the places of the balls: where no ball is, a bent lens is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from device.errors import CalibrationError
+from device.surface import Float64Array
+from host_sync.calibration.ball_grid import BallLattice
+from host_sync.calibration.grid_pose import GridPose, fit_pose
+
+COVERAGE: Final = 2.0
+"""A stated pitch this many standard uncertainties off is contradicted."""
+
+GROSS_SHARE: Final = 0.05
+"""A stated pitch that is off by more is not trusted to have found the right balls: calibration is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class PitchReading:
+    """The pixel pitch that one press of a ball grid measures.
+
+    pitch_um : mean over the balls, µm per pixel
+    sigma_um : its standard uncertainty; the spacing of the grid counts as exact
+    least_um, most_um : over the balls
+    balls : number of balls on the grid
+    """
+
+    press: str
+    grid_pitch_mm: float
+    pitch_um: float
+    sigma_um: float
+    least_um: float
+    most_um: float
+    balls: int
+    pose: GridPose
+
+
+@dataclass(frozen=True, slots=True)
+class PixelPitch:
+    """What all grid presses say together.
+
+    stated_um : what the frame set says
+    pitch_um, sigma_um : the mean of the readings and its standard uncertainty, µm per pixel
+    """
+
+    stated_um: float
+    pitch_um: float
+    sigma_um: float
+    readings: tuple[PitchReading, ...]
+
+    @property
+    def contradiction(self) -> str:
+        """The sentence that says how the stated pitch is wrong, empty when it is not."""
+        off = self.stated_um - self.pitch_um
+        if abs(off) <= COVERAGE * self.sigma_um:
+            return ""
+        return (
+            f"the stated pixel pitch of {self.stated_um:g} µm is {off / self.pitch_um:+.2%} off the "
+            f"{self.pitch_um:.5g} ± {self.sigma_um:.2g} µm that the ball grid measures, which is used"
+        )
+
+
+def read_pitch(
+    press: str, lattice: BallLattice, points: Float64Array, grid_pitch_mm: float, shape: tuple[int, int]
+) -> PitchReading:
+    """The pitch that one press measures, from its lattice and the balls' (column, row), array of shape (N, 2)."""
+    places = lattice.index[lattice.on].astype(np.float64)
+    pose = fit_pose(places, points[lattice.on], shape)
+    step_um = 1e3 * grid_pitch_mm
+    pitches = step_um / _step_px(pose, places)
+    gradient = _gradient(pose, places) * step_um
+    return PitchReading(
+        press=press,
+        grid_pitch_mm=grid_pitch_mm,
+        pitch_um=float(pitches.mean()),
+        sigma_um=float(np.sqrt(gradient @ pose.covariance @ gradient)),
+        least_um=float(pitches.min()),
+        most_um=float(pitches.max()),
+        balls=len(places),
+        pose=pose,
+    )
+
+
+def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPitch:
+    """The weighted mean of readings; where they scatter more than they say, the scatter is the uncertainty.
+
+    Raises
+    ------
+    CalibrationError
+        The stated pitch is grossly wrong.
+    """
+    weight = np.array([reading.sigma_um**-2.0 for reading in readings])
+    values = np.array([reading.pitch_um for reading in readings])
+    mean = float((weight * values).sum() / weight.sum())
+    inner = float(weight.sum() ** -0.5)
+    outer = 0.0
+    if len(readings) > 1:
+        outer = float(np.sqrt((weight * (values - mean) ** 2).sum() / ((len(readings) - 1) * weight.sum())))
+    pitch = PixelPitch(stated_um, mean, max(inner, outer), tuple(readings))
+    if abs(stated_um / mean - 1.0) > GROSS_SHARE:
+        raise CalibrationError(
+            f"{readings[0].press}: its {readings[0].balls} balls {readings[0].grid_pitch_mm:g} mm apart make a pixel "
+            f"{mean:.4g} ± {inner:.1g} µm, and {stated_um:g} µm is stated ({stated_um / mean - 1.0:+.0%}): "
+            "mend pixel_pitch_um or grid_pitch_mm"
+        )
+    return pitch
+
+
+def _jacobians(pose: GridPose, places: Float64Array) -> Float64Array:
+    """Pixels per step about places: float64 array of shape (K, 2, 2)."""
+    half = 1e-3
+    return np.stack(
+        [(pose.pixels(places + half * e) - pose.pixels(places - half * e)) / (2.0 * half) for e in np.eye(2)], axis=-1
+    )
+
+
+def _step_px(pose: GridPose, places: Float64Array) -> Float64Array:
+    """Geometric mean of a step's length in pixels over both directions, about places: shape (K,)."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(_jacobians(pose, places)))))
+
+
+def _gradient(pose: GridPose, places: Float64Array) -> Float64Array:
+    """Derivative of the mean of 1 / step by the parameters, shape (number of parameters,)."""
+    found = []
+    for step in 1e-5 * np.eye(len(pose.parameters)):
+        ahead, behind = (
+            (1.0 / _step_px(replace(pose, parameters=pose.parameters + sign * step), places)).mean()
+            for sign in (1.0, -1.0)
+        )
+        found.append((ahead - behind) / 2e-5)
+    return np.array(found)
