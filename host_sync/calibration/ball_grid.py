@@ -66,7 +66,8 @@ class BallLattice:
 
     def step_px(self, place: NDArray[np.floating] | NDArray[np.intp]) -> float:
         """Distance in pixels of neighbouring places about a place, the mean of both directions."""
-        around = self.pixels(np.asarray(place, np.float64) + np.array([[0, 0], [1, 0], [0, 1]]))
+        beside: Float64Array = np.asarray(place, np.float64) + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        around = self.pixels(beside)
         return float(np.hypot(*(around[1:] - around[0]).T).mean())
 
     def missing(self) -> NDArray[np.intp]:
@@ -172,7 +173,7 @@ def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallL
     for _ in range(ROUNDS):
         if np.linalg.cond(homography) > WORST_CONDITION:
             return None
-        places = np.clip(project(np.linalg.inv(homography), points), -FARTHEST, FARTHEST)
+        places = np.clip(project(np.asarray(np.linalg.inv(homography), np.float64), points), -FARTHEST, FARTHEST)
         index = np.round(places).astype(np.intp)
         stray = np.hypot(*(places - index).T)
         limit = max(OUTLIER * 1.4826 * float(np.median(stray[on])) / 1.1774, LEAST_STRAY)

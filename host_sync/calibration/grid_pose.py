@@ -73,14 +73,14 @@ class GridPose:
 
 
 def fit_pose(places: Float64Array, points: Float64Array, shape: tuple[int, int]) -> GridPose:
-    """The pose in which lattice `places`, shape (N, 2) in steps, are seen at `points` (column, row) of a frame (H, W)."""
+    """The pose in which `places` of a lattice, (N, 2) in steps, are seen at `points` (column, row); `shape` is (H, W)."""
     usable = [model for model in MODELS if model.parameters + SPARE <= points.size] or [MODELS[0]]
     errors = {model: _held_out_errors(model, places, points, shape) for model in usable}
     chosen = _preferred(usable, errors)
     parameters, weight, normal = _fit(chosen, places, points, shape)
     residual = _seen(chosen, parameters, places, shape) - points
     spread_px = float(np.sqrt(np.mean(errors[chosen])))
-    covariance = np.linalg.inv(normal) * (spread_px / _half_diagonal(shape)) ** 2
+    covariance = np.asarray(np.linalg.inv(normal), np.float64) * (spread_px / _half_diagonal(shape)) ** 2
     fitted_px = float(np.sqrt((weight[:, None] * residual**2).sum() / (2.0 * weight.sum())))
     held_out = {model.name: float(np.sqrt(np.mean(error))) for model, error in errors.items()}
     return GridPose(chosen, shape, parameters, covariance, fitted_px, held_out)

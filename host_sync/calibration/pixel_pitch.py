@@ -13,16 +13,15 @@ from typing import Final
 
 import numpy as np
 
+from device.calibration_limits import PITCH_COVERAGE, PITCH_GROSS_SHARE
 from device.errors import CalibrationError
 from device.surface import Float64Array
 from host_sync.calibration.ball_grid import BallLattice
+from host_sync.calibration.ball_location import GridSpacing
 from host_sync.calibration.grid_pose import GridPose, fit_pose
 
-COVERAGE: Final = 2.0
-"""A stated pitch this many standard uncertainties off is contradicted."""
-
-GROSS_SHARE: Final = 0.05
-"""A stated pitch that is off by more is not trusted to have found the right balls: calibration is refused."""
+RECTANGLE: Final = 3.0**-0.5
+"""Standard deviation of a value that may lie anywhere within a tolerance, over that tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +29,13 @@ class PitchReading:
     """The pixel pitch that one press of a ball grid measures.
 
     pitch_um : mean over the balls, µm per pixel
-    sigma_um : its standard uncertainty; the spacing of the grid counts as exact
+    sigma_um : its standard uncertainty but for the grid's own
     least_um, most_um : over the balls
     balls : number of balls on the grid
     """
 
     press: str
-    grid_pitch_mm: float
+    grid: GridSpacing
     pitch_um: float
     sigma_um: float
     least_um: float
@@ -50,7 +49,8 @@ class PixelPitch:
     """What all grid presses say together.
 
     stated_um : what the frame set says
-    pitch_um, sigma_um : the mean of the readings and its standard uncertainty, µm per pixel
+    pitch_um, sigma_um : the mean of the readings and its standard uncertainty, µm per pixel; that of the grid's own
+        spacing is in it where its tolerance is stated
     """
 
     stated_um: float
@@ -62,7 +62,7 @@ class PixelPitch:
     def contradiction(self) -> str:
         """The sentence that says how the stated pitch is wrong, empty when it is not."""
         off = self.stated_um - self.pitch_um
-        if abs(off) <= COVERAGE * self.sigma_um:
+        if abs(off) <= PITCH_COVERAGE * self.sigma_um:
             return ""
         return (
             f"the stated pixel pitch of {self.stated_um:g} µm is {off / self.pitch_um:+.2%} off the "
@@ -71,17 +71,17 @@ class PixelPitch:
 
 
 def read_pitch(
-    press: str, lattice: BallLattice, points: Float64Array, grid_pitch_mm: float, shape: tuple[int, int]
+    press: str, lattice: BallLattice, points: Float64Array, grid: GridSpacing, shape: tuple[int, int]
 ) -> PitchReading:
     """The pitch that one press measures, from its lattice and the balls' (column, row), array of shape (N, 2)."""
     places = lattice.index[lattice.on].astype(np.float64)
     pose = fit_pose(places, points[lattice.on], shape)
-    step_um = 1e3 * grid_pitch_mm
+    step_um = 1e3 * grid.pitch_mm
     pitches = step_um / _step_px(pose, places)
     gradient = _gradient(pose, places) * step_um
     return PitchReading(
         press=press,
-        grid_pitch_mm=grid_pitch_mm,
+        grid=grid,
         pitch_um=float(pitches.mean()),
         sigma_um=float(np.sqrt(gradient @ pose.covariance @ gradient)),
         least_um=float(pitches.min()),
@@ -92,7 +92,7 @@ def read_pitch(
 
 
 def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPitch:
-    """The weighted mean of readings; where they scatter more than they say, the scatter is the uncertainty.
+    """The weighted mean of readings; where they scatter more than they say, the scatter is its uncertainty.
 
     Raises
     ------
@@ -106,10 +106,11 @@ def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPi
     outer = 0.0
     if len(readings) > 1:
         outer = float(np.sqrt((weight * (values - mean) ** 2).sum() / ((len(readings) - 1) * weight.sum())))
-    pitch = PixelPitch(stated_um, mean, max(inner, outer), tuple(readings))
-    if abs(stated_um / mean - 1.0) > GROSS_SHARE:
+    own = RECTANGLE * max((reading.grid.tolerance_mm or 0.0) / reading.grid.pitch_mm for reading in readings)
+    pitch = PixelPitch(stated_um, mean, float(np.hypot(max(inner, outer), own * mean)), tuple(readings))
+    if abs(stated_um / mean - 1.0) > PITCH_GROSS_SHARE:
         raise CalibrationError(
-            f"{readings[0].press}: its {readings[0].balls} balls {readings[0].grid_pitch_mm:g} mm apart make a pixel "
+            f"{readings[0].press}: its {readings[0].balls} balls {readings[0].grid.pitch_mm:g} mm apart make a pixel "
             f"{mean:.4g} ± {inner:.1g} µm, and {stated_um:g} µm is stated ({stated_um / mean - 1.0:+.0%}): "
             "mend pixel_pitch_um or grid_pitch_mm"
         )
