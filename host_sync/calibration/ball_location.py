@@ -184,6 +184,17 @@ def seen_instead_of_labelled(press: UsedPress) -> UsedPress:
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))
 
 
+def seen_beyond_labels(press: UsedPress) -> UsedPress:
+    """`seen_instead_of_labelled`, and after those balls all others that are seen."""
+    at_labels = seen_instead_of_labelled(press)
+    beyond = tuple(ball for ball in (press.seen.found if press.seen else ()) if not _is_one_of(ball, press.balls))
+    return replace(at_labels, balls=at_labels.balls + beyond)
+
+
+def _is_one_of(ball: Ball, others: Sequence[Ball]) -> bool:
+    return any(np.hypot(ball.column - o.column, ball.row - o.row) < SAME_BALL * o.radius_px for o in others)
+
+
 def _nearest(label: Ball, found: Sequence[Ball]) -> Ball:
     near = [
         (apart, ball)

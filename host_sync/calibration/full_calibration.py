@@ -24,6 +24,7 @@ from host_sync.calibration.ball_location import (
     drop_clipped,
     drop_empty_labels,
     locate,
+    seen_beyond_labels,
     seen_instead_of_labelled,
 )
 from host_sync.calibration.calibration_verdict import check_count
@@ -35,9 +36,11 @@ from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
-Centres = Literal["found", "labelled", "found at labels"]
+Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
 METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
 FITTED_SAMPLES: Final = 40_000
+WORTH_MORE_BALLS: Final = 1.1
+"""Balls that no label has are tried when there are so many times as many with them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,18 +159,37 @@ def _locate_all(
 def _fit(
     presses: Sequence[PressFrame], located: Sequence[UsedPress]
 ) -> tuple[InverseFit, Sequence[UsedPress], Centres]:
-    """The inverse map; where a hand labelled the balls, fitted with the centres that held-out balls prefer."""
-    fit = _fit_to(located)
-    if not any(press.labelled_by_hand for press in presses):
-        return fit, located, "found"
-    seen = [
-        seen_instead_of_labelled(used) if press.labelled_by_hand else used
-        for press, used in zip(presses, located, strict=True)
-    ]
-    other = _fit_to(seen)
-    if fit.held_out_deg is not None and other.held_out_deg is not None and other.held_out_deg < fit.held_out_deg:
-        return other, seen, "found at labels"
-    return fit, located, "labelled"
+    """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
+
+    Balls that no label has count where they make the labelled ones' held-out error smaller.
+    """
+    by_hand = [press.labelled_by_hand for press in presses]
+    best = _fit_to(located)
+    if not any(by_hand):
+        return best, located, "found"
+    chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
+    choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
+        ("found at labels", seen_instead_of_labelled),
+        ("found at labels and beyond", seen_beyond_labels),
+    )
+    for name, move in choices:
+        moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
+        if name == "found at labels and beyond" and _count(moved) < WORTH_MORE_BALLS * _count(located):
+            continue
+        fit = _fit_to(moved)
+        if _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
+            best, chosen = fit, (moved, name)
+    return best, *chosen
+
+
+def _count(presses: Sequence[UsedPress]) -> int:
+    return sum(len(press.balls) for press in presses)
+
+
+def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
+    """Median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
+    common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
+    return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
 def _fit_to(presses: Sequence[UsedPress]) -> InverseFit:

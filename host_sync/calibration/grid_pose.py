@@ -73,7 +73,12 @@ class GridPose:
 
 
 def fit_pose(places: Float64Array, points: Float64Array, shape: tuple[int, int]) -> GridPose:
-    """The pose in which `places` of a lattice, (N, 2) in steps, are seen at `points` (column, row); `shape` is (H, W)."""
+    """The pose in which places of a lattice are seen at points of a frame.
+
+    places : float64 array of shape (N, 2), steps
+    points : float64 array of shape (N, 2), (column, row)
+    shape : (H, W)
+    """
     usable = [model for model in MODELS if model.parameters + SPARE <= points.size] or [MODELS[0]]
     errors = {model: _held_out_errors(model, places, points, shape) for model in usable}
     chosen = _preferred(usable, errors)
