@@ -61,7 +61,7 @@ def check_agreement(names: Sequence[str], images: Sequence[IntensityImage], refe
     if gap <= limit:
         return
     group = fcluster(steps, 0.5 * (gap + within), "distance")
-    usual = np.argmax(np.bincount(group))
+    usual = np.argmax(np.bincount(group, np.append(np.ones(len(group) - 1), 1.5 if reference else 1.0)))
     odd = [names[i] for i in range(len(names)) if group[i] != usual]
     if reference and (group[-1] != usual or not odd):
         raise CalibrationMismatch(

@@ -11,7 +11,7 @@ from device.ball import Ball
 from device.ball_finder import LEAST_CONTACT, BallSearch, RejectedBall, find_balls
 from device.photometry import IntensityImage
 from device.surface import Float64Array
-from host_sync.calibration.ball_grid import ON_LATTICE, BallLattice, find_lattice
+from host_sync.calibration.ball_grid import GROWTH, ON_LATTICE, BallLattice, find_lattice, project
 from host_sync.calibration.ball_location import PressFrame, UsedPress, with_found
 from host_sync.calibration.pixel_pitch import PitchReading, PixelPitch, join_readings, read_pitch
 
@@ -37,7 +37,8 @@ def sight_grid(image: IntensityImage, seen: BallSearch, radius_px: float) -> Gri
         again = find_balls(image, radius_px, expected)
         relaid = find_lattice(_centres(again))
         if relaid is not None and relaid.on.sum() >= lattice.on.sum():
-            seen, lattice = again, relaid
+            # A look at a place where nothing is finds nothing good; only what was rejected unasked is worth a word.
+            seen, lattice = BallSearch(again.found, seen.rejected), relaid
     return _on_lattice(seen, lattice)
 
 
@@ -63,8 +64,8 @@ def measure_pitch(
         own = replace(used, seen=grid.search)
         found.append(own if press.balls is not None else with_found(own, grid.search, press.radius_px))
         if grid.lattice is not None:
-            centres = _centres(grid.search)
-            readings.append(read_pitch(press.called, grid.lattice, centres, press.grid, used.intensity.shape))
+            balls, shape = grid.search.found, used.intensity.shape
+            readings.append(read_pitch(press.called, grid.lattice, balls, press.grid, shape))
     if not readings:
         return found, None
     pitch = join_readings(stated_um, readings)
@@ -72,7 +73,10 @@ def measure_pitch(
 
 
 def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridSighting:
-    """The search with the balls off the lattice among the rejected, the lattice for the others alone."""
+    """The search with the balls off the lattice among the rejected, the lattice for the others alone.
+
+    What the finder itself rejected off the lattice is no ball at all and is forgotten.
+    """
     places = lattice.pixels(lattice.index)
     off = []
     for number in np.flatnonzero(~lattice.on):
@@ -83,7 +87,14 @@ def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridSighting:
     on = lattice.on
     balls = tuple(ball for ball, kept in zip(seen.found, on, strict=True) if kept)
     kept_lattice = BallLattice(lattice.index[on], on[on], lattice.to_pixels)
-    return GridSighting(BallSearch(balls, seen.rejected + tuple(off)), kept_lattice)
+    rejected = tuple(ball for ball in seen.rejected if _stray(lattice, ball) < GROWTH)
+    return GridSighting(BallSearch(balls, rejected + tuple(off)), kept_lattice)
+
+
+def _stray(lattice: BallLattice, ball: RejectedBall) -> float:
+    """Distance of a rejected ball from the nearest place of the lattice, in steps."""
+    place = project(np.asarray(np.linalg.inv(lattice.to_pixels), np.float64), np.array([[ball.column, ball.row]]))
+    return float(np.hypot(*(place - np.round(place))[0]))
 
 
 def _unseen(

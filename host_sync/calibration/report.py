@@ -102,6 +102,8 @@ def _pitch_record(pitch: PixelPitch | None) -> dict[str, Any] | None:
                 "grid_pitch_tolerance_mm": reading.grid.tolerance_mm,
                 "pitch_um": reading.pitch_um,
                 "sigma_um": reading.sigma_um,
+                "scatter_um": reading.scatter_um,
+                "bias_um": reading.bias_um,
                 "least_um": reading.least_um,
                 "most_um": reading.most_um,
                 "balls": reading.balls,
