@@ -21,6 +21,12 @@ from device.surface import Float64Array, MaskArray
 FEWEST_BALLS: Final = 6
 """Fewer balls fit one lattice or another by chance."""
 
+PERSPECTIVE_BALLS: Final = 10
+"""Fewer balls are laid on a lattice without perspective, which must be a clear one: chance makes the others."""
+
+STEEPEST: Final = 40.0
+"""Ratio of the areas that one cell fills at the near and the far end of a lattice in the strongest perspective."""
+
 SEEDS: Final = 16
 NEIGHBOURS: Final = 6
 GROWTH: Final = 0.25
@@ -43,8 +49,8 @@ FARTHEST: Final = 1e6
 CLEARLY_A_LATTICE: Final = 0.7
 """Share of the balls that a lattice explains, times the share of its places that are taken."""
 
-LEAST_LATTICE: Final = 0.3
-"""The same share under which the balls form no lattice."""
+LEAST_LATTICE: Final = 0.4
+"""The same share under which many balls form no lattice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +99,10 @@ def find_lattice(points: Float64Array) -> BallLattice | None:
             best = score, lattice
         if score > CLEARLY_A_LATTICE:
             break
-    return _upright(best[1]) if best is not None and best[0] > LEAST_LATTICE else None
+    if best is None:
+        return None
+    needed = LEAST_LATTICE if best[1].on.sum() >= PERSPECTIVE_BALLS else CLEARLY_A_LATTICE
+    return _upright(best[1]) if best[0] > needed else None
 
 
 def project(homography: Float64Array, points: Float64Array) -> Float64Array:
@@ -169,7 +178,7 @@ def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallL
         index[number], on[number] = place, True
     if not _spread_out(index[on]):
         return None
-    homography = fit_homography(index[on].astype(np.float64), points[on])
+    homography = _laid(index[on], points[on])
     for _ in range(ROUNDS):
         if np.linalg.cond(homography) > WORST_CONDITION:
             return None
@@ -180,8 +189,20 @@ def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallL
         on = _one_a_place(index, stray, stray < min(limit, ON_LATTICE))
         if not _spread_out(index[on]):
             return None
-        homography = fit_homography(index[on].astype(np.float64), points[on])
-    return BallLattice(index, on, homography)
+        homography = _laid(index[on], points[on])
+    # A cell's area goes with the cube of its depth: of one sign and not too uneven in front of a camera.
+    depth = index[on] @ homography[2, :2] + homography[2, 2]
+    plausible = depth.min() * depth.max() > 0.0 and (np.abs(depth).max() / np.abs(depth).min()) ** 3 < STEEPEST
+    return BallLattice(index, on, homography) if plausible else None
+
+
+def _laid(places: NDArray[np.intp], points: Float64Array) -> Float64Array:
+    """Homography of shape (3, 3) from places to points, without perspective where the balls are few."""
+    if len(places) >= PERSPECTIVE_BALLS:
+        return fit_homography(places.astype(np.float64), points)
+    design = np.concatenate([places, np.ones((len(places), 1))], axis=1)
+    affine = np.linalg.lstsq(design, points, rcond=None)[0].T
+    return np.concatenate([affine, [[0.0, 0.0, 1.0]]])
 
 
 def _spread_out(places: NDArray[np.intp]) -> bool:
@@ -221,5 +242,5 @@ def _upright(lattice: BallLattice) -> BallLattice:
     turns = [turn * np.array(signs) for turn in turns for signs in ([1, 1], [1, -1], [-1, 1], [-1, -1])]
     turn = max(turns, key=lambda t: float(np.trace(jacobian @ t / np.hypot(*(jacobian @ t)))))
     index = (lattice.index - middle) @ turn  # a signed permutation: its inverse is its transpose
-    homography = fit_homography(index[lattice.on].astype(np.float64), lattice.pixels(taken))
+    homography = _laid(np.asarray(index[lattice.on], np.intp), lattice.pixels(taken))
     return BallLattice(np.asarray(index, np.intp), lattice.on, homography)

@@ -18,6 +18,9 @@ from device.surface import Float64Array
 PoseName = Literal["similarity", "affine", "homography"]
 FOLDS: Final = 10
 STEPS: Final = 12
+AT_REST: Final = 1e-7
+"""Parameters are sought in at most so many steps, until they move by less."""
+
 HUBER: Final = 2.0
 """Residuals beyond this many standard deviations weigh less."""
 
@@ -132,7 +135,7 @@ def _fit(
         normal = np.einsum("n,nak,nal->kl", weight, jacobian, jacobian)
         step = np.linalg.solve(normal, np.einsum("n,nak,na->k", weight, jacobian, residual))
         parameters = parameters + step
-        if np.abs(step).max() < 1e-10:
+        if np.abs(step).max() < AT_REST:
             break
     return parameters, weight, normal
 
