@@ -84,7 +84,8 @@ def residuals_figure(calibration: Calibration) -> Figure:
         if places:
             by_ball.bar(places, [fitted[place][2].error_deg for place in places], **look)
     if not all(one.kept for _, _, one in fitted):
-        by_ball.legend(frameon=False)
+        by_ball.legend(frameon=False, ncols=2, loc="upper right")
+    by_ball.margins(y=0.15)
     single = all(count == 1 for _, count, _ in fitted)
     names = [label if single else str(one.number) for label, _, one in fitted]
     every = -(-len(names) // MOST_NAMES)

@@ -11,8 +11,9 @@ from device.ball import Ball
 from device.ball_finder import LEAST_CONTACT, BallSearch, RejectedBall, find_balls
 from device.photometry import IntensityImage
 from device.surface import Float64Array
-from host_sync.calibration.ball_grid import GROWTH, ON_LATTICE, BallLattice, find_lattice, project
+from host_sync.calibration.ball_grid import GROWTH, ON_LATTICE, BallLattice, find_lattice
 from host_sync.calibration.ball_location import PressFrame, UsedPress, with_found
+from host_sync.calibration.homography import project
 from host_sync.calibration.pixel_pitch import PitchReading, PixelPitch, join_readings, read_pitch
 
 DEEPEST_SHARE = 0.98

@@ -1,4 +1,4 @@
-"""What a calibration says of itself: coverage, the scale's ±, rejected labels, and pictures that tell all they leave out."""
+"""What a calibration says of itself: coverage, the scale's ±, rejected labels, pictures that hide nothing."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_slope_direction_that_no_ball_shows_is_named() -> None:
         *(getattr(taught, name)[seen] for name in ("intensity", "p", "q", "column", "row", "ball")),
     )
     (sentence,) = measure_coverage(taught, SHAPE, steepest=0.75).next_presses()
-    assert sentence.startswith("slopes falling to the right, lower right, upper right uncovered")
+    assert sentence.startswith("slopes that fall to the right, lower right, upper right uncovered")
 
 
 def frame_of(radius_tolerance: float | None = None) -> PressFrame:
