@@ -5,7 +5,7 @@ Inside its contact the skin is the sphere, so that every pixel there has a known
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +71,7 @@ def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[
     return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
 
 
-def gather_samples(presses: Sequence[tuple[IntensityImage, Sequence[Ball]]]) -> BallSamples:
+def gather_samples(presses: Iterable[tuple[IntensityImage, Sequence[Ball]]]) -> BallSamples:
     """Samples of every faithful pixel inside the contact of every ball of every press, in order.
 
     Raises

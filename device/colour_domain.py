@@ -43,7 +43,7 @@ class ColourDomain:
 
     @classmethod
     def observed(cls, intensity: Float32Array) -> ColourDomain:
-        """The domain of the observed intensities, array of shape (N, 3); untouched skin (1, 1, 1) always belongs to it."""
+        """The domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
         logs = curved(np.concatenate([intensity, np.ones((1, 3), np.float32)]), "log")
         spread = max(float(logs.std(axis=0).mean()), 1e-3)
         low = logs.min(axis=0) - np.float32(MARGIN * spread)

@@ -1,9 +1,9 @@
 """Fits the inverse map to balls, judged by balls that the fit did not see.
 
 Each polynomial of the map gets the penalty and the degree in position with the least error on held-out balls (whole
-balls, five folds), and a share in the mean that falls steeply with that error. Ball centres come from images and are off
-by a pixel or so; each is moved to where the maps learned from the *other* balls put it. Moving centres to fit a model
-of the same ball would only shrink the residual.
+balls, five folds), and a share in the mean that falls steeply with that error. Ball centres come from images and are
+off by a pixel or so; each is moved to where the maps learned from the *other* balls put it. Moving centres to fit a
+model of the same ball would only shrink the residual.
 """
 
 from __future__ import annotations

@@ -15,7 +15,9 @@ from host_sync.calibration.paper_model import estimate_gradients
 from host_sync.reconstruction.edge_slopes import EdgeRule
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import IntegrationReport, integrate
+from host_sync.reconstruction.slope_kernel import evaluate
 from host_sync.reconstruction.uncertainty import contradicted_slope, height_sigma_um, raised_slopes
+from host_sync.softening import softened
 
 EDGES: Final[dict[Method, EdgeRule]] = {"direct": "fourth-order", "paper": "printed"}
 
@@ -80,4 +82,4 @@ def estimate(intensity: IntensityImage, calibration: Calibration, method: Method
     """Slopes per pixel by the method."""
     if method == "paper":
         return estimate_gradients(calibration.paper, intensity)
-    return calibration.inverse.map.gradients(intensity)
+    return evaluate(calibration.inverse.map, softened(intensity))
