@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,8 @@ HOLES = 40
 LOOSE_PIXELS = 0.005
 """Share of single pixels that are missing beside the holes."""
 
-Bump = tuple[float, float, float, float]
+Profile = NDArray[np.float64]
+"""A function of one variable and, in the second row, its derivative: float64 array of shape (2, N)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class KnownField:
     truth_px: Float32Array
     gradients: GradientField
 
-    def rmse_px(self, z: Float32Array) -> float:
+    def rmse_px(self, z: NDArray[Any]) -> float:
         """Root mean square error of heights (px) on valid pixels, each set to mean zero."""
         used = self.gradients.valid
         error = z[used].astype(np.float64) - self.truth_px[used]
@@ -68,7 +70,8 @@ def _surface(shape: tuple[int, int]) -> tuple[Float32Array, Float32Array, Float3
     rows, columns = shape
     y, x = np.arange(rows) / columns, np.arange(columns) / columns
     terms = [(0.15 * _bowl(y), _ones(x)), (_ones(y), 0.2 * _bowl(x))]
-    terms += [_wave(y, 2.3, 0.4), _wave(x, 3.1, 0.2, 0.03)], [_wave(y, 11.7, 1.1), _wave(x, 9.2, 0.9, 0.004)]
+    terms.append((_wave(y, 2.3, 0.4), _wave(x, 3.1, 0.2, 0.03)))
+    terms.append((_wave(y, 11.7, 1.1), _wave(x, 9.2, 0.9, 0.004)))
     for row, column, width, height in ((0.2, 0.3, 0.05, 0.02), (0.5, 0.7, 0.02, 0.008), (0.65, 0.2, 0.01, -0.003)):
         terms.append((_bump(y, row, width), height * _bump(x, column, width)))
     z, p, q = (np.zeros(shape, np.float32) for _ in range(3))
@@ -77,10 +80,6 @@ def _surface(shape: tuple[int, int]) -> tuple[Float32Array, Float32Array, Float3
         p += np.outer(down[0], across[1]).astype(np.float32)
         q += np.outer(down[1], across[0]).astype(np.float32)
     return z, p, q
-
-
-Profile = NDArray[np.float64]
-"""A function of one variable and, in the second row, its derivative: float64 array of shape (2, N)."""
 
 
 def _ones(at: NDArray[np.float64]) -> Profile:

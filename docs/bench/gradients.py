@@ -15,7 +15,7 @@ from specimen import at_size
 from timing import side_by_side
 
 from device.photometry import IntensityImage
-from device.surface import GradientField
+from device.surface import Float32Array, GradientField
 from host_sync.calibration.full_calibration import Calibration
 
 
@@ -42,9 +42,11 @@ def measure(plan: Plan, calibration: Calibration, tell: Callable[[str], None]) -
 def _image(calibration: Calibration, shape: Shape) -> IntensityImage:
     """Intensities of a ball's press, enlarged to (H, W), with a pixel's noise."""
     press = calibration.presses[0].intensity.values
-    values = cv2.resize(np.ascontiguousarray(press), shape[::-1], interpolation=cv2.INTER_LINEAR)
-    values += 0.01 * np.random.default_rng(0).standard_normal(values.shape, np.float32)
-    return IntensityImage(np.asarray(values, np.float32), np.ones(shape, bool), np.zeros(shape, bool))
+    enlarged = cv2.resize(np.ascontiguousarray(press), shape[::-1], interpolation=cv2.INTER_LINEAR)
+    values: Float32Array = np.random.default_rng(0).standard_normal(enlarged.shape, np.float32)
+    values *= np.float32(0.01)
+    values += enlarged
+    return IntensityImage(values, np.ones(shape, bool), np.zeros(shape, bool))
 
 
 def _mean_difference_deg(found: GradientField, expected: GradientField) -> float:

@@ -76,11 +76,9 @@ def _faster(part: str, peer: str) -> Callable[[Figures], float]:
 
 def _beside_pyamg(figures: Figures) -> float:
     """Against the quicker of pyamg's two solvers."""
-    part = _at(figures, "integration", "beside pyamg")
-    return (
-        min(part[f"pyamg {kind}"]["min_ms"] for kind in ("ruge-stuben", "smoothed aggregation"))
-        / part["ours"]["min_ms"]
-    )
+    part: Figures = _at(figures, "integration", "beside pyamg")
+    quicker_ms = min(part[f"pyamg {kind}"]["min_ms"] for kind in ("ruge-stuben", "smoothed aggregation"))
+    return float(quicker_ms / part["ours"]["min_ms"])
 
 
 def _largest_scan(figures: Figures) -> Any:

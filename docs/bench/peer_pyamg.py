@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Literal
 
+import numpy as np
 from sparse_system import SparseSystem
 
 from device.surface import Float32Array
@@ -27,5 +28,8 @@ def solve_pyamg(system: SparseSystem, kind: Kind) -> Float32Array:
     import pyamg
 
     build = pyamg.ruge_stuben_solver if kind == "ruge-stuben" else pyamg.smoothed_aggregation_solver
-    solver = build(system.matrix)
-    return system.heights(solver.solve(system.rhs, tol=TOLERANCE, maxiter=MOST_CYCLES, accel="cg"))
+    # One height is held at nought: of the singular matrix conjugate gradients say at large sizes that it is indefinite.
+    solver = build(system.matrix[1:, 1:].tocsr())
+    solution = np.zeros(len(system.rhs))
+    solution[1:] = solver.solve(system.rhs[1:], tol=TOLERANCE, maxiter=MOST_CYCLES, accel="cg")
+    return system.heights(solution)

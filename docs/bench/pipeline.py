@@ -21,6 +21,8 @@ from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.results import write_result
 
 RUNS = 3
+"""Runs that count, after the first; one in a quick benchmark."""
+
 STAGES = {
     "read the raw file": ("read_raw",),
     "demosaic": ("demosaic",),
@@ -39,18 +41,18 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
     figures = {}
     for shape in plan.scans:
         tell(f"whole pipeline, {named(shape)}")
-        figures[named(shape)] = fresh(run_pipeline, calibration, folder, shape)
+        figures[named(shape)] = fresh(run_pipeline, calibration, folder, shape, 1 if plan.quick else RUNS)
     return figures
 
 
-def run_pipeline(calibration: Calibration, folder: Path, shape: Shape) -> dict[str, Any]:
+def run_pipeline(calibration: Calibration, folder: Path, shape: Shape, runs: int) -> dict[str, Any]:
     """Total and stages (ms) and peak memory (MB) of a scan of (H, W) pixels; the first run loads compiled code."""
     raw = folder / f"coin-{named(shape)}.tif"
     full = resampled(calibration, demosaic(read_raw(folder / f"reference-{named(shape)}.tif")))
     forget_peak()
     totals_ms = [_timed(raw, full, folder)]
     peak = peak_mb()
-    totals_ms += [_timed(raw, full, folder) for _ in range(RUNS)]
+    totals_ms += [_timed(raw, full, folder) for _ in range(runs)]
     profile = cProfile.Profile()
     profile.runcall(_scan_to_results, raw, full, folder)
     return {

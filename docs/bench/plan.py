@@ -55,7 +55,7 @@ QUICK = Plan(
     direct=(48, 64),
     scans=((192, 256),),
     handheld=((192, 256),),
-    rounds=2,
+    rounds=1,
     frames=2,
 )
 

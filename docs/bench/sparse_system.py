@@ -45,7 +45,7 @@ def sparse_system(gradients: GradientField) -> SparseSystem:
     entries = np.concatenate([diagonal, -weight, -weight])
     rows = np.concatenate([np.arange(count), first, second])
     columns = np.concatenate([np.arange(count), second, first])
-    return SparseSystem(coo_matrix((entries, (rows, columns)), (count, count)).tocsr(), rhs, used)
+    return SparseSystem(coo_matrix((entries, (rows, columns)), (count, count)).tocsr(), rhs.astype(np.float64), used)
 
 
 def _edges(

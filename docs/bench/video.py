@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
         watch = Stopwatch()
         height_of(frames[0], full, weighted=weighted)
         for frame in frames:
-            watch.run(lambda frame=frame, weighted=weighted: height_of(frame, full, weighted=weighted))
+            watch.run(partial(height_of, frame, full, weighted=weighted))
         times = watch.figures
         rates = {"best_fps": 1e3 / times["min_ms"], "median_fps": 1e3 / times["median_ms"]}
         figures[name] = times | rates
