@@ -15,7 +15,7 @@ from specimen import at_size
 from timing import side_by_side
 
 from device.photometry import IntensityImage
-from device.surface import Float32Array, GradientField
+from device.surface import GradientField
 from host_sync.calibration.full_calibration import Calibration
 
 
@@ -43,7 +43,7 @@ def _image(calibration: Calibration, shape: Shape) -> IntensityImage:
     """Intensities of a ball's press, enlarged to (H, W), with a pixel's noise."""
     press = calibration.presses[0].intensity.values
     enlarged = cv2.resize(np.ascontiguousarray(press), shape[::-1], interpolation=cv2.INTER_LINEAR)
-    values: Float32Array = np.random.default_rng(0).standard_normal(enlarged.shape, np.float32)
+    values = np.asarray(np.random.default_rng(0).standard_normal(enlarged.shape), np.float32)
     values *= np.float32(0.01)
     values += enlarged
     return IntensityImage(values, np.ones(shape, bool), np.zeros(shape, bool))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,13 @@ import msgspec
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-VERDICTS = {True: "[green]met[/]", False: "[red]not met[/]", None: "cannot be told"}
+VERDICTS = {True: "met", False: "not met", None: "cannot be told"}
+STYLES = {"met": "green", "not met": "red", "cannot be told": ""}
+COLUMNS = ("min_ms", "median_ms", "first_ms", "rmse_px", "stages_ms")
+FIGURE_TITLES = ("", "ms, min", "median", "first", "error, px", "")
+MARK_TITLES = ("mark", "what", "value", "limit", "")
 SIGNS = {"at least": "≥", "at most": "≤"}
 
 
@@ -35,46 +40,53 @@ def show(console: Console, report: Mapping[str, Any]) -> None:
         console.print("This was --quick: its sizes are too small for any mark to mean anything.")
 
 
+def figure_rows(part: Mapping[str, Any], depth: int = 0) -> Iterator[tuple[str, ...]]:
+    """Label, three times, error and remarks of every figure as text; what lies deeper is indented."""
+    for name, inner in part.items():
+        label = "  " * depth + name
+        if not isinstance(inner, Mapping):
+            yield label, "", "", "", "", _text(inner)
+            continue
+        plain = {k: v for k, v in inner.items() if k not in COLUMNS and not isinstance(v, Mapping)}
+        more = ", ".join(f"{k.replace('_', ' ')} {_text(v)}" for k, v in plain.items() if k != "runs")
+        error_px = inner.get("rmse_px")
+        times = (_text(inner.get(key)) for key in COLUMNS[:3])
+        yield label, *times, "" if error_px is None else f"{error_px:.4f}", more
+        for stage, stage_ms in inner.get("stages_ms", {}).items():
+            yield "  " * (depth + 1) + stage, _text(stage_ms), "", "", "", ""
+        yield from figure_rows(
+            {k: v for k, v in inner.items() if isinstance(v, Mapping) and k != "stages_ms"}, depth + 1
+        )
+
+
+def mark_rows(marks: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    """Item, words, value, limit and verdict of every mark as text."""
+    for mark in marks.values():
+        limit = f"{SIGNS[mark['sense']]} {_text(mark['mark'])}"
+        yield str(mark["item"]), mark["words"], _text(mark["value"]) or "-", limit, VERDICTS[mark["met"]]
+
+
 def _figures(figures: Mapping[str, Any]) -> Table:
     table = Table(title="Figures", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
-    for name in ("ms, min", "median", "first", "error, px"):
+    for name in FIGURE_TITLES[1:-1]:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("")
     for section, part in figures.items():
-        table.add_row(f"[bold]{section}[/]")
-        for name, inner in part.items():
-            _add_rows(table, f"  {name}", inner)
+        table.add_row(Text(section, style="bold"))
+        for row in figure_rows(part, depth=1):
+            table.add_row(*row)
     return table
-
-
-def _add_rows(table: Table, label: str, part: Any) -> None:
-    """A row for what was timed or is one figure; for what holds more of them, a row each, further in."""
-    if not isinstance(part, Mapping):
-        table.add_row(label, "", "", "", "", _text(part))
-        return
-    known = {"min_ms", "median_ms", "first_ms", "rmse_px", "runs", "stages_ms"}
-    times = (_text(part.get(key)) for key in ("min_ms", "median_ms", "first_ms"))
-    error_px = part.get("rmse_px")
-    plain = {key: value for key, value in part.items() if key not in known and not isinstance(value, Mapping)}
-    more = ", ".join(f"{key} {_text(value)}" for key, value in plain.items())
-    table.add_row(label, *times, "" if error_px is None else f"{error_px:.4f}", more)
-    for stage, stage_ms in part.get("stages_ms", {}).items():
-        table.add_row(f"    {stage}", _text(stage_ms))
-    for name, inner in part.items():
-        if name not in known and name not in plain:
-            _add_rows(table, " " * (len(label) - len(label.lstrip()) + 2) + name, inner)
 
 
 def _marks(marks: Mapping[str, Mapping[str, Any]]) -> Table:
     table = Table(title="Marks", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("mark", justify="right")
-    table.add_column("what")
-    for name in ("value", "limit", ""):
+    table.add_column(MARK_TITLES[0], justify="right")
+    table.add_column(MARK_TITLES[1])
+    for name in MARK_TITLES[2:]:
         table.add_column(name, justify="right", no_wrap=True)
-    for mark in marks.values():
-        value, limit = _text(mark["value"]), f"{SIGNS[mark['sense']]} {_text(mark['mark'])}"
-        table.add_row(str(mark["item"]), mark["words"], value or "-", limit, VERDICTS[mark["met"]])
+    for row in mark_rows(marks):
+        table.add_row(*row[:-1], Text(row[-1], style=STYLES[row[-1]]))
     return table
 
 
