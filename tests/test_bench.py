@@ -81,7 +81,8 @@ def test_cost_per_pixel_compares_the_largest_scan_with_the_one_near_1_5_megapixe
 
 def test_a_quick_run_prints_a_table_and_writes_every_mark(judge: Judge, tmp_path: Path) -> None:
     out = tmp_path / "bench.json"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    # One thread: on a machine that does other work, waiting for a second one takes longer than the whole run.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     run = subprocess.run(
         [sys.executable, BENCH / "run.py", "--quick", "--out", out],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
