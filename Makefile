@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo test format lock clean set-up
+.PHONY: help demo test bench format lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
@@ -29,6 +29,10 @@ demo: set-up ## the whole story on the simulated handheld; pictures in demo-outp
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
+
+bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
+	@bash .ci/set-up-bench "$(VENV)"
+	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" docs/bench/run.py $(if $(QUICK),--quick)
 
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
@@ -42,6 +46,10 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links \
 	    --extra device --extra host --extra dev --output-file requirements.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
+	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \
+	    --extra bench --output-file requirements-bench.lock pyproject.toml
 
 clean: ## remove .venv, demo-output and every cache
 	@rm -rf .venv .lock-tool demo-output dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
