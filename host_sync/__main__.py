@@ -24,6 +24,7 @@ from host_sync.frame_set import load_frame_set
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
+from host_sync.picture_format import PictureFormat
 
 DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
 
@@ -147,6 +148,34 @@ def _reconstruct_library(
     if failed and not done:
         return BAD_INPUT
     return PARTLY if failed else DONE
+
+
+@app.command
+def figures(
+    name: str | None = None,
+    *,
+    out: Path,
+    library: Path | None = None,
+    formats: Annotated[tuple[PictureFormat, ...], Parameter(name="--format", consume_multiple=True)] = ("png",),
+) -> int:
+    """Draw a calibration as the paper does: reflectance maps, ambiguous colours, errors of a held-out ball.
+
+    Parameters
+    ----------
+    name: The frame set's file; or, with --library, a calibration of it, the latest when none is named.
+    out: Folder for the pictures.
+    library: Folder of pulled calibrations.
+    formats: Any of png, pdf, svg.
+    """
+    with _telling() as tell:
+        tell("loading compiled code (the first run compiles it)")
+        from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
+
+        frames = frames_to_draw(name, Library(library) if library is not None else None)
+        written = write_figures(frames, out, formats, tell)
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+    return DONE
 
 
 @contextmanager

@@ -112,6 +112,15 @@ def build_table(
     return LookupTable(low, step, bin_of, np.append(0, np.cumsum(count)).astype(np.int32), candidates)
 
 
+def slopes_of_bin(surface: ReflectanceSurface, table: LookupTable, filled: int) -> Float64Array:
+    """The slopes that were entered into one filled bin of a surface's table, float64 array of shape (N, 2)."""
+    bins = len(table.bin_of)
+    slopes, number = _entries(surface, table.low, table.step, bins)
+    # Empty bins that read the filled one are among these; no slope was entered into them.
+    reading = np.flatnonzero(table.bin_of.ravel() == filled)
+    return slopes[np.isin(number, reading)]
+
+
 def _entries(
     surface: ReflectanceSurface, low: Float32Array, step: Float32Array, bins: int
 ) -> tuple[Float64Array, NDArray[np.intp]]:

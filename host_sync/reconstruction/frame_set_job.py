@@ -8,7 +8,8 @@ from pathlib import Path
 
 from device.errors import DeviceError
 from host_sync.calibration.ball_location import PressFrame
-from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
@@ -38,7 +39,18 @@ def calibrate_frame_set(frame_set: FrameSet, tell: Callable[[str], None] = lambd
         A frame is unreadable, or the presses do not carry a calibration.
     """
     tell("reading frames")
-    presses = [
+    return calibrate_frames(frames_of_set(frame_set), tell)
+
+
+def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
+    """The frames that a frame set's calibration is made from.
+
+    Raises
+    ------
+    FrameSetError
+        A frame is unreadable.
+    """
+    presses = tuple(
         PressFrame(
             name=f"{press.name} ({press.frame.name})",
             frame=read_frame(press.frame),
@@ -47,10 +59,10 @@ def calibrate_frame_set(frame_set: FrameSet, tell: Callable[[str], None] = lambd
             labelled_by_hand=press.balls is not None,
         )
         for press in frame_set.presses
-    ]
+    )
     reference = read_frame(frame_set.reference) if frame_set.reference else None
-    others = [] if reference else [read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
-    return calibrate(presses, reference, frame_set.pixel_pitch_um, others=others, tell=tell)
+    others = () if reference else tuple(read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES])
+    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others)
 
 
 def chosen_scans(frame_set: FrameSet, names: Sequence[str]) -> list[ScanSpec]:

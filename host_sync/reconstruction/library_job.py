@@ -11,7 +11,8 @@ from device.errors import CalibrationMismatch
 from device.photometry import demosaic
 from device.scan_bundle import ScanBundle
 from host_sync.calibration.ball_location import PressFrame
-from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
@@ -80,8 +81,19 @@ def calibration_of(bundle: CalibrationBundle, tell: Callable[[str], None] = lamb
     CalibrationError
         The frames do not carry a calibration.
     """
+    return calibrate_frames(frames_of_bundle(bundle), tell)
+
+
+def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
+    """The frames of a calibration bundle, with the balls that the device found in them.
+
+    Raises
+    ------
+    RecordError
+        A frame is damaged.
+    """
     record = bundle.record
-    presses = [
+    presses = tuple(
         PressFrame(
             name=press.file,
             frame=demosaic(bundle.press_frame(press)),
@@ -90,8 +102,8 @@ def calibration_of(bundle: CalibrationBundle, tell: Callable[[str], None] = lamb
         )
         for press in record.presses
         if press.balls
-    ]
-    return calibrate(presses, demosaic(bundle.reference()), record.pixel_pitch_um, tell=tell)
+    )
+    return CalibrationFrames(presses, demosaic(bundle.reference()), record.pixel_pitch_um)
 
 
 def _check_fingerprints(scan: ScanBundle, calibration: CalibrationBundle) -> None:
