@@ -14,6 +14,7 @@ from host_sync.calibration.report import write_report
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
 from host_sync.frame_set import FrameSet, ScanSpec
+from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.results import write_result
 
@@ -88,8 +89,11 @@ def reconstruct_frame_set(
     method: Method | None = None,
     names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
+    band: DetailBand | None = None,
 ) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
     """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
+
+    band : of the detail that is written beside each height map, if any
 
     Raises
     ------
@@ -107,7 +111,7 @@ def reconstruct_frame_set(
         tell(f"{scan.name}: slopes and height")
         try:
             reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method)
-            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name})
+            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name}, band)
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))
         else:

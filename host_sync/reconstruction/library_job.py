@@ -15,6 +15,7 @@ from host_sync.calibration.calibration_frames import CalibrationFrames, calibrat
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.library import Library
+from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.results import write_result
 
@@ -27,14 +28,20 @@ class LibraryJob:
     library : where scans, calibrations and results lie
     method : the method for every scan; None takes the one that each calibration's held-out balls prefer
     tell : is given a few words as each step begins
+    band : of the detail that is written beside each height map, if any
     """
 
     def __init__(
-        self, library: Library, method: Method | None = None, tell: Callable[[str], None] = lambda _: None
+        self,
+        library: Library,
+        method: Method | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+        band: DetailBand | None = None,
     ) -> None:
         self._library = library
         self._method = method
         self._tell = tell
+        self._band = band
         self._calibrations: dict[str, Calibration] = {}
 
     def run(self, scan: ScanBundle) -> tuple[Reconstruction, Path]:
@@ -59,7 +66,7 @@ class LibraryJob:
         folder = self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}
-        write_result(folder, reconstruction, calibration, name, facts)
+        write_result(folder, reconstruction, calibration, name, facts, self._band)
         return reconstruction, folder
 
     def _calibration(self, bundle: CalibrationBundle) -> Calibration:
