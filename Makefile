@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy test format lock clean set-up
+.PHONY: help demo accuracy methods test format lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -29,6 +29,9 @@ demo: set-up ## the whole story on the simulated handheld; pictures in demo-outp
 
 accuracy: set-up ## every mark of accuracy, on the twin and on real frames when there are some; writes accuracy.json
 	@"$(VENV)/bin/python" docs/accuracy/accuracy.py $(ARGS)
+
+methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
+	@"$(VENV)/bin/python" docs/accuracy/methods.py $(ARGS)
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest

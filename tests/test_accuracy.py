@@ -134,3 +134,18 @@ def test_marks_are_met_by_what_keeps_their_bounds_alone(accuracy: ModuleType) ->
     record = marks.record({"finger surface": 3.0})["marks"]
     assert record["finger surface"]["met"] is True
     assert record["oem-bga masked"] == {"value": None, "mark": 0.03, "met": False, "unit": ""}
+
+
+def test_a_refreshed_table_keeps_what_was_not_measured(accuracy: ModuleType, tmp_path: Path) -> None:
+    methods = accuracy.import_module("methods")
+    document = tmp_path / "paper.md"
+    document.write_text(
+        f"before\n{methods.BEGIN}\n| set | a |\n|---|---|\n| old | 1 |\n| finger | 2 |\n{methods.END}\nafter\n"
+    )
+    same = {"paper": 2.0, "direct": 1.0}
+    methods.refresh(document, [methods.Row("finger", same, same, {"paper": 0.02, "direct": 0.01})])
+    lines = document.read_text().splitlines()
+    assert lines[0] == "before"
+    assert lines[-1] == "after"
+    assert lines[4:6] == ["| old | 1 |", "| finger | 2.00° | 1.00° | 2.00° | 1.00° | 2.0 % | 1.0 % |"]
+    assert "| set | surface, paper | default |" in (FOLDER.parent / "paper.md").read_text()

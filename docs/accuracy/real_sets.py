@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from host_sync.calibration.full_calibration import Method
 from host_sync.frame_set import load_frame_set
 from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
@@ -30,16 +29,28 @@ def judge_program() -> Path:
 
 def available(name: str) -> bool:
     """Whether the set and the judge are there."""
-    return (data_folder() / name / "frameset.toml").is_file() and judge_program().is_file()
+    return frame_set_file(name).is_file() and judge_program().is_file()
 
 
-def judge_set(name: str, out: Path, tell: Callable[[str], None], method: Method | None = None) -> dict[str, Any]:
+def judge_set(name: str, out: Path, tell: Callable[[str], None]) -> dict[str, Any]:
     """What the judge says of a set that was calibrated and reconstructed into the folder `out`."""
-    folder = data_folder() / name
-    reconstruct_frame_set(load_frame_set(folder / "frameset.toml"), out, method, tell=tell)
+    reconstruct_frame_set(load_frame_set(frame_set_file(name)), out, tell=tell)
     tell("judging")
+    return judge_results(name, out)
+
+
+def frame_set_file(name: str) -> Path:
+    """The file that describes a set."""
+    return data_folder() / name / "frameset.toml"
+
+
+def judge_results(name: str, results: Path) -> dict[str, Any]:
+    """What the judge says of the result files of a set."""
     run = subprocess.run(  # noqa: S603 - the judge is named by the user's own environment
-        [sys.executable, str(judge_program()), str(folder), str(out)], check=True, capture_output=True, text=True
+        [sys.executable, str(judge_program()), str(data_folder() / name), str(results)],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     verdict: dict[str, Any] = json.loads(run.stdout)
     return verdict

@@ -66,7 +66,7 @@ def _draw_bin(left: Axes, middle: Axes, model: PaperModel, chosen: int) -> None:
     _, a, b = _lab(colour[None], _white(model.maps))[0]
     _draw_stars(left, np.array([[a, b]]), None)
     members = slopes_of_bin(reflectance_surface(model.maps, model.harmonics), table, chosen)
-    middle.plot(members[:, 0], members[:, 1], ".", color="#0072b2", ms=3.0, label="slopes of one bin")
+    middle.plot(members[:, 0], members[:, 1], ".", color="#0072b2", ms=4.0, zorder=6, label="slopes of one bin")
     _draw_stars(middle, candidates[:, :2], "centres of its clusters")
 
 

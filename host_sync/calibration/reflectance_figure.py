@@ -25,8 +25,8 @@ _CAPTION: Final = (
     "Rows: colour channels. Columns: intensity that the calibration's balls showed on a fixed grid of slopes; the "
     "Lambertian approximation (spherical harmonics of orders 0 to 2); the first six orders (0 to 5); and what each of "
     "them leaves. Isophotes stand at the same intensities in every plot of a channel; where they crowd, the skin "
-    "shines. In the residuals dashed lines are negative. Outside the circle of observed slopes the harmonics "
-    "extrapolate."
+    "shines. In the residuals dashed lines are negative; they are drawn without pixel noise, rms is that of all "
+    "observed cells."
 )
 
 

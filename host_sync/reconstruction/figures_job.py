@@ -50,6 +50,7 @@ def write_figures(
     out: Path,
     formats: Sequence[PictureFormat] = ("png",),
     tell: Callable[[str], None] = lambda _: None,
+    dpi: int = DPI,
 ) -> tuple[Path, ...]:
     """The files written to the folder `out`: figures like the paper's 3, 4 and 5, in each format.
 
@@ -64,15 +65,15 @@ def write_figures(
     figures = paper_figures(calibration.paper)
     figures["ball-errors"] = ball_error_figure(held_out_ball_errors(frames, calibration, tell))
     tell("drawing")
-    return tuple(_write(figure, out / f"{name}.{kind}") for name, figure in figures.items() for kind in formats)
+    return tuple(_write(figure, out / f"{name}.{kind}", dpi) for name, figure in figures.items() for kind in formats)
 
 
-def _write(figure: Figure, path: Path) -> Path:
+def _write(figure: Figure, path: Path, dpi: int) -> Path:
     """Write one picture whole or not at all."""
     partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(partial, dpi=DPI, format=path.suffix.removeprefix("."))
+        figure.savefig(partial, dpi=dpi, format=path.suffix.removeprefix("."))
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
