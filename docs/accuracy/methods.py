@@ -15,6 +15,7 @@ from typing import Final
 
 import real_sets
 from marks import SKINS
+from PIL import Image
 from rich.console import Console
 from twin_instrument import TwinInstrument, reference_profile
 from twin_verdict import PLACES, judge_instrument
@@ -33,7 +34,8 @@ BEGIN, END = "<!-- begin table -->", "<!-- end table -->"
 BOARDS: Final = (("twin", "25 mm"), ("twin-distant", "250 mm"))
 PARTS: Final = ("real", "twin")
 DRAWN: Final = (("oem-bga", ("reflectance-maps", "ball-errors")), ("finger", ("ambiguous-bins", "ball-errors")))
-PICTURE_DPI: Final = 62
+PICTURE_DPI: Final = 90
+COLOURS: Final = 96
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ def main() -> int:
         parts = {"real": real_rows(Path(name)), "twin": twin_rows(Path(name))}
         for part in arguments.only:
             for row in parts[part]:
-                console.print(row.line)
+                console.print(row.line, soft_wrap=True)
                 refresh(DOCUMENT, [row])
     for set_name, figures in filter(lambda item: real_sets.available(item[0]), DRAWN if arguments.pictures else ()):
         draw(set_name, figures, console.print)
@@ -129,7 +131,8 @@ def draw(name: str, figures: Sequence[str], tell: Callable[[str], None]) -> None
         for path in write_figures(frames, Path(folder), dpi=PICTURE_DPI):
             if path.stem in figures:
                 target = PICTURES / f"{path.stem}-{name}.png"
-                target.write_bytes(path.read_bytes())
+                with Image.open(path) as picture:
+                    picture.convert("RGB").quantize(COLOURS).save(target, optimize=True)
                 tell(str(target))
 
 
