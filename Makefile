@@ -19,13 +19,19 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo test bench format lock clean set-up
+.PHONY: help demo accuracy methods test bench format lock clean set-up
 
 help: ## say what there is
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
 	@"$(VENV)/bin/python" docs/demo/story.py --out demo-output
+
+accuracy: set-up ## every mark of accuracy, on the twin and on real frames when there are some; writes accuracy.json
+	@"$(VENV)/bin/python" docs/accuracy/accuracy.py $(ARGS)
+
+methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
+	@"$(VENV)/bin/python" docs/accuracy/methods.py $(ARGS)
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
@@ -52,7 +58,7 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	    --extra bench --output-file requirements-bench.lock pyproject.toml
 
 clean: ## remove .venv, demo-output and every cache
-	@rm -rf .venv .lock-tool demo-output dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	@rm -rf .venv .lock-tool demo-output accuracy.json dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find hal device host_sync tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 set-up:

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface import Float32Array
+from device.surface import Float32Array, Float64Array
 
 Curve = Literal["log", "root", "linear"]
 CURVES: Final[tuple[Curve, ...]] = get_args(Curve)
@@ -56,6 +56,15 @@ class ColourSpace:
     def variables(self, intensity: Float32Array) -> Float32Array:
         """Polynomial variables, of the shape (..., 3) of `intensity`."""
         return (np.clip(curved(intensity, self.curve), self.low, self.high) - self.centre) / self.scale
+
+    def intensity_range(self) -> tuple[Float64Array, Float64Array]:
+        """Intensities that variables are clipped to, float64 arrays of shape (3,): lowest and highest."""
+        low, high = (bound.astype(np.float64) for bound in (self.low, self.high))
+        if self.curve == "log":
+            low, high = np.exp(low), np.exp(high)
+        elif self.curve == "root":
+            low, high = low**2, high**2
+        return low - DARK_OFFSET, high - DARK_OFFSET
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays; `from_arrays` is its inverse."""

@@ -21,19 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from device.inverse_map import (
-    CLIPPED_CONFIDENCE,
-    LOG_OFFSET,
-    LOST_EXCESS,
-    TRUSTED_EXCESS,
-    ColourSpace,
-    InverseMap,
-    field_position,
-    monomials,
-    position_exponents,
-    stereographic_from_slope,
-)
+from device.colour_domain import ColourDomain
+from device.colour_space import DARK_OFFSET
+from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
 from device.photometry import IntensityImage
+from device.polynomials import field_position, monomials, position_exponents
+from device.stereographic import stereographic_from_slope
 from device.surface import Float32Array, Float64Array, GradientField, MaskArray
 
 BINS: Final = 64
@@ -46,6 +39,12 @@ NODES: Final = 13
 PLACES: Final = 4
 """Places along each side of the field at which the map is asked."""
 
+DOUBTED_EXCESS: Final = 0.5
+"""Distance outside the calibrated colours, standard deviations, at which confidence has fallen to a quarter.
+
+Wider than the workstation's: an unweighted integrator takes what is not trusted as flat, which costs more than a guess.
+"""
+
 NEGLIGIBLE: Final = 1e-5
 """A term of position that nowhere adds more slope than this is left out."""
 
@@ -54,13 +53,13 @@ NEGLIGIBLE: Final = 1e-5
 class SlopeTable:
     """An inverse map tabulated for images of one size.
 
-    colours : the map's colour space, asked only for how far an intensity lies outside it
+    domain : the colours that the balls showed, asked only where an intensity lies outside the table
     first, per_bin : float32 arrays of shape (3,), intensity of the first bin's centre and bins per unit of intensity
     terms : for each term of position its table of u, float32 array of shape (BINS³, 2)
     places : for each term its value at every pixel, once for each component of u: float32 array of shape (H, 2 W)
     """
 
-    colours: ColourSpace
+    domain: ColourDomain
     first: Float32Array
     per_bin: Float32Array
     terms: tuple[Float32Array, ...]
@@ -69,8 +68,7 @@ class SlopeTable:
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> SlopeTable:
         """The tables of a map, for images binned by `binning`."""
-        colours = inverse_map.colours
-        low, high = (np.exp(log.astype(np.float64)) - LOG_OFFSET for log in (colours.low, colours.high))
+        low, high = inverse_map.members[0].colours.intensity_range()
         width = (high - low) / (BINS - 1)
         first = 1.0 - np.round((1.0 - low) / width) * width
         centres = first + width * np.arange(BINS)[:, None]
@@ -79,7 +77,7 @@ class SlopeTable:
         places = _place_terms(inverse_map.shape, shape, binning)
         kept = [k for k, term in enumerate(terms) if np.abs(term).max() > NEGLIGIBLE or k == 0]
         return cls(
-            colours,
+            inverse_map.domain,
             first.astype(np.float32),
             (1.0 / width).astype(np.float32),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
@@ -128,20 +126,20 @@ class SlopeTable:
         valid = image.valid.copy()
         weight = np.where(image.clipped, np.float32(CLIPPED_CONFIDENCE), np.float32(1.0))
         if outside.any():
-            _, excess = self.colours.variables(image.values[outside])
+            excess = self.domain.excess(image.values[outside])
             valid[outside] &= excess < LOST_EXCESS
-            weight[outside] /= (1.0 + (excess / np.float32(TRUSTED_EXCESS)) ** 2) ** 2
+            weight[outside] /= (1.0 + (excess / np.float32(DOUBTED_EXCESS)) ** 2) ** 2
         weight *= valid
         return valid, weight
 
 
 def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, centres: Float64Array) -> Float32Array:
     """Coefficients of u in position at every bin: float32 array of shape (K, 2, BINS³)."""
-    logs = np.log(np.stack([low, high]) + LOG_OFFSET)
+    logs = np.log(np.stack([low, high]) + DARK_OFFSET)
     nodes = np.linspace(logs[0], logs[1], NODES)
-    asked = np.stack(np.meshgrid(*(np.exp(nodes) - LOG_OFFSET).T, indexing="ij"), axis=-1).reshape(-1, 3)
+    asked = np.stack(np.meshgrid(*(np.exp(nodes) - DARK_OFFSET).T, indexing="ij"), axis=-1).reshape(-1, 3)
     tables = _position_coefficients(inverse_map, asked.astype(np.float32)).reshape(NODES, NODES, NODES, -1)
-    at = np.clip(np.log(np.maximum(centres, 0.0) + LOG_OFFSET), logs[0], logs[1])
+    at = np.clip(np.log(np.maximum(centres, 0.0) + DARK_OFFSET), logs[0], logs[1])
     for channel in range(3):
         spread = CubicSpline(nodes[:, channel], np.eye(NODES))(at[:, channel])
         tables = np.tensordot(tables, spread, axes=(0, 1))  # the first axis goes in, its bins come out last

@@ -24,6 +24,8 @@ from host_sync.frame_set import load_frame_set
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
+from host_sync.picture_format import PictureFormat
+from host_sync.reconstruction.detail_filter import DetailBand
 
 DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
 
@@ -86,6 +88,8 @@ def reconstruct(
     out: Path | None = None,
     library: Path | None = None,
     method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    s_filter_um: float | None = None,
+    l_filter_um: float | None = None,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -94,25 +98,33 @@ def reconstruct(
     names: The frame set's file and, after it, names of scans; or scans of the library. All scans when none is named.
     out: Folder for the results of a frame set.
     library: Folder of pulled scans; results go to <scan>/results/.
+    s_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
+    l_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
     """
+    band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     with _telling() as tell:
         if library is not None:
-            return _reconstruct_library(Library(library), names, method, tell)
+            return _reconstruct_library(Library(library), names, method, tell, band)
         if not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell)
+        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band)
 
 
 def _reconstruct_frame_set(
-    path: Path, out: Path, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    path: Path,
+    out: Path,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
 ) -> int:
     frame_set = load_frame_set(path)
     tell("loading compiled code (the first run compiles it)")
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
-    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell)
+    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band)
     for failure in failures:
         _complain(f"{failure.name}: {failure.reason}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
@@ -122,7 +134,11 @@ def _reconstruct_frame_set(
 
 
 def _reconstruct_library(
-    library: Library, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    library: Library,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
 ) -> int:
     listing = library.scans()
     scans = [library.find(name) for name in names] if names else list(listing.bundles)
@@ -132,7 +148,7 @@ def _reconstruct_library(
     tell("loading compiled code (the first run compiles it)")
     from host_sync.reconstruction.library_job import LibraryJob
 
-    job = LibraryJob(library, method, tell)
+    job = LibraryJob(library, method, tell, band)
     done = 0
     for scan in scans:
         try:
@@ -147,6 +163,34 @@ def _reconstruct_library(
     if failed and not done:
         return BAD_INPUT
     return PARTLY if failed else DONE
+
+
+@app.command
+def figures(
+    name: str | None = None,
+    *,
+    out: Path,
+    library: Path | None = None,
+    formats: Annotated[tuple[PictureFormat, ...], Parameter(name="--format", consume_multiple=True)] = ("png",),
+) -> int:
+    """Draw a calibration as the paper does: reflectance maps, ambiguous colours, errors of a held-out ball.
+
+    Parameters
+    ----------
+    name: The frame set's file; or, with --library, a calibration of it, the latest when none is named.
+    out: Folder for the pictures.
+    library: Folder of pulled calibrations.
+    formats: Any of png, pdf, svg.
+    """
+    with _telling() as tell:
+        tell("loading compiled code (the first run compiles it)")
+        from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
+
+        frames = frames_to_draw(name, Library(library) if library is not None else None)
+        written = write_figures(frames, out, formats, tell)
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+    return DONE
 
 
 @contextmanager

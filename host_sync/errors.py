@@ -34,3 +34,7 @@ class ResultError(HostError, OSError):
 
 class IntegrationError(HostError, ValueError):
     """Slopes cannot be integrated: shapes differ, or values are not numbers. Mask what is invalid first."""
+
+
+class FilterError(HostError, ValueError):
+    """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""

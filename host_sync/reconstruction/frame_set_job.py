@@ -8,11 +8,13 @@ from pathlib import Path
 
 from device.errors import DeviceError
 from host_sync.calibration.ball_location import GridSpacing, PressFrame
-from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
 from host_sync.frame_set import FrameSet, PressSpec, ScanSpec
+from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.results import write_result
 
@@ -38,10 +40,21 @@ def calibrate_frame_set(frame_set: FrameSet, tell: Callable[[str], None] = lambd
         A frame is unreadable, or the presses do not carry a calibration.
     """
     tell("reading frames")
-    presses = [_press_frame(press, frame_set.path.parent) for press in frame_set.presses]
+    return calibrate_frames(frames_of_set(frame_set), tell)
+
+
+def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
+    """The frames that a frame set's calibration is made from.
+
+    Raises
+    ------
+    FrameSetError
+        A frame is unreadable.
+    """
+    presses = tuple(_press_frame(press, frame_set.path.parent) for press in frame_set.presses)
     reference = read_frame(frame_set.reference) if frame_set.reference else None
-    others = [] if reference else [read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
-    return calibrate(presses, reference, frame_set.pixel_pitch_um, others=others, tell=tell)
+    others = () if reference else tuple(read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES])
+    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others)
 
 
 def _press_frame(press: PressSpec, folder: Path) -> PressFrame:
@@ -83,8 +96,11 @@ def reconstruct_frame_set(
     method: Method | None = None,
     names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
+    band: DetailBand | None = None,
 ) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
     """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
+
+    band : of the detail that is written beside each height map, if any
 
     Raises
     ------
@@ -102,7 +118,7 @@ def reconstruct_frame_set(
         tell(f"{scan.name}: slopes and height")
         try:
             reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method)
-            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name})
+            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name}, band)
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -12,14 +11,12 @@ from device.photometry import IntensityImage, LinearFrame, check_exposed, divide
 from device.surface import Float32Array, GradientField, HeightMap, surface_slopes
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.paper_model import estimate_gradients
-from host_sync.reconstruction.edge_slopes import EdgeRule
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import IntegrationReport, integrate
+from host_sync.reconstruction.printed_integration import integrate_as_printed
 from host_sync.reconstruction.slope_kernel import evaluate
 from host_sync.reconstruction.uncertainty import contradicted_slope, height_sigma_um, raised_slopes
 from host_sync.softening import softened
-
-EDGES: Final[dict[Method, EdgeRule]] = {"direct": "fourth-order", "paper": "printed"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +64,8 @@ def reconstruct(
     intensity = divide(frame, calibration.divisor)
     check_channel_order(frame, calibration.divisor, name)
     gradients = estimate(intensity, calibration, chosen)
-    height, integration = integrate(gradients, calibration.pitch_um, edges=EDGES[chosen])
+    solve = integrate_as_printed if chosen == "paper" else integrate
+    height, integration = solve(gradients, calibration.pitch_um)
     at_rest = untouched_skin(gradients)
     height = levelled(height, at_rest)
     p, q = surface_slopes(height)

@@ -193,9 +193,17 @@ def test_bad_scans_are_named_and_leave_nothing(
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["calibration"]
 
 
-def test_the_papers_method_can_be_asked_for(frames: Frames, tmp_path: Path) -> None:
+def test_the_papers_method_and_its_detail_filter_can_be_asked_for(frames: Frames, tmp_path: Path) -> None:
     path = frames.copy(tmp_path / "set")
-    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out"), "--method", "paper"]) == 0
+    asked = ["--method", "paper", "--s-filter-um", "100", "--l-filter-um", "1500"]
+    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out"), *asked]) == 0
+    folder = tmp_path / "out" / "sphere"
+    assert {path.name for path in folder.iterdir()} == RESULT_FILES | {"detail_um.tif", "detail.png"}
+    detail = json.loads((folder / "result.json").read_text())["detail"]
+    assert (detail["s_nesting_index_um"], detail["l_nesting_index_um"]) == (100.0, 1500.0)
+    fine = tifffile.imread(folder / "detail_um.tif")
+    assert 0.0 < detail["rms_um"] == pytest.approx(float(np.nanstd(fine)), rel=1e-3)
+    assert detail["rms_um"] < 0.2 * frames.truth.z_um.max()
     record = json.loads((tmp_path / "out" / "sphere" / "result.json").read_text())
     assert record["method"] == "paper"
     height = tifffile.imread(tmp_path / "out" / "sphere" / "height_um.tif")
