@@ -50,9 +50,9 @@ def flat_brightness(elevation_deg: float = LIGHT_ELEVATION_DEG) -> float:
 def steep_slope(height: HeightMap) -> float:
     """Slope that few pixels exceed; 0 when none is valid."""
     step = max(1, height.z_um.shape[1] // 400)
-    down, across = (np.diff(height.z_um, axis=axis)[: -1 or None : step, : -1 or None : step] for axis in (0, 1))
-    rows, columns = (min(sizes) for sizes in zip(down.shape, across.shape, strict=True))
-    steepness = np.hypot(down[:rows, :columns], across[:rows, :columns]) / height.pitch_um
+    here = height.z_um[:-1:step, :-1:step]
+    across, down = height.z_um[:-1:step, 1::step], height.z_um[1::step, :-1:step]
+    steepness = np.hypot(across - here, down - here) / height.pitch_um
     finite = steepness[np.isfinite(steepness)]
     return float(np.percentile(finite, STEEP_PERCENTILE)) if finite.size else 0.0
 
