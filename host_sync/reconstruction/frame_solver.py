@@ -23,8 +23,9 @@ from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import integrate
 from host_sync.reconstruction.pipeline import EDGES, estimate
 
-SAMPLE_STEP: Final = 4
-"""One pixel in so many rows and columns tells how much of the field is pressed."""
+CHECK_COARSENESS: Final = 2
+SAMPLED_COLUMNS: Final = 180
+"""So many columns, and rows as far apart, tell how much of the field is pressed."""
 
 TOLERANCE_PX: Final = 1e-2
 """Algebraic error at which integration ends: a few hundredths of what slope noise leaves in a height."""
@@ -89,7 +90,7 @@ class FrameSolver:
             Nobody said how its values encode light.
         """
         intensity = self._read(frame)
-        check_intensity(intensity, self._calibration.divisor, frame.name)
+        check_intensity(intensity, self._calibration.divisor, frame.name, CHECK_COARSENESS)
         gradients = self._gradients(intensity)
         height, _ = integrate(
             gradients, self._calibration.pitch_um, edges=EDGES[self._method], tolerance_px=TOLERANCE_PX
@@ -123,7 +124,8 @@ class FrameSolver:
 
 
 def _sampled(image: IntensityImage) -> IntensityImage:
-    every = (slice(None, None, SAMPLE_STEP), slice(None, None, SAMPLE_STEP))
+    step = max(1, image.shape[1] // SAMPLED_COLUMNS)
+    every = (slice(None, None, step), slice(None, None, step))
     return IntensityImage(np.ascontiguousarray(image.values[every]), image.valid[every], image.clipped[every])
 
 

@@ -9,10 +9,11 @@ from device.photometry import DARK_FLOOR, EXPOSURE_STEP, IntensityImage, check_e
 from device.surface import Float32Array
 
 
-def check_intensity(intensity: IntensityImage, divisor: Float32Array, name: str) -> None:
+def check_intensity(intensity: IntensityImage, divisor: Float32Array, name: str, coarseness: int = 1) -> None:
     """Refuse what `check_exposed` and `check_channel_order` refuse, without the linear frame.
 
     divisor : float32 array of shape (H, W, 3), what the frame was divided by
+    coarseness : how many times fewer rows and columns are looked at
 
     Raises
     ------
@@ -22,9 +23,9 @@ def check_intensity(intensity: IntensityImage, divisor: Float32Array, name: str)
         Its channels are in another order than the reference's.
     """
     clipped_share = np.count_nonzero(intensity.clipped) / intensity.clipped.size
-    light, _ = _sample(intensity, divisor, EXPOSURE_STEP)
+    light, _ = _sample(intensity, divisor, coarseness * EXPOSURE_STEP)
     check_exposed_sample(light, clipped_share, name)
-    check_channel_order_sample(*_sample(intensity, divisor, order_step(intensity.shape)), name)
+    check_channel_order_sample(*_sample(intensity, divisor, coarseness * order_step(intensity.shape)), name)
 
 
 def _sample(intensity: IntensityImage, divisor: Float32Array, step: int) -> tuple[Float32Array, Float32Array]:

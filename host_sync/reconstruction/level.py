@@ -21,7 +21,7 @@ FLAT_SLOPES: Final = (0.01, 0.05)
 PATCH_SHARE: Final = 1.0 / 64.0
 """Size of a patch as a share of the frame's columns."""
 
-PATCH_CELLS: Final = 7
+PATCH_CELLS: Final = 5
 """Cells along a patch; where a patch has fewer pixels, they are the cells."""
 
 LEAST_SHARE: Final = 0.02

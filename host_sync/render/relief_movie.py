@@ -15,17 +15,17 @@ import numpy as np
 from PIL import Image
 
 from host_sync.errors import ResultError
-from host_sync.render.relief import Picture, tint_table
+from host_sync.render.relief import Picture
 
 MOST_RATE_HZ: Final = 60.0
 """Faster sequences are shown with frames left out: neither screens nor players follow them."""
 
 GIF_RATE_HZ: Final = 12.5
-GIF_FRAMES: Final = 250
+GIF_FRAMES: Final = 200
 GIF_WIDEST_PX: Final = 480
 """A GIF holds at most so many frames of so many columns: it has no compression worth the name."""
 
-_SHADES: Final = 14
+_PALETTE_FRAMES: Final = 8
 
 
 class ReliefMovie:
@@ -78,7 +78,6 @@ class ReliefGif:
     def __init__(self, count: int, rate_hz: float) -> None:
         self._every = max(1, -(-count // GIF_FRAMES), round(rate_hz / GIF_RATE_HZ))
         self._duration_ms = 10 * max(2, round(100.0 * self._every / rate_hz))
-        self._palette = _palette()
         self._frames: list[Image.Image] = []
 
     def append(self, number: int, picture: Picture) -> None:
@@ -89,7 +88,7 @@ class ReliefGif:
         factor = min(1.0, GIF_WIDEST_PX / columns)
         size = (round(columns * factor), round(rows * factor))
         small = Image.fromarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-        self._frames.append(small.quantize(palette=self._palette, dither=Image.Dither.NONE))
+        self._frames.append(small)
 
     def write(self, path: Path) -> None:
         """Write the file.
@@ -99,18 +98,12 @@ class ReliefGif:
         OSError
             The disk refused.
         """
-        first, *others = self._frames
+        palette = self._palette()
+        first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self._frames)
         first.save(path, save_all=True, append_images=others, duration=self._duration_ms, loop=0, optimize=False)
 
-
-def _palette() -> Image.Image:
-    """Colours that serve every frame, whatever the first one shows: the tints in many shades, and greys."""
-    tints = tint_table(16)
-    shades = np.linspace(0.25, 1.0, _SHADES, dtype=np.float32)
-    dark = (tints[None] * shades[:, None, None]).reshape(-1, 3)
-    bright = 255.0 - 0.6 * (255.0 - tints)
-    grey = np.repeat(np.linspace(40.0, 255.0, 16, dtype=np.float32)[:, None], 3, axis=1)
-    colours = np.rint(np.concatenate([dark, bright, grey])).astype(np.uint8)
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(colours.tobytes())
-    return palette
+    def _palette(self) -> Image.Image:
+        """Colours that serve every frame: those of some frames side by side."""
+        some = self._frames[:: max(1, len(self._frames) // _PALETTE_FRAMES)]
+        rows = np.concatenate([np.asarray(frame)[::2, ::2] for frame in some])
+        return Image.fromarray(rows).quantize(256)
