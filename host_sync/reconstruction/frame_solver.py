@@ -21,7 +21,7 @@ from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
 from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import integrate
-from host_sync.reconstruction.pipeline import EDGES, estimate
+from host_sync.reconstruction.pipeline import estimate
 
 CHECK_COARSENESS: Final = 2
 SAMPLED_COLUMNS: Final = 180
@@ -92,9 +92,7 @@ class FrameSolver:
         intensity = self._read(frame)
         check_intensity(intensity, self._calibration.divisor, frame.name, CHECK_COARSENESS)
         gradients = self._gradients(intensity)
-        height, _ = integrate(
-            gradients, self._calibration.pitch_um, edges=EDGES[self._method], tolerance_px=TOLERANCE_PX
-        )
+        height, _ = integrate(gradients, self._calibration.pitch_um, tolerance_px=TOLERANCE_PX)
         zero_um = height_of_rest_um(height, untouched_skin(gradients))
         peak_um, known = _lower(height.z_um, np.float32(zero_um), out)
         return FrameFigures(
