@@ -19,6 +19,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, SpinnerColumn, Te
 
 from device.errors import DeviceError
 from host_sync.calibration.full_calibration import Method
+from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library, default_library
@@ -116,7 +117,8 @@ def _reconstruct_frame_set(
     path: Path, out: Path, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
 ) -> int:
     frame_set = load_frame_set(path)
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
     done, failures = reconstruct_frame_set(frame_set, out, method, names, tell)
@@ -136,7 +138,8 @@ def _reconstruct_library(
     failed = [] if names else [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
     job = LibraryJob(library, method, tell)

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from device.calibration_bundle import read_calibration
 from host_sync.calibration.full_calibration import Calibration, Method
+from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frame_sequence import open_sequence
 from host_sync.frame_set import load_frame_set
@@ -69,8 +70,9 @@ def video(
         raise FrameSetError(f"--rate-hz {rate_hz:g} is no rate: give frames a second, such as 25")
     frames = open_sequence(sequence)
     with _telling() as tell:
+        tell_of_compiling()
         known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
-        tell("loading compiled code (the first run compiles it)", None, None)
+        tell("loading compiled code", None, None)
         from host_sync.reconstruction.frame_solver import FrameSolver
         from host_sync.reconstruction.sequence_job import reconstruct_sequence
         from host_sync.reconstruction.sequence_record import SequenceOrder

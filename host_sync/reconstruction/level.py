@@ -7,6 +7,7 @@ pixels.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Final
 
 import cv2
@@ -59,6 +60,11 @@ def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
 def levelled(height: HeightMap, at_rest: MaskArray) -> HeightMap:
     """The height map with zero at the median of the skin at rest."""
     return HeightMap(height.z_um - np.float32(height_of_rest_um(height, at_rest)), height.pitch_um)
+
+
+def cache_directory() -> Path:
+    """Where the compiled kernels of this package are kept."""
+    return Path(str(_cell_sums.stats.cache_path))
 
 
 @njit(cache=True, parallel=True)

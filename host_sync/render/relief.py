@@ -47,7 +47,7 @@ def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: f
 
 def height_range_um(height: HeightMap) -> tuple[float, float]:
     """Heights (µm) between which nearly all valid pixels lie; (0, 1) when none is valid."""
-    step = max(1, height.z_um.shape[1] // 500)
+    step = max(1, height.z_um.shape[1] // 300)
     sample = height.z_um[::step, ::step]
     finite = sample[np.isfinite(sample)]
     if not finite.size:

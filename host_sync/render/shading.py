@@ -49,7 +49,7 @@ def flat_brightness(elevation_deg: float = LIGHT_ELEVATION_DEG) -> float:
 
 def steep_slope(height: HeightMap) -> float:
     """Slope that few pixels exceed; 0 when none is valid."""
-    step = max(1, height.z_um.shape[1] // 400)
+    step = max(1, height.z_um.shape[1] // 250)
     here = height.z_um[:-1:step, :-1:step]
     across, down = height.z_um[:-1:step, 1::step], height.z_um[1::step, :-1:step]
     steepness = np.hypot(across - here, down - here) / height.pitch_um

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import tifffile
 
 from device.active_calibration import read_active
+from device.calibration_bundle import CalibrationBundle
+from device.model_file import MODEL_FILE, read_model
+from device.photometry import blurred_reference, demosaic
 from device.raw_file import write_raw
 from host_sync.__main__ import main
 
@@ -28,9 +32,26 @@ def sequence(calibrated_root: Path, tmp_path: Path) -> Path:
     return folder
 
 
+def as_the_device_fitted_it(bundle: CalibrationBundle, _tell: object) -> SimpleNamespace:
+    """A calibration in a moment: the workstation's own, from the same frames, takes half a minute and its own tests."""
+    model = read_model(bundle.path(MODEL_FILE))
+    return SimpleNamespace(
+        divisor=blurred_reference(demosaic(bundle.reference())),
+        pitch_um=bundle.record.pixel_pitch_um,
+        inverse=SimpleNamespace(map=model),
+        calibration_id="c0ffee",
+        preferred="direct",
+    )
+
+
 def test_a_folder_of_raw_frames_under_a_librarys_calibration(
-    calibrated_root: Path, sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    calibrated_root: Path,
+    sequence: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("host_sync.reconstruction.library_job.calibration_of", as_the_device_fitted_it)
     bundle = read_active(calibrated_root)
     out = tmp_path / "out"
     arguments = ["video", str(sequence), "--calibration", bundle.calibration_id[:-1], "--library", str(calibrated_root)]
