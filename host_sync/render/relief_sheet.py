@@ -163,12 +163,13 @@ def round_below(value: float) -> float:
 
 
 def ticks(low: float, high: float, most: int = 10) -> list[float]:
-    """Round values from low to high, at most `most` of them and ten."""
+    """Round values from low to high, at most `most` of them and ten; one just beside an end counts as within."""
     span = max(high - low, 1e-9)
     step = round_below(span / 3.0)
     while span / step > min(most, 10) - 1:
         step = round_below(2.6 * step)
-    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+    beside = 0.01 * span
+    first, last = int(np.ceil((low - beside) / step)), int(np.floor((high + beside) / step))
     return [float(round(index * step, 12)) for index in range(first, last + 1)]
 
 
