@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -25,7 +25,7 @@ from host_sync.errors import HostError, SequenceError
 from host_sync.frame_sequence import BadFrame, FrameSequence, StoredFrame
 from host_sync.reconstruction.frame_solver import FrameSolver
 from host_sync.reconstruction.height_stack import HeightStack, open_heights
-from host_sync.reconstruction.sequence_movie import MovieFiles, SeenRelief, write_movie
+from host_sync.reconstruction.sequence_movie import MovieFiles, Progress, SeenRelief, write_movie
 from host_sync.reconstruction.sequence_record import (
     DEFAULT_RATE_HZ,
     HEIGHTS_FILE,
@@ -39,9 +39,6 @@ from host_sync.reconstruction.whole_directory import whole_directory
 RECORD_FILE: Final = "result.json"
 AHEAD: Final = 3
 """Frames decoded before they are solved, and heights solved before they are written."""
-
-
-Progress = Callable[[str, int, int], None]
 
 
 def reconstruct_sequence(
@@ -74,17 +71,12 @@ def reconstruct_sequence(
         if all(outcome.figures is None for outcome in outcomes):
             raise SequenceError(f"none of {len(outcomes)} frames could be reconstructed: {outcomes[0].reason}")
         movies = MovieFiles(folder / "relief.mp4" if order.mp4 else None, folder / "relief.gif" if order.gif else None)
-        if order.mp4 or order.gif:
+        if movies.wanted:
             heights = open_heights(folder / HEIGHTS_FILE)
-            write_movie(
-                movies, heights, calibration.pitch_um, rate_hz, seen, order.name,
-                lambda done: progress("relief", done, len(outcomes)),
-            )  # fmt: skip
-        drawn = time.perf_counter()
-        report = SequenceReport(
-            tuple(outcomes), rate_hz, len(outcomes) / (solved - began),
-            len(outcomes) / (drawn - solved) if order.mp4 or order.gif else None,
-        )  # fmt: skip
+            write_movie(movies, heights, calibration.pitch_um, rate_hz, seen, order.name, progress)
+        heights_per_s = len(outcomes) / (solved - began)
+        pictures_per_s = len(outcomes) / (time.perf_counter() - solved) if movies.wanted else None
+        report = SequenceReport(tuple(outcomes), rate_hz, heights_per_s, pictures_per_s)
         record = sequence_record(report, calibration, solver, seen, order)
         (folder / RECORD_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
     return report
@@ -128,8 +120,8 @@ def _decoded_ahead(sequence: FrameSequence, reading: ThreadPoolExecutor) -> Iter
     frames = sequence.frames()
     jobs = deque(reading.submit(next, frames, None) for _ in range(AHEAD))
     while (frame := jobs.popleft().result()) is not None:
-        yield frame
         jobs.append(reading.submit(next, frames, None))
+        yield frame
 
 
 def _outcome(frame: StoredFrame | BadFrame, solver: FrameSolver, z_um: Float32Array) -> FrameOutcome:

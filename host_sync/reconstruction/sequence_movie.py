@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,8 @@ from host_sync.render.relief_sheet import ReliefSheet
 from host_sync.render.shading import exaggeration_for, reduced, steep_slope
 
 MOVIE_WIDEST_PX: Final = 960
+Progress = Callable[[str, int, int], None]
+
 _AHEAD: Final = 3
 """Pictures drawn before the encoder has taken the first of them."""
 
@@ -44,6 +47,11 @@ class MovieFiles:
     mp4: Path | None
     gif: Path | None
 
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to draw."""
+        return self.mp4 is not None or self.gif is not None
+
 
 def write_movie(
     files: MovieFiles,
@@ -52,12 +60,12 @@ def write_movie(
     rate_hz: float,
     seen: SeenRelief,
     title: str,
-    progress: Callable[[int], None],
+    progress: Progress,
 ) -> None:
     """Draw and encode the relief of every page.
 
     stack : float32 array of shape (T, H, W), µm; pages are read as they are drawn
-    progress : is given the number of pages done
+    progress : is given the step, and how many pages of how many are done
 
     Raises
     ------
@@ -71,40 +79,24 @@ def write_movie(
         first.z_um.shape, first.pitch_um, (seen.low_um, seen.high_um), exaggeration_for(seen.steep), title
     )
     gif = ReliefGif(len(numbers), rate_hz / skipped) if files.gif else None
-    with ThreadPoolExecutor(1) as encoder:
+    with ExitStack() as opened:
+        sinks: list[Callable[[int, Picture], None]] = [gif.append] if gif else []
         if files.mp4:
-            with ReliefMovie(files.mp4, sheet.shape, rate_hz / skipped) as movie:
-                _draw_all(sheet, stack, pitch_um, rate_hz, numbers, encoder, [movie.append], gif, progress)
-        else:
-            _draw_all(sheet, stack, pitch_um, rate_hz, numbers, encoder, [], gif, progress)
+            movie = opened.enter_context(ReliefMovie(files.mp4, sheet.shape, rate_hz / skipped))
+            sinks.append(lambda _order, picture: movie.append(picture))
+        # Entered last, so that nothing is being encoded any more when the movie is closed.
+        encoder = opened.enter_context(ThreadPoolExecutor(1))
+        pending: deque[Future[None]] = deque()
+        for order, number in enumerate(numbers):
+            picture = sheet.draw(_page(stack, number, pitch_um), f"{number / rate_hz:.2f} s")
+            pending.extend(encoder.submit(sink, order, picture) for sink in sinks)
+            while len(pending) > _AHEAD:
+                pending.popleft().result()
+            progress("relief", number + 1, len(stack))
+        for job in pending:
+            job.result()
     if gif and files.gif:
         gif.write(files.gif)
-
-
-def _draw_all(
-    sheet: ReliefSheet,
-    stack: Float32Array,
-    pitch_um: float,
-    rate_hz: float,
-    numbers: range,
-    encoder: ThreadPoolExecutor,
-    sinks: list[Callable[[Picture], None]],
-    gif: ReliefGif | None,
-    progress: Callable[[int], None],
-) -> None:
-    """Draw every picture while the one before it is encoded."""
-    pending: deque[Future[None]] = deque()
-    for order, number in enumerate(numbers):
-        picture = sheet.draw(_page(stack, number, pitch_um), f"{number / rate_hz:.2f} s")
-        for sink in sinks:
-            pending.append(encoder.submit(sink, picture))
-        if gif:
-            pending.append(encoder.submit(gif.append, order, picture))
-        while len(pending) > _AHEAD:
-            pending.popleft().result()
-        progress(number + 1)
-    for job in pending:
-        job.result()
 
 
 def _page(stack: Float32Array, number: int, pitch_um: float) -> HeightMap:
