@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
 from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, MaskArray
@@ -127,25 +127,32 @@ def _sampled(image: IntensityImage) -> IntensityImage:
     return IntensityImage(np.ascontiguousarray(image.values[every]), image.valid[every], image.clipped[every])
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _flatten(p: Float32Array, q: Float32Array, valid: MaskArray) -> None:
     """Make slopes nought where they mean nothing."""
-    for r in range(valid.shape[0]):
+    for r in prange(valid.shape[0]):
         for c in range(valid.shape[1]):
             if not valid[r, c]:
                 p[r, c] = np.float32(0.0)
                 q[r, c] = np.float32(0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _lower(z_um: Float32Array, zero_um: Any, out: Float32Array) -> tuple[Any, int]:
-    """Write heights above `zero_um`; returns the largest and how many are known."""
+    """Write heights above `zero_um`, also in place; returns the largest and how many are known."""
+    rows = out.shape[0]
+    highest, known = np.full(rows, -np.inf, np.float32), np.zeros(rows, np.int64)
+    for r in prange(rows):
+        highest[r], known[r] = _lower_row(z_um[r], zero_um, out[r])
+    return highest.max(), known.sum()
+
+
+@njit(cache=True)
+def _lower_row(z_um: Any, zero_um: Any, out: Any) -> tuple[Any, int]:
     highest, known = np.float32(-np.inf), 0
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            z = z_um[r, c] - zero_um
-            out[r, c] = z
-            finite = np.isfinite(z)
-            known += finite
-            highest = max(highest, z) if finite else highest
+    for c in range(out.size):
+        z = z_um[c] - zero_um
+        out[c] = z
+        known += np.isfinite(z)
+        highest = z if z > highest else highest
     return highest, known
