@@ -29,6 +29,9 @@ SATURATED: Final = 0.98
 BLACK_FRAME: Final = 0.01
 """A frame whose 99th percentile stays under this share of full scale saw no light."""
 
+EXPOSURE_STEP: Final = 8
+"""One pixel in so many rows and columns tells whether a frame is exposed."""
+
 _DEMOSAIC: Final[dict[BayerOrder, int]] = {
     # OpenCV names the pattern by the second row's second and third pixel: its BG is RGGB.
     "RGGB": cv2.COLOR_BAYER_BG2RGB,
@@ -143,12 +146,17 @@ def check_exposed(frame: LinearFrame, name: str) -> None:
     FrameError
         Names `name` and what to check.
     """
-    sample = frame.rgb[::8, ::8]
+    check_exposed_sample(frame.rgb[::EXPOSURE_STEP, ::EXPOSURE_STEP], float(frame.clipped.mean()), name)
+
+
+def check_exposed_sample(sample: Float32Array, clipped_share: float, name: str) -> None:
+    """The same from every `EXPOSURE_STEP`-th row and column of a frame and its share of clipped pixels."""
     if float(np.percentile(sample, 99)) < BLACK_FRAME:
         raise FrameError(f"{name} is black: check that the lights are on and the lens is open, then take it again")
-    clipped = float(frame.clipped.mean())
-    if clipped > 0.5:
-        raise FrameError(f"{name} is saturated over {clipped:.0%} of its area: lower the exposure and take it again")
+    if clipped_share > 0.5:
+        raise FrameError(
+            f"{name} is saturated over {clipped_share:.0%} of its area: lower the exposure and take it again"
+        )
 
 
 def blurred_reference(reference: LinearFrame) -> Float32Array:
@@ -165,14 +173,25 @@ def divide(frame: LinearFrame, divisor: Float32Array) -> IntensityImage:
     CalibrationMismatch
         The frame's size differs from the reference's.
     """
-    if frame.rgb.shape != divisor.shape:
-        sizes = [f"{shape[1]}x{shape[0]}" for shape in (frame.rgb.shape, divisor.shape)]
-        raise CalibrationMismatch(
-            f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
-        )
+    check_same_size(frame.shape, divisor)
     lit = np.asarray((divisor > DARK_FLOOR).all(axis=-1), np.bool_)
     values: Float32Array = np.divide(frame.rgb, np.maximum(divisor, np.float32(DARK_FLOOR)), dtype=np.float32)
     return IntensityImage(values, lit, frame.clipped)
+
+
+def check_same_size(shape: tuple[int, ...], divisor: Float32Array) -> None:
+    """Refuse a frame of shape (H, W) under a divisor of another size.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Says both sizes.
+    """
+    if shape != divisor.shape[:2]:
+        sizes = [f"{size[1]}x{size[0]}" for size in (shape, divisor.shape)]
+        raise CalibrationMismatch(
+            f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
+        )
 
 
 def pseudo_reference(frames: list[LinearFrame], degree: int = 6) -> Float32Array:

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, SpinnerColumn, Te
 
 from device.errors import DeviceError
 from host_sync.calibration.full_calibration import Method
+from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library, default_library
@@ -26,6 +27,7 @@ from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
 from host_sync.picture_format import PictureFormat
 from host_sync.reconstruction.detail_filter import DetailBand
+from host_sync.video_command import video
 
 DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
 
@@ -33,6 +35,7 @@ app = App(
     name="retrosync",
     version=lambda: f"retrograph {version('retrograph')}",
     help="Fetch scans from a handheld, prove them, reconstruct their surfaces.",
+    suppress_keyboard_interrupt=False,
 )
 
 
@@ -47,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError:
         return BAD_INPUT  # it has said in its own words which argument is wrong
     except KeyboardInterrupt:
-        return _complain("stopped", 130)
+        return _complain("stopped: what was not finished is not there", 130)
     except BrokenPipeError:
         # Whoever read the output has gone: let the interpreter's last flush go nowhere too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -66,17 +69,19 @@ def pull_command(source: Path, *, library: Path | None = None) -> int:
     """
     target = Library(library or default_library())
     console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), DownloadColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pull", total=None)
 
         def show(state: PullProgress) -> None:
             progress.update(task, description=state.bundle_id, completed=state.done_bytes, total=state.total_bytes)
 
         report = pull(DirectorySource(source), target, show)
-    console.print(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {target.root}")
+    sys.stdout.write(
+        f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {target.root}\n"
+    )
     for scan in report.without_calibration:
-        console.print(f"Note: scan {scan} has no calibration here.")
+        sys.stdout.write(f"Note: scan {scan} has no calibration here.\n")
     for failure in report.failed:
         _complain(f"{failure.bundle_id}: {failure.reason}", PARTLY)
     return DONE if report.complete else PARTLY
@@ -112,6 +117,9 @@ def reconstruct(
         return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band)
 
 
+app.command(video)
+
+
 def _reconstruct_frame_set(
     path: Path,
     out: Path,
@@ -121,7 +129,8 @@ def _reconstruct_frame_set(
     band: DetailBand | None,
 ) -> int:
     frame_set = load_frame_set(path)
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
     done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band)
@@ -145,7 +154,8 @@ def _reconstruct_library(
     failed = [] if names else [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
     job = LibraryJob(library, method, tell, band)
@@ -196,8 +206,9 @@ def figures(
 @contextmanager
 def _telling() -> Iterator[Callable[[str], None]]:
     """A line that says what is being done and for how long."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None)
         yield lambda words: progress.update(task, description=words)
 

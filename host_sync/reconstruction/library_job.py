@@ -16,7 +16,7 @@ from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.library import Library
 from host_sync.reconstruction.detail_filter import DetailBand
-from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
 from host_sync.reconstruction.results import write_result
 
 
@@ -61,8 +61,7 @@ class LibraryJob:
         calibration = self._calibration(bundle)
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
-        frame = demosaic(scan.raw_frame())
-        reconstruction = reconstruct(frame, calibration, name, self._method)
+        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, self._method)
         folder = self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}

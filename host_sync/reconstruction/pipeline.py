@@ -1,4 +1,4 @@
-"""From one linear frame to its height map: intensity, gradients, integration, level, uncertainty."""
+"""From one frame to its height map: intensity, gradients, integration, level, uncertainty."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from device.channel_order import check_channel_order
-from device.photometry import IntensityImage, LinearFrame, check_exposed, divide
+from device.photometry import IntensityImage, LinearFrame, divide
 from device.surface import Float32Array, GradientField, HeightMap, surface_slopes
+from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.paper_model import estimate_gradients
+from host_sync.reconstruction.intensity_checks import check_intensity
+from host_sync.reconstruction.intensity_kernel import raw_intensity
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import IntegrationReport, integrate
 from host_sync.reconstruction.printed_integration import integrate_as_printed
@@ -59,10 +61,22 @@ def reconstruct(
     CalibrationMismatch
         Its size or channel order is not the calibration's.
     """
+    return reconstruct_intensity(divide(frame, calibration.divisor), calibration, name, method)
+
+
+def reconstruct_raw(
+    frame: RawFrame, calibration: Calibration, name: str, method: Method | None = None
+) -> Reconstruction:
+    """The same from a raw frame, which becomes intensity in one pass; errors as for `reconstruct`."""
+    return reconstruct_intensity(raw_intensity(frame, calibration.divisor), calibration, name, method)
+
+
+def reconstruct_intensity(
+    intensity: IntensityImage, calibration: Calibration, name: str, method: Method | None = None
+) -> Reconstruction:
+    """The same from intensity under the calibration's divisor; errors as for `reconstruct`."""
     chosen = method or calibration.preferred
-    check_exposed(frame, name)
-    intensity = divide(frame, calibration.divisor)
-    check_channel_order(frame, calibration.divisor, name)
+    check_intensity(intensity, calibration.divisor, name)
     gradients = estimate(intensity, calibration, chosen)
     solve = integrate_as_printed if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
@@ -72,7 +86,7 @@ def reconstruct(
     raised = raised_slopes(gradients, intensity, calibration.inverse.map, calibration.slope_error)
     contradiction = contradicted_slope(gradients, p, q)
     sigma_um = height_sigma_um(height, gradients, raised, contradiction, calibration.slope_error, at_rest)
-    clipped = float(frame.clipped.mean())
+    clipped = float(intensity.clipped.mean())
     return Reconstruction(chosen, height, sigma_um, p, q, gradients, integration, clipped)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ from host_sync.reconstruction.detail_filter import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.reconstruction.whole_directory import whole_directory
 from host_sync.render.detail_picture import write_detail
-from host_sync.render.relief import write_relief
+from host_sync.render.relief_sheet import write_relief
 
 SCHEMA = "retrograph.result/1"
 RECORD_FILE = "result.json"
+WRITERS = 2
+"""Files written at a time: the relief takes about as long as the fields together."""
 
 
 def write_result(
@@ -42,14 +45,18 @@ def write_result(
         The place cannot be written; what stood there stands.
     """
     with whole_directory(target, RECORD_FILE) as folder:
-        pitch_um = calibration.pitch_um
-        write_field(folder / "height_um.tif", reconstruction.height.z_um, pitch_um, "height, um")
-        write_field(folder / "slope_p.tif", reconstruction.p, pitch_um, "dz/dcolumn, um/um")
-        write_field(folder / "slope_q.tif", reconstruction.q, pitch_um, "dz/drow, um/um")
-        write_field(
-            folder / "height_sigma_um.tif", reconstruction.sigma_um, pitch_um, "standard uncertainty of height, um"
-        )
-        write_relief(folder / "relief.png", reconstruction.height, name)
+        fields = {
+            "height_um.tif": (reconstruction.height.z_um, "height, um"),
+            "slope_p.tif": (reconstruction.p, "dz/dcolumn, um/um"),
+            "slope_q.tif": (reconstruction.q, "dz/drow, um/um"),
+            "height_sigma_um.tif": (reconstruction.sigma_um, "standard uncertainty of height, um"),
+        }
+        with ThreadPoolExecutor(WRITERS) as writers:
+            jobs = [writers.submit(write_relief, folder / "relief.png", reconstruction.height, name)]
+            for file, (values, what) in fields.items():
+                jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
+            for job in jobs:
+                job.result()
         record = result_record(name, reconstruction, calibration) | (facts or {})
         if band is not None:
             record |= {"detail": _write_detail(folder, reconstruction.height, band, name)}
