@@ -23,7 +23,7 @@ CONTRACT: Final = {"contract"}
 
 def chebyshev_steps(sweeps: int) -> Float32Array:
     """Relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST, HIGHEST]."""
-    angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * max(sweeps, 1))
+    angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * sweeps)
     return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Checks a gradient field once, before it is integrated, and tells which kernels it needs."""
+"""Looks at a gradient field's weights before it is integrated, and tells which kernels it needs."""
 
 from __future__ import annotations
 
@@ -8,31 +8,33 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from device.surface import GradientField
+from device.surface import Float32Array, GradientField
 from host_sync.errors import IntegrationError
 
 LEAST_SIDE_PX = 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldSurvey:
     """What a gradient field holds.
 
+    weight : float32 array of shape (H, W), nought at holes; None for a full rectangle of equal weights
     holes : number of pixels without a height
-    weighted : whether edges differ in weight; a full rectangle of equal weights does not need any
+    largest : largest weight
     """
 
+    weight: Float32Array | None
     holes: int
-    weighted: bool
+    largest: float
 
 
 def survey(gradients: GradientField) -> FieldSurvey:
-    """What the field holds.
+    """What the field holds; slopes are not looked at (see `refuse_slopes`).
 
     Raises
     ------
     IntegrationError
-        Shapes differ or are too small, a valid pixel has no finite slope or weight, or no pixel is valid.
+        Shapes differ or are too small, a valid pixel has no finite weight, or no pixel is valid.
     """
     shape = gradients.valid.shape
     if any(part.shape != shape for part in (gradients.p, gradients.q, gradients.weight)):
@@ -40,47 +42,63 @@ def survey(gradients: GradientField) -> FieldSurvey:
         raise IntegrationError(f"the parts of the gradient field differ in shape ({shapes}): give arrays of one (H, W)")
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
-    weight = np.asarray(gradients.weight, np.float32)
-    first = np.float32(weight.flat[np.argmax(gradients.valid)])
-    used, faulty, odd, others = _survey_rows(gradients.p, gradients.q, gradients.valid, weight, first)
-    if odd.any():
-        raise IntegrationError(f"{odd.sum()} valid pixels have a negative or no finite weight: mark them as not valid")
-    if faulty.any():
-        raise IntegrationError(
-            f"{faulty.sum()} valid pixels have no finite slope, the first in row {np.flatnonzero(faulty)[0]}: "
-            "mark them as not valid"
-        )
-    count = int(used.sum())
-    if count == 0:
+    weight = np.ascontiguousarray(gradients.weight, np.float32)
+    counts, extremes = _survey_rows(gradients.valid, weight)
+    used, odd, stray = (int(count) for count in counts.sum(axis=0))
+    if odd:
+        raise IntegrationError(f"{odd} valid pixels have a negative or no finite weight: mark them as not valid")
+    if used == 0:
         raise IntegrationError(
             "no pixel of the gradient field is valid: nothing can be integrated, take the scan again"
         )
-    holes = gradients.valid.size - count
-    return FieldSurvey(holes, holes > 0 or bool(others.any()))
+    holes, smallest, largest = weight.size - used, extremes[:, 0].min(), float(extremes[:, 1].max())
+    if holes == 0 and smallest == largest:
+        return FieldSurvey(None, 0, largest)
+    return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, holes, largest)
+
+
+def refuse_slopes(gradients: GradientField) -> None:
+    """Raise the error that says why heights came out that are not finite.
+
+    Raises
+    ------
+    IntegrationError
+        A valid pixel has no finite slope, or slopes are too large.
+    """
+    finite = np.isfinite(gradients.p) & np.isfinite(gradients.q)
+    faulty = gradients.valid & (gradients.weight > 0.0) & ~finite
+    if faulty.any():
+        raise IntegrationError(
+            f"{faulty.sum()} valid pixels have no finite slope, the first in row {np.nonzero(faulty)[0][0]}: "
+            "mark them as not valid"
+        )
+    raise IntegrationError("the slopes are too large to be integrated in single precision: check their unit")
 
 
 @njit(cache=True, parallel=True)
-def _survey_rows(p: Any, q: Any, valid: Any, weight: Any, first: Any) -> Any:
-    """Per row: pixels used, those without a slope, without a proper weight, and that weigh other than `first`."""
+def _survey_rows(valid: Any, weight: Any) -> tuple[Any, Any]:
+    """Per row: pixels used, valid ones without a proper weight, others with a weight; least and largest weight used."""
     rows = valid.shape[0]
-    counts = np.zeros((4, rows), np.int32)
+    counts, extremes = np.zeros((rows, 3), np.int32), np.zeros((rows, 2), np.float32)
     for r in prange(rows):
-        counts[0, r], counts[1, r], counts[2, r], counts[3, r] = _survey_row(p[r], q[r], valid[r], weight[r], first)
-    return counts
+        _survey_row(valid[r], weight[r], counts[r], extremes[r])
+    return counts, extremes
 
 
 @njit(cache=True)
-def _survey_row(p: Any, q: Any, valid: Any, weight: Any, first: Any) -> tuple[Any, Any, Any, Any]:
-    """The figures of one row; x - x is nought for finite x alone."""
-    nought = np.float32(0.0)
-    used, faulty, odd, others = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
-    for c in range(p.size):
-        w, counts = weight[c], valid[c]
-        usable = counts & (w > nought)
-        finite = ((p[c] - p[c]) == nought) & ((q[c] - q[c]) == nought)
+def _survey_row(valid: Any, weight: Any, counts: Any, extremes: Any) -> None:
+    """Write the figures of one row; w - w is nought for finite w alone."""
+    nought, infinite = np.float32(0.0), np.float32(np.inf)
+    used, odd, stray = np.int32(0), np.int32(0), np.int32(0)
+    least, largest = infinite, nought
+    for c in range(valid.size):
+        w, counts_in = weight[c], valid[c]
+        usable = counts_in & (w > nought)
         proper = (w >= nought) & ((w - w) == nought)
         used += np.int32(usable)
-        faulty += np.int32(usable & (not finite))
-        odd += np.int32(counts & (not proper))
-        others += np.int32(usable & (w != first))
-    return used, faulty, odd, others
+        odd += np.int32(counts_in & (not proper))
+        stray += np.int32((not counts_in) & (w != nought))
+        least = min(least, w if usable else infinite)
+        largest = max(largest, w if usable else nought)
+    counts[0], counts[1], counts[2] = used, odd, stray
+    extremes[0], extremes[1] = least, largest
