@@ -25,47 +25,52 @@ from host_sync.reconstruction.smoother import CONTRACT
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def unit_shape(top: Any, bottom: Any, middle: Any, upper: Any, lower: Any) -> None:
+def unit_shape(top: Any, bottom: Any, middle: Any, base: Any, upper: Any, lower: Any) -> None:
     """Write the shapes of a row of cells where every edge weighs 1.
 
     top, bottom : slopes of the edges left of each pixel of the upper and lower row, shape (W + 1,)
     middle : slopes of the edges between both rows, shape (W,)
-    upper, lower : receive the offsets of both rows' pixels, shape (W,)
+    base : heights of the cells, that their shapes are added to
+    upper, lower : receive the heights of both rows' pixels, shape (W,)
     """
     quarter, eighth, half = np.float32(0.25), np.float32(0.125), np.float32(0.5)
     width = upper.size
     for i in range(width // 2):
         t, b, left, right = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
         x, y, twist = quarter * (t + b), quarter * (left + right), eighth * ((b - t) + (right - left))
-        upper[2 * i], upper[2 * i + 1] = (twist - x) - y, (x - y) - twist
-        lower[2 * i], lower[2 * i + 1] = (y - x) - twist, (x + y) + twist
+        up, down, z = twist - y, y - twist, base[i]
+        upper[2 * i], upper[2 * i + 1] = z + (up - x), z + (x - (twist + y))
+        lower[2 * i], lower[2 * i + 1] = z + (down - x), z + (x + (y + twist))
     if width % 2:
-        upper[width - 1], lower[width - 1] = -half * middle[width - 1], half * middle[width - 1]
+        z, y = base[width // 2], half * middle[width - 1]
+        upper[width - 1], lower[width - 1] = z - y, z + y
 
 
 @njit(cache=True, fastmath=CONTRACT)
 def weighted_shape(
-    top: Any, bottom: Any, middle: Any, w_top: Any, w_bottom: Any, w_middle: Any, upper: Any, lower: Any
-) -> None:
+    top: Any, bottom: Any, middle: Any, w_top: Any, w_bottom: Any, w_middle: Any, base: Any, upper: Any,
+    lower: Any,
+) -> None:  # fmt: skip
     """Write the shapes of a row of cells; as `unit_shape`, with the weight of each edge, nought where it is missing."""
     quarter, eighth, half, nought = np.float32(0.25), np.float32(0.125), np.float32(0.5), np.float32(0.0)
     width = upper.size
     for i in range(width // 2):
         w_t, w_b, w_l, w_r = w_top[2 * i + 1], w_bottom[2 * i + 1], w_middle[2 * i], w_middle[2 * i + 1]
-        t = top[2 * i + 1] if w_t > nought else bottom[2 * i + 1]
-        b = bottom[2 * i + 1] if w_b > nought else top[2 * i + 1]
-        left = middle[2 * i] if w_l > nought else middle[2 * i + 1]
-        right = middle[2 * i + 1] if w_r > nought else middle[2 * i]
+        g_t, g_b, g_l, g_r = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
+        t, b = g_t if w_t > nought else g_b, g_b if w_b > nought else g_t
+        left, right = g_l if w_l > nought else g_r, g_r if w_r > nought else g_l
         across, down = w_t * w_b, w_l * w_r
         s_t, s_b, s_l, s_r = w_b * down, w_t * down, w_r * across, w_l * across
         total = (s_t + s_b) + (s_l + s_r)
         gap = ((t - b) + (right - left)) / max(total, LEAST)
         t, b, left, right = t - gap * s_t, b + gap * s_b, left + gap * s_l, right - gap * s_r
         x, y, twist = quarter * (t + b), quarter * (left + right), eighth * ((b - t) + (right - left))
-        upper[2 * i], upper[2 * i + 1] = (twist - x) - y, (x - y) - twist
-        lower[2 * i], lower[2 * i + 1] = (y - x) - twist, (x + y) + twist
+        up, down, z = twist - y, y - twist, base[i]
+        upper[2 * i], upper[2 * i + 1] = z + (up - x), z + (x - (twist + y))
+        lower[2 * i], lower[2 * i + 1] = z + (down - x), z + (x + (y + twist))
     if width % 2:
-        upper[width - 1], lower[width - 1] = -half * middle[width - 1], half * middle[width - 1]
+        z, y = base[width // 2], half * middle[width - 1]
+        upper[width - 1], lower[width - 1] = z - y, z + y
 
 
 @njit(cache=True, fastmath=CONTRACT)

@@ -84,7 +84,7 @@ def _condense(
                     p, q, weight, scale, rule, row, pixels, across, slope_across, down, slope_down, padded
                 )  # fmt: skip
         upper, lower = offsets[2 * (r % 2)], offsets[2 * (r % 2) + 1]
-        shape_rows(2 * r, rows, across, slope_across, down, slope_down, nothing, upper, lower)
+        shape_rows(2 * r, rows, across, slope_across, down, slope_down, nothing, nothing, upper, lower)
         if r < first:
             continue
         above = offsets[2 * ((r + 1) % 2) + 1]

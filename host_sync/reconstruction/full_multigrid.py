@@ -45,8 +45,9 @@ LEAST_TOLERANCE_PX: Final = 1e-4
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
 
-COARSE_CYCLES: Final = {False: 1, True: 2}
-"""V-cycles on each coarse level, without and with weights."""
+COARSE_CYCLES: Final = 1, 0
+WEIGHTED_CYCLES: Final = 2, 1
+"""V-cycles on coarse levels in general and on the one below the pixels, without and with weights."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +70,7 @@ def full_multigrid(
     field: PixelField,
     levels: list[GridLevel],
     heights: tuple[Float32Array, Float32Array],
-    islands: Islands,
+    islands: Islands | None,
     tolerance_px: float | None,
     max_cycles: int,
 ) -> Solution:
@@ -89,14 +90,17 @@ def full_multigrid(
 
 
 def _conjugate_gradients(
-    field: PixelField, levels: list[GridLevel], islands: Islands, so_far: Solution, max_cycles: int
+    field: PixelField, levels: list[GridLevel], islands: Islands | None, so_far: Solution, max_cycles: int
 ) -> Solution:
     """The solution by conjugate gradients around V-cycles on levels that let no cycle diverge."""
     finest = written_level(field)
     inverse = _coarse_solution(field, levels, 0.0)
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
     rhs = finest.rhs.astype(np.float64)
-    islands.balance(rhs)
+    if islands is None:
+        rhs -= rhs.mean()
+    else:
+        islands.balance(rhs)
     start = finest.z.astype(np.float64)
     every = [finest, *levels]
     found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, inverse), so_far.tolerance_px, max_cycles)
@@ -119,8 +123,9 @@ def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -
     write_divergence(levels[-1])
     inverse = pseudo_inverse(levels[-1])
     solve_coarsest(levels[-1], inverse)
+    many, few = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
     for depth in range(len(levels) - 2, -1, -1):
-        nested_cycles(levels[depth:], inverse, COARSE_CYCLES[field.weight is not None])
+        nested_cycles(levels[depth:], inverse, many if depth else few)
     return inverse
 
 

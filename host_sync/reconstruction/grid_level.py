@@ -13,7 +13,7 @@ from device.surface import Float32Array
 SMALL_PX: Final = 1 << 17
 """Levels of fewer pixels are worked on by one thread: waking a second one takes longer."""
 
-COARSEST_PX: Final = 64
+COARSEST_PX: Final = 16
 """A level of no more pixels is solved directly."""
 
 

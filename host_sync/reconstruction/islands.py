@@ -1,16 +1,22 @@
-"""Islands: parts of a field that no edge joins. Slopes say nothing of their relative level, so each has its own."""
+"""Islands: parts of a field that no edge joins. Slopes say nothing of their relative level, so each has its own.
+
+A field is told apart by runs, the unbroken stretches of pixels of a row: a few hundred thousand at most where pixels
+are millions. Runs of neighbouring rows that share a column are joined (union-find).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-import cv2
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from device.surface import Float32Array, Float64Array
+
+STRIDE: Final = 32
+"""Pixels that are looked at together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,52 +24,169 @@ class Islands:
     """Connected parts.
 
     count : number of islands
-    labels : int32 array of shape (H, W), 1 to `count`, 0 at holes; of shape (0, 0) where one island fills the field
+    first : int64 array of shape (H + 1,), number of the first run of each row
+    start, stop : int32 arrays of shape (runs,), first column of a run and the one after its last
+    label : int32 array of shape (runs,), island of each run, 0 to `count` - 1
     """
 
     count: int
-    labels: NDArray[np.int32]
+    first: NDArray[np.int64]
+    start: NDArray[np.int32]
+    stop: NDArray[np.int32]
+    label: NDArray[np.int32]
 
     def balance(self, rhs: Float64Array) -> None:
         """Subtract each island's mean from a right-hand side in place: rounding must not leave it unsolvable."""
-        if self.labels.size == 0:
-            rhs -= rhs.mean()
-            return
-        flat = self.labels.ravel()
-        pixels = np.bincount(flat, minlength=self.count + 1)
-        sums = np.bincount(flat, weights=rhs.ravel(), minlength=self.count + 1)
-        mean = sums / np.maximum(pixels, 1)
-        rhs -= mean[self.labels]
+        means = self._means(_moments(rhs, np.ones((1, 1), np.float32), False, self.first, self.start, self.stop))
+        _shift(rhs, self.first, self.start, self.stop, means[self.label], 1.0, 0.0)
+
+    def level(self, z: Float32Array, weight: Float32Array, scale: float) -> None:
+        """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN."""
+        means = self._means(_moments(z, weight, True, self.first, self.start, self.stop)).astype(np.float32)
+        of_runs = means[self.label]
+        _shift(z, self.first, self.start, self.stop, of_runs, np.float32(scale), np.float32(np.nan))
+
+    def _means(self, moments: Float64Array) -> Float64Array:
+        """Mean of each island from the moments of its runs."""
+        total, weight = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
+        return np.asarray(total / weight, np.float64)
 
 
-def find_islands(weight: Float32Array | None, holes: int) -> Islands:
-    """Parts of the field that are connected through neighbouring pixels.
-
-    weight : float32 array of shape (H, W), nought at holes
-    holes : number of them
-    """
-    if holes == 0 or weight is None:
-        return Islands(1, np.empty((0, 0), np.int32))
-    count, labels = cv2.connectedComponents((weight > 0.0).view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
-    return Islands(count - 1, np.asarray(labels, np.int32))
+def find_islands(weight: Float32Array) -> Islands:
+    """Parts of the field that are connected through neighbouring pixels; `weight` is nought at holes."""
+    counts = _count_runs(weight)
+    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    start, stop = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
+    _write_runs(weight, first, start, stop)
+    label, count = _join_runs(first, start, stop)
+    return Islands(count, first, start, stop, label)
 
 
-def level_islands(z: Float32Array, weight: Float32Array | None, islands: Islands, scale: float) -> None:
-    """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN.
+def level_rectangle(z: Float32Array, scale: float) -> None:
+    """Scale z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
+    _scale(z, np.float32(_row_sums(z).sum() / z.size), np.float32(scale))
 
-    weight : float32 array of shape (H, W), nought at holes; None where every pixel weighs 1
-    scale : factor from the unit of z to the one wanted
-    """
-    factor = np.float32(scale)
-    if weight is None:
-        _shift(z, np.float32(_row_sums(z).sum() / z.size), factor)
-    elif islands.count == 1:
-        moments = _row_moments(z, weight).sum(axis=0)
-        _shift_weighted(z, weight, np.float32(moments[0] / moments[1]), factor)
-    else:
-        moments = _island_moments(z, weight, islands.labels, islands.count + 1)
-        mean = np.append(np.nan, moments[1:, 0] / moments[1:, 1])
-        _shift_islands(z, islands.labels, mean.astype(np.float32), factor)
+
+@njit(cache=True, parallel=True)
+def _count_runs(weight: Any) -> Any:
+    """Number of runs of each row."""
+    counts = np.zeros(weight.shape[0], np.int64)
+    for r in prange(weight.shape[0]):
+        counts[r] = _row_runs(weight[r])
+    return counts
+
+
+@njit(cache=True)
+def _row_runs(row: Any) -> Any:
+    """Number of pixels with a weight that have none before them."""
+    nought = np.float32(0.0)
+    count = np.int32(row[0] > nought)
+    for c in range(1, row.size):
+        count += np.int32((row[c] > nought) & (not row[c - 1] > nought))
+    return count
+
+
+@njit(cache=True, parallel=True)
+def _write_runs(weight: Any, first: Any, start: Any, stop: Any) -> None:
+    """Write where each run begins and ends."""
+    for r in prange(weight.shape[0]):
+        _write_row_runs(weight[r], start[first[r] : first[r + 1]], stop[first[r] : first[r + 1]])
+
+
+@njit(cache=True)
+def _write_row_runs(row: Any, start: Any, stop: Any) -> None:
+    """Write where the runs of a row begin and end; strides that are all alike are passed over."""
+    nought, at, inside = np.float32(0.0), 0, False
+    for begin in range(0, row.size, STRIDE):
+        part = row[begin : begin + STRIDE]
+        used = 0
+        for c in range(part.size):
+            used += np.int32(part[c] > nought)
+        if used == (part.size if inside else 0):
+            continue
+        for c in range(part.size):
+            if (part[c] > nought) != inside:
+                inside = not inside
+                if inside:
+                    start[at] = begin + c
+                else:
+                    stop[at] = begin + c
+                    at += 1
+    if inside:
+        stop[at] = row.size
+
+
+@njit(cache=True)
+def _root(parent: Any, run: int) -> int:
+    """The run that stands for this one's island; paths are halved on the way."""
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@njit(cache=True)
+def _join_runs(first: Any, start: Any, stop: Any) -> tuple[Any, int]:
+    """Island of each run, in the order of their first runs, and how many islands there are."""
+    parent = np.arange(start.size)
+    for r in range(1, first.size - 1):
+        above, here = first[r - 1], first[r]
+        while above < first[r] and here < first[r + 1]:
+            if start[above] < stop[here] and start[here] < stop[above]:
+                a, b = _root(parent, above), _root(parent, here)
+                parent[max(a, b)] = min(a, b)
+            if stop[above] < stop[here]:
+                above += 1
+            else:
+                here += 1
+    label, count = np.empty(start.size, np.int32), 0
+    for run in range(start.size):
+        root = _root(parent, run)
+        if root == run:
+            label[run] = count
+            count += 1
+        else:
+            label[run] = label[root]
+    return label, count
+
+
+@njit(cache=True, parallel=True)
+def _moments(z: Any, weight: Any, weighted: bool, first: Any, start: Any, stop: Any) -> Any:
+    """Per run Σ w z and Σ w, or Σ z and the number of pixels."""
+    moments = np.empty((start.size, 2))
+    for r in prange(z.shape[0]):
+        for run in range(first[r], first[r + 1]):
+            a, b = start[run], stop[run]
+            if weighted:
+                _moment(z[r, a:b], weight[r, a:b], moments[run])
+            else:
+                moments[run, 0], moments[run, 1] = z[r, a:b].sum(), b - a
+    return moments
+
+
+@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _moment(z: Any, weight: Any, out: Any) -> None:
+    """Write Σ w z and Σ w of one run, summed in lanes."""
+    moment, total = 0.0, 0.0
+    for c in range(z.size):
+        moment += np.float64(weight[c]) * z[c]
+        total += weight[c]
+    out[0], out[1] = moment, total
+
+
+@njit(cache=True, parallel=True)
+def _shift(z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hole: Any) -> None:
+    """Write (z - mean) · scale with the mean of each run, `hole` between runs."""
+    for r in prange(z.shape[0]):
+        done = 0
+        for run in range(first[r], first[r + 1]):
+            for c in range(done, start[run]):
+                z[r, c] = hole
+            for c in range(start[run], stop[run]):
+                z[r, c] = (z[r, c] - mean[run]) * scale
+            done = stop[run]
+        for c in range(done, z.shape[1]):
+            z[r, c] = hole
 
 
 @njit(cache=True, parallel=True)
@@ -77,6 +200,7 @@ def _row_sums(z: Any) -> Any:
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
 def _row_sum(z: Any) -> Any:
+    """Sum of a row, in lanes."""
     total = 0.0
     for c in range(z.size):
         total += z[c]
@@ -84,57 +208,8 @@ def _row_sum(z: Any) -> Any:
 
 
 @njit(cache=True, parallel=True)
-def _row_moments(z: Any, weight: Any) -> Any:
-    """Per row Σ w z and Σ w, for a field of one island."""
-    moments = np.zeros((z.shape[0], 2))
-    for r in prange(z.shape[0]):
-        _row_moment(z[r], weight[r], moments[r])
-    return moments
-
-
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _row_moment(z: Any, weight: Any, out: Any) -> None:
-    """Write Σ w z and Σ w of one row, summed in lanes."""
-    moment, total = 0.0, 0.0
-    for c in range(z.size):
-        w = np.float64(weight[c]) if weight[c] > np.float32(0.0) else 0.0
-        moment += w * z[c]
-        total += w
-    out[0], out[1] = moment, total
-
-
-@njit(cache=True)
-def _island_moments(z: Any, weight: Any, labels: Any, count: int) -> Any:
-    """Per label Σ w z and Σ w."""
-    moments = np.zeros((count, 2))
-    for r in range(z.shape[0]):
-        for c in range(z.shape[1]):
-            if labels[r, c] > 0:
-                w = np.float64(weight[r, c])
-                moments[labels[r, c], 0] += w * z[r, c]
-                moments[labels[r, c], 1] += w
-    return moments
-
-
-@njit(cache=True, parallel=True)
-def _shift(z: Any, mean: Any, scale: Any) -> None:
+def _scale(z: Any, mean: Any, scale: Any) -> None:
     """Write (z - mean) · scale."""
     for r in prange(z.shape[0]):
         for c in range(z.shape[1]):
             z[r, c] = (z[r, c] - mean) * scale
-
-
-@njit(cache=True, parallel=True)
-def _shift_weighted(z: Any, weight: Any, mean: Any, scale: Any) -> None:
-    """Write (z - mean) · scale, NaN at holes."""
-    for r in prange(z.shape[0]):
-        for c in range(z.shape[1]):
-            z[r, c] = (z[r, c] - mean) * scale if weight[r, c] > np.float32(0.0) else np.float32(np.nan)
-
-
-@njit(cache=True, parallel=True)
-def _shift_islands(z: Any, labels: Any, mean: Any, scale: Any) -> None:
-    """Write (z - mean) · scale, with the mean of each pixel's label."""
-    for r in prange(z.shape[0]):
-        for c in range(z.shape[1]):
-            z[r, c] = (z[r, c] - mean[labels[r, c]]) * scale

@@ -123,10 +123,10 @@ def ring(rows: int, columns: int) -> Any:
 
 @njit(cache=True)
 def shape_rows(
-    row: int, rows: int, across: Any, slope_across: Any, down: Any, slope_down: Any, nothing: Any, upper: Any,
-    lower: Any,
+    row: int, rows: int, across: Any, slope_across: Any, down: Any, slope_down: Any, nothing: Any, base: Any,
+    upper: Any, lower: Any,
 ) -> None:  # fmt: skip
-    """Write the shapes of the cells over `row` (even) and the next one, if there is one.
+    """Write `row` (even) and the next one, if there is one: heights `base` of the cells over them and their shapes.
 
     nothing : float32 array of shape (W + 1,), nought, in the place of a missing row's edges
     """
@@ -134,14 +134,14 @@ def shape_rows(
     width, single = upper.size, row + 1 == rows
     if across is None:
         if single:
-            unit_shape(slope_across[a], slope_across[a], nothing[:width], upper, lower)
+            unit_shape(slope_across[a], slope_across[a], nothing[:width], base, upper, lower)
         else:
-            unit_shape(slope_across[a], slope_across[b], slope_down[d], upper, lower)
+            unit_shape(slope_across[a], slope_across[b], slope_down[d], base, upper, lower)
     elif single:
         weighted_shape(
-            slope_across[a], nothing, nothing[:width], across[a], nothing, nothing[:width], upper, lower
+            slope_across[a], nothing, nothing[:width], across[a], nothing, nothing[:width], base, upper, lower
         )  # fmt: skip
     else:
         weighted_shape(
-            slope_across[a], slope_across[b], slope_down[d], across[a], across[b], down[d], upper, lower
+            slope_across[a], slope_across[b], slope_down[d], across[a], across[b], down[d], base, upper, lower
         )  # fmt: skip

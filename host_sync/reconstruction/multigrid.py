@@ -14,7 +14,7 @@ from host_sync.errors import IntegrationError
 from host_sync.reconstruction.edge_slopes import EdgeRule, edge_coefficients
 from host_sync.reconstruction.full_multigrid import full_multigrid
 from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels
-from host_sync.reconstruction.islands import find_islands, level_islands
+from host_sync.reconstruction.islands import find_islands, level_rectangle
 from host_sync.reconstruction.survey import FieldSurvey, refuse_slopes, survey
 
 
@@ -92,7 +92,7 @@ class Integrator:
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")
         field = _pixel_field(gradients, found, edges)
-        islands = find_islands(found.weight, found.holes)
+        islands = None if found.weight is None else find_islands(found.weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out
         levels = self._coarser(found.weight is not None)
         solution = full_multigrid(field, levels, (z, self._spare), islands, tolerance_px, max_cycles)
@@ -100,11 +100,14 @@ class Integrator:
             refuse_slopes(gradients)
         if solution.z is not z:
             z[:] = solution.z
-        level_islands(z, found.weight, islands, pitch_um)
+        if islands is None or found.weight is None:
+            level_rectangle(z, pitch_um)
+        else:
+            islands.level(z, found.weight, pitch_um)
         converged = solution.error_px <= solution.tolerance_px
         cycles, residuals = len(solution.residuals), solution.residuals
         return HeightMap(z, pitch_um), IntegrationReport(
-            cycles, residuals, islands.count, converged, solution.error_px
+            cycles, residuals, islands.count if islands else 1, converged, solution.error_px
         )
 
     def _coarser(self, weighted: bool) -> list[GridLevel]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit, prange
@@ -11,7 +11,11 @@ from numba import njit, prange
 from device.surface import Float32Array, GradientField
 from host_sync.errors import IntegrationError
 
-LEAST_SIDE_PX = 3
+LEAST_SIDE_PX: Final = 3
+
+INFINITE: Final = np.int32(0x7F800000)
+MINUS_NOUGHT: Final = np.int32(-0x80000000)
+"""Bits of the float32 values that they are named after; those of numbers that are not finite are larger or negative."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,12 +23,10 @@ class FieldSurvey:
     """What a gradient field holds.
 
     weight : float32 array of shape (H, W), nought at holes; None for a full rectangle of equal weights
-    holes : number of pixels without a height
     largest : largest weight
     """
 
     weight: Float32Array | None
-    holes: int
     largest: float
 
 
@@ -43,7 +45,7 @@ def survey(gradients: GradientField) -> FieldSurvey:
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
     weight = np.ascontiguousarray(gradients.weight, np.float32)
-    counts, extremes = _survey_rows(gradients.valid, weight)
+    counts, extremes = _survey_rows(gradients.valid, weight.view(np.int32))
     used, odd, stray = (int(count) for count in counts.sum(axis=0))
     if odd:
         raise IntegrationError(f"{odd} valid pixels have a negative or no finite weight: mark them as not valid")
@@ -51,10 +53,10 @@ def survey(gradients: GradientField) -> FieldSurvey:
         raise IntegrationError(
             "no pixel of the gradient field is valid: nothing can be integrated, take the scan again"
         )
-    holes, smallest, largest = weight.size - used, extremes[:, 0].min(), float(extremes[:, 1].max())
-    if holes == 0 and smallest == largest:
-        return FieldSurvey(None, 0, largest)
-    return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, holes, largest)
+    smallest, largest = (float(w.view(np.float32)) for w in (extremes[:, 0].min(), extremes[:, 1].max()))
+    if used == weight.size and smallest == largest:
+        return FieldSurvey(None, largest)
+    return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, largest)
 
 
 def refuse_slopes(gradients: GradientField) -> None:
@@ -76,29 +78,31 @@ def refuse_slopes(gradients: GradientField) -> None:
 
 
 @njit(cache=True, parallel=True)
-def _survey_rows(valid: Any, weight: Any) -> tuple[Any, Any]:
-    """Per row: pixels used, valid ones without a proper weight, others with a weight; least and largest weight used."""
+def _survey_rows(valid: Any, bits: Any) -> tuple[Any, Any]:
+    """Per row: pixels used, valid ones without a proper weight, others with a weight; least and largest weight used.
+
+    bits : int32 array of shape (H, W), the weights' bits: positive floats are ordered as these are
+    """
     rows = valid.shape[0]
-    counts, extremes = np.zeros((rows, 3), np.int32), np.zeros((rows, 2), np.float32)
+    counts, extremes = np.zeros((rows, 3), np.int32), np.zeros((rows, 2), np.int32)
     for r in prange(rows):
-        _survey_row(valid[r], weight[r], counts[r], extremes[r])
+        _survey_row(valid[r], bits[r], counts[r], extremes[r])
     return counts, extremes
 
 
 @njit(cache=True)
-def _survey_row(valid: Any, weight: Any, counts: Any, extremes: Any) -> None:
-    """Write the figures of one row; w - w is nought for finite w alone."""
-    nought, infinite = np.float32(0.0), np.float32(np.inf)
+def _survey_row(valid: Any, bits: Any, counts: Any, extremes: Any) -> None:
+    """Write the figures of one row; whole numbers, which are counted many at a time."""
     used, odd, stray = np.int32(0), np.int32(0), np.int32(0)
-    least, largest = infinite, nought
+    least, largest = INFINITE, np.int32(0)
     for c in range(valid.size):
-        w, counts_in = weight[c], valid[c]
-        usable = counts_in & (w > nought)
-        proper = (w >= nought) & ((w - w) == nought)
-        used += np.int32(usable)
-        odd += np.int32(counts_in & (not proper))
-        stray += np.int32((not counts_in) & (w != nought))
-        least = min(least, w if usable else infinite)
-        largest = max(largest, w if usable else nought)
+        w, counted = bits[c], np.int32(valid[c])
+        positive = np.int32(w > 0)
+        usable = counted & positive
+        used += usable
+        odd += counted & (np.int32(w >= INFINITE) | (np.int32(w < 0) & np.int32(w != MINUS_NOUGHT)))
+        stray += (1 - counted) & np.int32(w != 0)
+        least = min(least, w | ((usable - 1) & INFINITE))
+        largest = max(largest, w & -usable)
     counts[0], counts[1], counts[2] = used, odd, stray
     extremes[0], extremes[1] = least, largest

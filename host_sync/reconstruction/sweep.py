@@ -27,12 +27,10 @@ class SweepFigures:
 
     residual : of the residual that was restricted; nought where none was
     change : of what smoothing changed
-    height : of the heights written
     """
 
     residual: float
     change: float
-    height: float
 
 
 def sweep(
@@ -56,7 +54,7 @@ def sweep(
     """
     nothing = np.empty((0, 0), np.float32)
     rows, columns = z_out.shape
-    squares = np.zeros((3, rows))
+    squares = np.zeros((2, rows))
     if isinstance(level, PixelField):
         source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
     else:
@@ -76,8 +74,8 @@ def sweep(
         _band(*arguments, 0, rows)
     else:
         _bands(*arguments, count)
-    residual, change, height = np.sqrt(squares.sum(axis=1) / z_out.size)
-    return SweepFigures(float(residual), float(change), float(height))
+    residual, change = np.sqrt(squares.sum(axis=1) / z_out.size)
+    return SweepFigures(float(residual), float(change))
 
 
 @njit(cache=True, parallel=True)
@@ -129,7 +127,7 @@ def _band(
             if p is not None and nested:
                 inner = slice(1, columns + 1)
                 shape_rows(
-                    t, rows, across, slope_across, down, slope_down, nothing, upper[inner], lower[inner]
+                    t, rows, across, slope_across, down, slope_down, nothing, coarse[t // 2], upper[inner], lower[inner]
                 )  # fmt: skip
             _start_rows(t, rows, z_in, p is not None and nested, coarse, nested, across, down, upper, lower)
         for s in range(1, sweeps + 1):
@@ -141,7 +139,6 @@ def _band(
             done = stages[sweeps, r % height]
             copy_row(done, 1, z_out[r], 0, columns)
             squares[1, r] = _square_difference(done, stages[0, r % height])
-            squares[2, r] = _square_sum(done[1 : columns + 1])
         r = t - sweeps - 1
         if restricts and first <= r < last:
             _residual(stages[sweeps], rhs, across, down, r, rows, residual)
@@ -154,7 +151,7 @@ def _start_rows(
     row: int, rows: int, z_in: Any, begun: bool, coarse: Any, nested: bool, across: Any, down: Any, upper: Any,
     lower: Any,
 ) -> None:  # fmt: skip
-    """Write two rows before smoothing, padding included; `begun` where they hold their shapes already."""
+    """Write two rows before smoothing, padding included; `begun` where they are written already."""
     columns = upper.size - 2
     for r in range(row, min(row + 2, rows)):
         out = upper if r == row else lower
@@ -163,7 +160,7 @@ def _start_rows(
         elif not begun:
             for c in range(out.size):
                 out[c] = np.float32(0.0)
-        if coarse.size > 0:
+        if coarse.size > 0 and not begun:
             near = r // 2
             far = min(max(near + 2 * (r % 2) - 1, 0), coarse.shape[0] - 1)
             if nested:

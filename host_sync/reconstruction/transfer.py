@@ -68,11 +68,11 @@ def prolong_weighted_row(near: Any, far: Any, across: Any, over: Any, out: Any) 
     width, last = out.size - 2, near.size - 1
     for c in range(1, last):
         z = near[c]
-        step = quarter * (far[c] - z)
-        first = z + (step if over[2 * c] > nought else nought)
-        second = z + (step if over[2 * c + 1] > nought else nought)
-        out[2 * c + 1] += first + (quarter * (near[c - 1] - z) if across[2 * c] > nought else nought)
-        out[2 * c + 2] += second + (quarter * (near[c + 1] - z) if across[2 * c + 2] > nought else nought)
+        up, left, right = quarter * (far[c] - z), quarter * (near[c - 1] - z), quarter * (near[c + 1] - z)
+        first = z + (up if over[2 * c] > nought else nought)
+        second = z + (up if over[2 * c + 1] > nought else nought)
+        out[2 * c + 1] += first + (left if across[2 * c] > nought else nought)
+        out[2 * c + 2] += second + (right if across[2 * c + 2] > nought else nought)
     for end in (0, last):
         for c in range(2 * end, min(2 * end + 2, width)):
             z, odd = near[end], c % 2

@@ -37,14 +37,17 @@ def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> SweepFigures | No
 
 
 def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -> None:
-    """Solve the first level from the heights of the next one: add shapes, then improve by V-cycles.
+    """Solve the first level from the heights of the next one: add shapes, smooth, then improve by V-cycles.
 
     A cycle's last sweeps and the next one's first are one pass over memory.
     """
     level, coarse = levels[:2]
     steps = smoothing()
-    sweep(level, steps, level.z, level.spare, coarse=coarse.z, nested=True, coarse_rhs=coarse.rhs)
+    rhs = coarse.rhs if cycles else None
+    sweep(level, steps, level.z, level.spare, coarse=coarse.z, nested=True, coarse_rhs=rhs)
     level.swap()
+    if not cycles:
+        return
     for _ in range(cycles - 1):
         v_cycle(levels[1:], inverse)
         sweep(level, smoothing(2), level.z, level.spare, coarse=coarse.z, coarse_rhs=coarse.rhs)
