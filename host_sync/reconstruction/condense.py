@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from host_sync.reconstruction.cell_shape import slopes_across, slopes_down, unit_slopes_across, unit_slopes_down
-from host_sync.reconstruction.grid_level import GridLevel, PixelField, bands
+from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
+from host_sync.reconstruction.row_bands import in_bands
 
 RING: Final = 6
 """Rows of edges at hand: those of a cell, of the one above it and the edges below."""
@@ -22,52 +23,29 @@ RING: Final = 6
 def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
     """Write the edges of the level below the pixels; `apart` as `conductance` takes it."""
     nothing = (None, None, None, None, None, None)
-    arguments = (field.p, field.q, field.weight, field.scale, field.rule, *nothing, *_edges(coarse), np.float32(apart))
-    _run(field.p.shape, arguments)
+    arguments = (field.p, field.q, field.weight, field.scale, field.rule, *nothing, *_edges(coarse), np.float32(apart), *field.p.shape)
+    in_bands(_condense, field.p.shape, *arguments)
 
 
 def condense(level: GridLevel, coarse: GridLevel, apart: float) -> None:
     """Write the edges of `coarse`, the right-hand side of `level` and, in its `z`, the shapes of its cells."""
     nothing = (None, None, None, None, None)
-    _run(level.shape, (*nothing, *_edges(level), level.rhs, level.z, *_edges(coarse), np.float32(apart)))
+    arguments = (*nothing, *_edges(level), level.rhs, level.z, *_edges(coarse), np.float32(apart), *level.shape)
+    in_bands(_condense, level.shape, *arguments)
 
 
 def _edges(level: GridLevel) -> tuple[Any, ...]:
     return level.across, level.slope_across, level.down, level.slope_down
 
 
-def _run(shape: tuple[int, ...], arguments: tuple[Any, ...]) -> None:
-    """Work on a small level at once, on a large one in bands."""
-    rows, columns = shape
-    count = bands((rows, columns))
-    if count == 1:
-        _condense(*arguments, rows, columns, 0, (rows + 1) // 2)
-    else:
-        _condense_bands(*arguments, rows, columns, count)
-
-
-@njit(cache=True, parallel=True)
-def _condense_bands(
-    p: Any, q: Any, weight: Any, scale: Any, rule: Any, across: Any, slope_across: Any, down: Any, slope_down: Any,
-    rhs: Any, shapes: Any, w_across: Any, g_across: Any, w_down: Any, g_down: Any, apart: Any,
-    rows: int, columns: int, count: int,
-) -> None:  # fmt: skip
-    """Work on bands of coarse rows side by side."""
-    pairs = (rows + 1) // 2
-    for band in prange(count):
-        _condense(
-            p, q, weight, scale, rule, across, slope_across, down, slope_down, rhs, shapes, w_across, g_across,
-            w_down, g_down, apart, rows, columns, band * pairs // count, (band + 1) * pairs // count,
-        )  # fmt: skip
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _condense(
     p: Any, q: Any, weight: Any, scale: Any, rule: Any, across: Any, slope_across: Any, down: Any, slope_down: Any,
     rhs: Any, shapes: Any, w_across: Any, g_across: Any, w_down: Any, g_down: Any, apart: Any,
-    rows: int, columns: int, first: int, last: int,
+    rows: int, columns: int, begin: int, end: int,
 ) -> None:  # fmt: skip
-    """Work on the coarse rows `first` to `last` - 1."""
+    """Work on the cells of the fine rows `begin` (even) to `end` - 1."""
+    first, last = begin // 2, (end + 1) // 2
     nothing, padded = ring(1, columns + 1)[0], ring(1, columns + 4)[0]
     offsets = ring(4, columns)
     start = max(first - 1, 0)

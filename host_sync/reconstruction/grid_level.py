@@ -6,12 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import get_num_threads
 
 from device.surface import Float32Array
-
-SMALL_PX: Final = 1 << 17
-"""Levels of fewer pixels are worked on by one thread: waking a second one takes longer."""
 
 COARSEST_PX: Final = 16
 """A level of no more pixels is solved directly."""
@@ -59,12 +55,6 @@ class GridLevel:
     def swap(self) -> None:
         """Take what a sweep wrote to `spare` for the heights."""
         self.z, self.spare = self.spare, self.z
-
-
-def bands(shape: tuple[int, int]) -> int:
-    """Number of bands of rows that are worked on side by side; results do not depend on it."""
-    rows, columns = shape
-    return 1 if rows * columns < SMALL_PX else max(1, min(4 * get_num_threads(), rows // 32))
 
 
 def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from device.surface import Float32Array, Float64Array
+from host_sync.reconstruction.row_bands import in_bands
 
 STRIDE: Final = 32
 """Pixels that are looked at together."""
@@ -37,43 +38,46 @@ class Islands:
 
     def balance(self, rhs: Float64Array) -> None:
         """Subtract each island's mean from a right-hand side in place: rounding must not leave it unsolvable."""
-        means = self._means(_moments(rhs, np.ones((1, 1), np.float32), False, self.first, self.start, self.stop))
-        _shift(rhs, self.first, self.start, self.stop, means[self.label], 1.0, 0.0)
+        means = self._means(rhs, np.ones(rhs.shape, np.float32))
+        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means[self.label], 1.0, 0.0)
 
     def level(self, z: Float32Array, weight: Float32Array, scale: float) -> None:
         """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN."""
-        means = self._means(_moments(z, weight, True, self.first, self.start, self.stop)).astype(np.float32)
-        of_runs = means[self.label]
-        _shift(z, self.first, self.start, self.stop, of_runs, np.float32(scale), np.float32(np.nan))
+        means = self._means(z, weight).astype(np.float32)[self.label]
+        factor, hole = np.float32(scale), np.float32(np.nan)
+        in_bands(_shift, z.shape, z, self.first, self.start, self.stop, means, factor, hole)
 
-    def _means(self, moments: Float64Array) -> Float64Array:
-        """Mean of each island from the moments of its runs."""
+    def _means(self, z: Float32Array | Float64Array, weight: Float32Array) -> Float64Array:
+        """Weighted mean of each island, from the moments of its runs."""
+        moments = np.empty((self.start.size, 2))
+        in_bands(_moments, z.shape, z, weight, self.first, self.start, self.stop, moments)
         total, weight = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
         return np.asarray(total / weight, np.float64)
 
 
 def find_islands(weight: Float32Array) -> Islands:
     """Parts of the field that are connected through neighbouring pixels; `weight` is nought at holes."""
-    counts = _count_runs(weight)
-    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    counts = np.zeros(weight.shape[0] + 1, np.int64)
+    in_bands(_count_runs, weight.shape, weight, counts)
+    first = np.cumsum(counts)
     start, stop = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
-    _write_runs(weight, first, start, stop)
+    in_bands(_write_runs, weight.shape, weight, first, start, stop)
     label, count = _join_runs(first, start, stop)
     return Islands(count, first, start, stop, label)
 
 
 def level_rectangle(z: Float32Array, scale: float) -> None:
     """Scale z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
-    _scale(z, np.float32(_row_sums(z).sum() / z.size), np.float32(scale))
+    sums = np.zeros(z.shape[0])
+    in_bands(_row_sums, z.shape, z, sums)
+    in_bands(_scale, z.shape, z, np.float32(sums.sum() / z.size), np.float32(scale))
 
 
-@njit(cache=True, parallel=True)
-def _count_runs(weight: Any) -> Any:
-    """Number of runs of each row."""
-    counts = np.zeros(weight.shape[0], np.int64)
-    for r in prange(weight.shape[0]):
-        counts[r] = _row_runs(weight[r])
-    return counts
+@njit(cache=True, nogil=True)
+def _count_runs(weight: Any, counts: Any, begin: int, end: int) -> None:
+    """Write the number of runs of each row, behind that of the row before."""
+    for r in range(begin, end):
+        counts[r + 1] = _row_runs(weight[r])
 
 
 @njit(cache=True)
@@ -86,10 +90,10 @@ def _row_runs(row: Any) -> Any:
     return count
 
 
-@njit(cache=True, parallel=True)
-def _write_runs(weight: Any, first: Any, start: Any, stop: Any) -> None:
+@njit(cache=True, nogil=True)
+def _write_runs(weight: Any, first: Any, start: Any, stop: Any, begin: int, end: int) -> None:
     """Write where each run begins and ends."""
-    for r in prange(weight.shape[0]):
+    for r in range(begin, end):
         _write_row_runs(weight[r], start[first[r] : first[r + 1]], stop[first[r] : first[r + 1]])
 
 
@@ -150,18 +154,12 @@ def _join_runs(first: Any, start: Any, stop: Any) -> tuple[Any, int]:
     return label, count
 
 
-@njit(cache=True, parallel=True)
-def _moments(z: Any, weight: Any, weighted: bool, first: Any, start: Any, stop: Any) -> Any:
-    """Per run Σ w z and Σ w, or Σ z and the number of pixels."""
-    moments = np.empty((start.size, 2))
-    for r in prange(z.shape[0]):
+@njit(cache=True, nogil=True)
+def _moments(z: Any, weight: Any, first: Any, start: Any, stop: Any, moments: Any, begin: int, end: int) -> None:
+    """Write per run Σ w z and Σ w."""
+    for r in range(begin, end):
         for run in range(first[r], first[r + 1]):
-            a, b = start[run], stop[run]
-            if weighted:
-                _moment(z[r, a:b], weight[r, a:b], moments[run])
-            else:
-                moments[run, 0], moments[run, 1] = z[r, a:b].sum(), b - a
-    return moments
+            _moment(z[r, start[run] : stop[run]], weight[r, start[run] : stop[run]], moments[run])
 
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
@@ -174,10 +172,12 @@ def _moment(z: Any, weight: Any, out: Any) -> None:
     out[0], out[1] = moment, total
 
 
-@njit(cache=True, parallel=True)
-def _shift(z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hole: Any) -> None:
+@njit(cache=True, nogil=True)
+def _shift(
+    z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hole: Any, begin: int, end: int
+) -> None:  # fmt: skip
     """Write (z - mean) · scale with the mean of each run, `hole` between runs."""
-    for r in prange(z.shape[0]):
+    for r in range(begin, end):
         done = 0
         for run in range(first[r], first[r + 1]):
             for c in range(done, start[run]):
@@ -189,13 +189,11 @@ def _shift(z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hol
             z[r, c] = hole
 
 
-@njit(cache=True, parallel=True)
-def _row_sums(z: Any) -> Any:
-    """Sum of each row."""
-    sums = np.zeros(z.shape[0])
-    for r in prange(z.shape[0]):
+@njit(cache=True, nogil=True)
+def _row_sums(z: Any, sums: Any, begin: int, end: int) -> None:
+    """Write the sum of each row."""
+    for r in range(begin, end):
         sums[r] = _row_sum(z[r])
-    return sums
 
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
@@ -207,9 +205,9 @@ def _row_sum(z: Any) -> Any:
     return total
 
 
-@njit(cache=True, parallel=True)
-def _scale(z: Any, mean: Any, scale: Any) -> None:
+@njit(cache=True, nogil=True)
+def _scale(z: Any, mean: Any, scale: Any, begin: int, end: int) -> None:
     """Write (z - mean) · scale."""
-    for r in prange(z.shape[0]):
+    for r in range(begin, end):
         for c in range(z.shape[1]):
             z[r, c] = (z[r, c] - mean) * scale

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array, GradientField
 from host_sync.errors import IntegrationError
+from host_sync.reconstruction.row_bands import in_bands
 
 LEAST_SIDE_PX: Final = 3
 
@@ -45,7 +46,8 @@ def survey(gradients: GradientField) -> FieldSurvey:
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
     weight = np.ascontiguousarray(gradients.weight, np.float32)
-    counts, extremes = _survey_rows(gradients.valid, weight.view(np.int32))
+    counts, extremes = np.zeros((shape[0], 3), np.int32), np.zeros((shape[0], 2), np.int32)
+    in_bands(_survey_rows, shape, gradients.valid, weight.view(np.int32), counts, extremes)
     used, odd, stray = (int(count) for count in counts.sum(axis=0))
     if odd:
         raise IntegrationError(f"{odd} valid pixels have a negative or no finite weight: mark them as not valid")
@@ -77,17 +79,14 @@ def refuse_slopes(gradients: GradientField) -> None:
     raise IntegrationError("the slopes are too large to be integrated in single precision: check their unit")
 
 
-@njit(cache=True, parallel=True)
-def _survey_rows(valid: Any, bits: Any) -> tuple[Any, Any]:
-    """Per row: pixels used, valid ones without a proper weight, others with a weight; least and largest weight used.
+@njit(cache=True, nogil=True)
+def _survey_rows(valid: Any, bits: Any, counts: Any, extremes: Any, first: int, last: int) -> None:
+    """Write per row: pixels used, valid ones without a proper weight, others with one; least and largest weight used.
 
     bits : int32 array of shape (H, W), the weights' bits: positive floats are ordered as these are
     """
-    rows = valid.shape[0]
-    counts, extremes = np.zeros((rows, 3), np.int32), np.zeros((rows, 2), np.int32)
-    for r in prange(rows):
+    for r in range(first, last):
         _survey_row(valid[r], bits[r], counts[r], extremes[r])
-    return counts, extremes
 
 
 @njit(cache=True)

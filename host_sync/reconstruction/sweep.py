@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array
-from host_sync.reconstruction.grid_level import GridLevel, PixelField, bands
+from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
+from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.smoother import inverse_diagonal, relax_row, residual_row, unit_relax_row, unit_residual_row
 from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row, restrict_row
 
@@ -53,8 +54,7 @@ def sweep(
     coarse_rhs : receives the restricted residual; None where it is not wanted
     """
     nothing = np.empty((0, 0), np.float32)
-    rows, columns = z_out.shape
-    squares = np.zeros((2, rows))
+    squares = np.zeros((2, z_out.shape[0]))
     if isinstance(level, PixelField):
         source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
     else:
@@ -69,31 +69,12 @@ def sweep(
         nothing if coarse_rhs is None else coarse_rhs,
         squares,
     )
-    count = bands((rows, columns))
-    if count == 1:
-        _band(*arguments, 0, rows)
-    else:
-        _bands(*arguments, count)
+    in_bands(_band, z_out.shape, *arguments)
     residual, change = np.sqrt(squares.sum(axis=1) / z_out.size)
     return SweepFigures(float(residual), float(change))
 
 
-@njit(cache=True, parallel=True)
-def _bands(
-    p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, steps: Any, z_in: Any,
-    coarse: Any, nested: bool, z_out: Any, coarse_rhs: Any, squares: Any, count: int,
-) -> None:  # fmt: skip
-    """Work on bands of rows side by side; they begin at even rows, so that each coarse row has one writer."""
-    pairs = (z_out.shape[0] + 1) // 2
-    for band in prange(count):
-        first, last = 2 * (band * pairs // count), min(2 * ((band + 1) * pairs // count), z_out.shape[0])
-        _band(
-            p, q, weight, scale, rule, rhs, across, down, steps, z_in, coarse, nested, z_out, coarse_rhs, squares,
-            first, last,
-        )  # fmt: skip
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _band(
     p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, steps: Any, z_in: Any,
     coarse: Any, nested: bool, z_out: Any, coarse_rhs: Any, squares: Any, first: int, last: int,
