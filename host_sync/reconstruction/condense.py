@@ -23,7 +23,17 @@ RING: Final = 6
 def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
     """Write the edges of the level below the pixels; `apart` as `conductance` takes it."""
     nothing = (None, None, None, None, None, None)
-    arguments = (field.p, field.q, field.weight, field.scale, field.rule, *nothing, *_edges(coarse), np.float32(apart), *field.p.shape)
+    arguments = (
+        field.p,
+        field.q,
+        field.weight,
+        field.scale,
+        field.rule,
+        *nothing,
+        *_edges(coarse),
+        np.float32(apart),
+        *field.p.shape,
+    )
     in_bands(_condense, field.p.shape, *arguments)
 
 
@@ -87,7 +97,7 @@ def _coarse_row(
     r: int, rows: int, across: Any, slope_across: Any, down: Any, slope_down: Any, nothing: Any, above: Any,
     upper: Any, lower: Any, w_across: Any, g_across: Any, w_down: Any, g_down: Any, apart: Any,
 ) -> None:  # fmt: skip
-    """Write the edges left of and above the coarse row `r`; above, upper, lower: offsets of its rows and the one above."""
+    """Write the edges left of and above the coarse row `r`, from the offsets of its rows and the one `above` them."""
     a, b = 2 * r % slope_across.shape[0], (2 * r + 1) % slope_across.shape[0]
     n = slope_down.shape[0]
     t, m, d = (2 * r - 1) % n, 2 * r % n, (2 * r + 1) % n
@@ -103,7 +113,9 @@ def _coarse_row(
         if single:
             slopes_across(slope_across[a], nothing, across[a], nothing, upper, upper, apart, w_across[r], g_across[r])
         else:
-            slopes_across(slope_across[a], slope_across[b], across[a], across[b], upper, lower, apart, w_across[r], g_across[r])
+            slopes_across(
+                slope_across[a], slope_across[b], across[a], across[b], upper, lower, apart, w_across[r], g_across[r]
+            )
         if r > 0:
             slopes_down(slope_down[m], down[t], down[m], down[d], above, upper, apart, w_down[r], g_down[r])
     if r == 0:

@@ -79,7 +79,7 @@ def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
         rows, columns = shape
         odd = rows % 2 == 1 or columns % 2 == 1
         shape = (rows + 1) // 2, (columns + 1) // 2
-        level = new_level(shape, weighted or odd)
+        level = new_level(shape, weighted)
         if odd and not weighted:
             _write_odd_weights(level, rows, columns)
         levels.append(level)
@@ -88,14 +88,12 @@ def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
 
 
 def _write_odd_weights(level: GridLevel, rows: int, columns: int) -> None:
-    """Write the weights of the level below one of (rows, columns) pixels whose edges all weigh 1."""
-    across, down = unit_weights(level.shape)
+    """Give the level below one of (rows, columns) pixels without weights those of its cells."""
+    level.across, level.down = unit_weights(level.shape)
     if rows % 2:
-        across[-1] *= 0.5
+        level.across[-1] *= 0.5
     if columns % 2:
-        down[:, -1] *= 0.5
-    assert level.across is not None and level.down is not None
-    level.across[:], level.down[:] = across, down
+        level.down[:, -1] *= 0.5
 
 
 def edge_weights(level: GridLevel) -> tuple[Float32Array, Float32Array]:

@@ -51,8 +51,8 @@ class Islands:
         """Weighted mean of each island, from the moments of its runs."""
         moments = np.empty((self.start.size, 2))
         in_bands(_moments, z.shape, z, weight, self.first, self.start, self.stop, moments)
-        total, weight = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
-        return np.asarray(total / weight, np.float64)
+        moment, total = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
+        return np.asarray(moment / total, np.float64)
 
 
 def find_islands(weight: Float32Array) -> Islands:
@@ -64,13 +64,6 @@ def find_islands(weight: Float32Array) -> Islands:
     in_bands(_write_runs, weight.shape, weight, first, start, stop)
     label, count = _join_runs(first, start, stop)
     return Islands(count, first, start, stop, label)
-
-
-def level_rectangle(z: Float32Array, scale: float) -> None:
-    """Scale z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
-    sums = np.zeros(z.shape[0])
-    in_bands(_row_sums, z.shape, z, sums)
-    in_bands(_scale, z.shape, z, np.float32(sums.sum() / z.size), np.float32(scale))
 
 
 @njit(cache=True, nogil=True)
@@ -105,7 +98,7 @@ def _write_row_runs(row: Any, start: Any, stop: Any) -> None:
         part = row[begin : begin + STRIDE]
         used = 0
         for c in range(part.size):
-            used += np.int32(part[c] > nought)
+            used += int(part[c] > nought)
         if used == (part.size if inside else 0):
             continue
         for c in range(part.size):
@@ -187,27 +180,3 @@ def _shift(
             done = stop[run]
         for c in range(done, z.shape[1]):
             z[r, c] = hole
-
-
-@njit(cache=True, nogil=True)
-def _row_sums(z: Any, sums: Any, begin: int, end: int) -> None:
-    """Write the sum of each row."""
-    for r in range(begin, end):
-        sums[r] = _row_sum(z[r])
-
-
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _row_sum(z: Any) -> Any:
-    """Sum of a row, in lanes."""
-    total = 0.0
-    for c in range(z.size):
-        total += z[c]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _scale(z: Any, mean: Any, scale: Any, begin: int, end: int) -> None:
-    """Write (z - mean) · scale."""
-    for r in range(begin, end):
-        for c in range(z.shape[1]):
-            z[r, c] = (z[r, c] - mean) * scale

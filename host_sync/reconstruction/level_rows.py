@@ -1,8 +1,8 @@
 """Rows of a level as the passes over it need them: read where they are stored, else made from the pixels' slopes.
 
 The finest level is large and its edges are cheap to work out, so that nothing of it is stored: each pass makes them
-anew from p, q and the weights, into arrays that hold only the last few rows (rings). Row r stands at r mod the number of
-rows of its array, which for a stored level is r itself.
+anew from p, q and the weights, into arrays that hold only the last few rows (rings). Row r stands at r mod the number
+of rows of its array, which for a stored level is r itself.
 """
 
 from __future__ import annotations

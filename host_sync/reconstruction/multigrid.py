@@ -14,7 +14,8 @@ from host_sync.errors import IntegrationError
 from host_sync.reconstruction.edge_slopes import EdgeRule, edge_coefficients
 from host_sync.reconstruction.full_multigrid import full_multigrid
 from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels
-from host_sync.reconstruction.islands import find_islands, level_rectangle
+from host_sync.reconstruction.islands import find_islands
+from host_sync.reconstruction.rectangle import level_rectangle
 from host_sync.reconstruction.survey import FieldSurvey, refuse_slopes, survey
 
 

@@ -18,7 +18,15 @@ from device.surface import Float32Array
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
 from host_sync.reconstruction.row_bands import in_bands
-from host_sync.reconstruction.smoother import inverse_diagonal, relax_row, residual_row, unit_relax_row, unit_residual_row
+from host_sync.reconstruction.smoother import (
+    inverse_diagonal,
+    relax_row,
+    residual_row,
+    square_difference,
+    square_sum,
+    unit_relax_row,
+    unit_residual_row,
+)
 from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row, restrict_row
 
 
@@ -55,6 +63,7 @@ def sweep(
     """
     nothing = np.empty((0, 0), np.float32)
     squares = np.zeros((2, z_out.shape[0]))
+    source: tuple[Any, ...]
     if isinstance(level, PixelField):
         source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
     else:
@@ -119,12 +128,12 @@ def _band(
         if first <= r < last:
             done = stages[sweeps, r % height]
             copy_row(done, 1, z_out[r], 0, columns)
-            squares[1, r] = _square_difference(done, stages[0, r % height])
+            squares[1, r] = square_difference(done, stages[0, r % height])
         r = t - sweeps - 1
         if restricts and first <= r < last:
             _residual(stages[sweeps], rhs, across, down, r, rows, residual)
             restrict_row(residual, r % 2 == 1, coarse_rhs[r // 2])
-            squares[0, r] = _square_sum(residual)
+            squares[0, r] = square_sum(residual)
 
 
 @njit(cache=True)
@@ -179,21 +188,3 @@ def _residual(z: Any, rhs: Any, across: Any, down: Any, r: int, rows: int, out: 
     else:
         a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
         residual_row(z[up % n], z[r % n], z[low % n], b, a, u, d, out)
-
-
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _square_sum(row: Any) -> Any:
-    """Sum of a row's squares; only figures for the report may be summed in lanes."""
-    total = np.float32(0.0)
-    for c in range(row.size):
-        total += row[c] * row[c]
-    return total
-
-
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _square_difference(a: Any, b: Any) -> Any:
-    """Sum of the squares of two padded rows' difference."""
-    total = np.float32(0.0)
-    for c in range(1, a.size - 1):
-        total += (a[c] - b[c]) * (a[c] - b[c])
-    return total

@@ -101,7 +101,7 @@ def test_a_closed_form_comes_back(shape: tuple[int, int], name: str, weighted: b
     assert np.abs(error).max() < 0.01
 
 
-@pytest.mark.parametrize("shape", [(9, 11), (33, 40), (50, 23)])
+@pytest.mark.parametrize("shape", [(9, 11), (33, 40), (50, 23), (150, 110)])
 @pytest.mark.parametrize("kind", ["uniform", "weights", "holes", "checkerboard", "bridge"])
 def test_it_agrees_with_a_direct_solver(shape: tuple[int, int], kind: str) -> None:
     p, q, random = rough(shape)
