@@ -27,7 +27,7 @@ from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
 from host_sync.reconstruction.sweep import sweep
-from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, v_cycle
+from host_sync.reconstruction.v_cycle import SWEEPS, nested_cycles, smoothing, v_cycle
 
 EXPECTED_CONTRACTION: Final = 0.5
 LEAST_CONTRACTION: Final = 0.1
@@ -48,6 +48,10 @@ APART: Final = 0.5
 COARSE_CYCLES: Final = 1, 0
 WEIGHTED_CYCLES: Final = 2, 1
 """V-cycles on coarse levels in general and on the one below the pixels, without and with weights."""
+
+
+WEIGHTED_SWEEPS: Final = 3
+"""Sweeps before and after a correction of weighted pixels: there they cost little beside the making of edges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,9 +145,10 @@ def _finest_cycles(
 
     A cycle's last sweeps and the next one's first are one pass over memory.
     """
-    coarse, steps = levels[0], smoothing()
-    before, after = heights
     weighted = field.weight is not None
+    sweeps = WEIGHTED_SWEEPS if weighted else SWEEPS
+    coarse, steps, both = levels[0], smoothing(1, sweeps), smoothing(2, sweeps)
+    before, after = heights
     rhs = coarse.rhs if weighted else None
     first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs)
     tolerance_px = max(NOISE_SHARE * first.change, LEAST_TOLERANCE_PX) if tolerance_px is None else tolerance_px
@@ -162,7 +167,7 @@ def _finest_cycles(
         if error_px <= tolerance_px or len(corrections) >= max_cycles or _stalls(corrections):
             sweep(field, steps, before, after, coarse=coarse.z)
             return Solution(after, tuple(residuals), error_px, tolerance_px)
-        figures = sweep(field, smoothing(2), before, after, coarse=coarse.z, coarse_rhs=coarse.rhs)
+        figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs)
         residuals.append(figures.residual)
         before, after = after, before
 
