@@ -10,30 +10,29 @@ from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.coarsest import solve_coarsest
 from host_sync.reconstruction.grid_level import GridLevel
 from host_sync.reconstruction.smoother import chebyshev_steps
-from host_sync.reconstruction.sweep import SweepFigures, sweep
+from host_sync.reconstruction.sweep import sweep
 
 SWEEPS: Final = 2
 """Sweeps before and after the correction."""
 
 
-def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> SweepFigures | None:
-    """What the last sweep of one cycle from nought found for the first level's right-hand side; None if solved at once.
+def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
+    """Leave in the first level's `z` the heights that one cycle from nought finds for its right-hand side.
 
-    The heights stand in that level's `z`; the right-hand sides of the levels below are overwritten.
+    The right-hand sides of the levels below are overwritten.
 
     inverse : `pseudo_inverse` of the last level
     """
     level, *rest = levels
     if not rest:
         solve_coarsest(level, inverse)
-        return None
+        return
     coarse, steps = rest[0], smoothing()
     sweep(level, steps, None, level.spare, coarse_rhs=coarse.rhs)
     level.swap()
     v_cycle(rest, inverse)
-    figures = sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
     level.swap()
-    return figures
 
 
 def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -> None:
