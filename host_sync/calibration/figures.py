@@ -8,8 +8,6 @@ from host_sync.calibration.ambiguity_figure import ambiguity_figure
 from host_sync.calibration.paper_model import PaperModel
 from host_sync.calibration.reflectance_figure import reflectance_figure
 
-__all__ = ["ambiguity_figure", "paper_figures", "reflectance_figure"]
-
 
 def paper_figures(model: PaperModel) -> dict[str, Figure]:
     """Figures like the paper's 3 and 4."""

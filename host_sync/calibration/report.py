@@ -8,10 +8,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from host_sync.calibration.ambiguity_figure import ambiguity_figure
 from host_sync.calibration.balls_figure import balls_figure, residuals_figure
-from host_sync.calibration.figures import ambiguity_figure, reflectance_figure
 from host_sync.calibration.full_calibration import Calibration
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.reflectance_figure import reflectance_figure
 from host_sync.reconstruction.whole_directory import whole_directory
 
 SCHEMA = "retrograph.calibration-report/1"

@@ -20,15 +20,12 @@ from host_sync.frame_set_file import Encoding
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
 from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
-from host_sync.reconstruction.multigrid import integrate
+from host_sync.reconstruction.multigrid import Integrator
 from host_sync.reconstruction.pipeline import estimate
 
 CHECK_COARSENESS: Final = 2
 SAMPLED_COLUMNS: Final = 180
 """So many columns, and rows as far apart, tell how much of the field is pressed."""
-
-TOLERANCE_PX: Final = 1e-2
-"""Algebraic error at which integration ends: a few hundredths of what slope noise leaves in a height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +65,7 @@ class FrameSolver:
         rows, columns, _ = calibration.divisor.shape
         self.shape = (rows, columns)
         self._intensity = empty_intensity(self.shape)
+        self._integrator = Integrator(self.shape)
         self._equal = None if weighted else (np.ones(self.shape, np.bool_), np.ones(self.shape, np.float32))
 
     @property
@@ -92,7 +90,7 @@ class FrameSolver:
         intensity = self._read(frame)
         check_intensity(intensity, self._calibration.divisor, frame.name, CHECK_COARSENESS)
         gradients = self._gradients(intensity)
-        height, _ = integrate(gradients, self._calibration.pitch_um, tolerance_px=TOLERANCE_PX)
+        height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
         zero_um = height_of_rest_um(height, untouched_skin(gradients))
         peak_um, known = _lower(height.z_um, np.float32(zero_um), out)
         return FrameFigures(
