@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ours_slopes import estimate_slopes
 from plan import Plan, Shape, named
 from specimen import resampled
 from timing import Stopwatch
 
-from device.photometry import demosaic, divide
+from device.photometry import demosaic
 from device.raw_file import read_raw
-from device.surface import GradientField, HeightMap
-from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration
-from host_sync.reconstruction.multigrid import integrate
+from host_sync.frame_sequence import StoredFrame
+from host_sync.reconstruction.frame_solver import FrameSolver
 
 STEP_PX = 16
 
@@ -32,29 +30,22 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
     figures: dict[str, Any] = {"size": named(shape)}
     for name, weighted in (("weighted", True), ("unweighted", False)):
         watch = Stopwatch()
-        height_of(frames[0], full, weighted=weighted)
+        solver = FrameSolver(full, "direct", None, weighted=weighted)
+        out = np.empty(solver.shape, np.float32)
+        solver.solve(frames[0], out)
         for frame in frames:
-            watch.run(partial(height_of, frame, full, weighted=weighted))
+            watch.run(partial(solver.solve, frame, out))
         times = watch.figures
         rates = {"best_fps": 1e3 / times["min_ms"], "median_fps": 1e3 / times["median_ms"]}
         figures[name] = times | rates
     return figures
 
 
-def sequence(calibration: Calibration, folder: Path, shape: Shape, count: int) -> tuple[list[RawFrame], Calibration]:
+def sequence(calibration: Calibration, folder: Path, shape: Shape, count: int) -> tuple[list[StoredFrame], Calibration]:
     """Raw frames of (H, W) pixels in which a coin moves, and their calibration."""
     coin = read_raw(folder / f"coin-{named(shape)}.tif")
     reference = read_raw(folder / f"reference-{named(shape)}.tif")
-    frames = [replace(coin, mosaic=np.roll(coin.mosaic, STEP_PX * k, axis=1)) for k in range(count)]
+    frames = [
+        StoredFrame(f"frame {k}", replace(coin, mosaic=np.roll(coin.mosaic, STEP_PX * k, axis=1))) for k in range(count)
+    ]
     return frames, resampled(calibration, demosaic(reference))
-
-
-def height_of(frame: RawFrame, calibration: Calibration, *, weighted: bool) -> HeightMap:
-    """The height map of one frame: demosaic, intensity, slopes, integration."""
-    intensity = divide(demosaic(frame), calibration.divisor)
-    slopes = estimate_slopes(calibration.inverse.map, intensity)
-    if not weighted:
-        everywhere = np.ones_like(slopes.valid)
-        slopes = GradientField(slopes.p, slopes.q, everywhere, everywhere.astype(np.float32))
-    height, _ = integrate(slopes, calibration.pitch_um)
-    return height

@@ -13,7 +13,10 @@ import pytest
 import tifffile
 from PIL import Image
 
-from device.inverse_map import LOG_OFFSET, ColourSpace, InverseMap, stereographic_from_slope
+from device.colour_domain import ColourDomain
+from device.colour_space import DARK_OFFSET, ColourSpace
+from device.inverse_map import InverseMap, PolynomialMap
+from device.stereographic import stereographic_from_slope
 from host_sync.errors import ResultError, SequenceError
 from host_sync.frame_sequence import BadFrame, StoredFrame
 from host_sync.reconstruction.frame_solver import FrameSolver
@@ -30,10 +33,12 @@ PEAKS_UM = (0.0, 20.0, 40.0, 60.0)
 def calibration() -> SimpleNamespace:
     """One under which log red is the slope along columns and log green that along rows."""
     one, wide = np.ones(3, np.float32), np.full(3, 3.0, np.float32)
-    centre = np.full(3, np.log(1.0 + LOG_OFFSET), np.float32)
+    centre = np.full(3, np.log(1.0 + DARK_OFFSET), np.float32)
     coefficients = np.zeros((4, 1, 2), np.float32)
     coefficients[3, 0, 0] = coefficients[2, 0, 1] = 1.0
-    inverse = InverseMap(SHAPE, ColourSpace(centre, one, -wide, wide), 1, 0, coefficients, 2.0)
+    member = PolynomialMap(ColourSpace("log", centre, one, -wide, wide), 1, 0, coefficients, 1.0)
+    every_colour = ColourDomain(-wide, 1.0, 1.0, np.zeros((7, 7, 7), np.float32))
+    inverse = InverseMap(SHAPE, (member,), every_colour, 2.0)
     return SimpleNamespace(
         divisor=np.full((*SHAPE, 3), REST, np.float32),
         pitch_um=PITCH_UM,
@@ -52,7 +57,7 @@ def frame_of(peak_um: float, name: str) -> StoredFrame:
     q, p = np.gradient(bump_um(peak_um) / PITCH_UM)
     u = stereographic_from_slope(p, q)
     intensity = np.ones((*SHAPE, 3))
-    intensity[..., :2] = (1.0 + LOG_OFFSET) * np.exp(u) - LOG_OFFSET
+    intensity[..., :2] = (1.0 + DARK_OFFSET) * np.exp(u) - DARK_OFFSET
     return StoredFrame(name, np.rint(intensity * REST * 65535.0).astype(np.uint16))
 
 
