@@ -95,6 +95,7 @@ def reconstruct(
     method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    force: bool = False,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -105,16 +106,17 @@ def reconstruct(
     library: Folder of pulled scans; results go to <scan>/results/.
     s_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
     l_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
+    force: Reconstruct scans too that were not made as their calibration was; result.json keeps the warning.
     """
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     with _telling() as tell:
         if library is not None:
-            return _reconstruct_library(Library(library), names, method, tell, band)
+            return _reconstruct_library(Library(library), names, method, tell, band, force=force)
         if not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band)
+        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band, force=force)
 
 
 app.command(video)
@@ -127,15 +129,20 @@ def _reconstruct_frame_set(
     method: Method | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
+    *,
+    force: bool,
 ) -> int:
     frame_set = load_frame_set(path)
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
-    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band)
+    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band, force=force)
     for failure in failures:
         _complain(f"{failure.name}: {failure.reason}", PARTLY)
+    for name, reconstruction in done.items():
+        for warning in reconstruction.warnings:
+            _complain(f"{name}: {warning}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
     if failures and not done:
         return BAD_INPUT
@@ -148,6 +155,8 @@ def _reconstruct_library(
     method: Method | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
+    *,
+    force: bool,
 ) -> int:
     listing = library.scans()
     scans = [library.find(name) for name in names] if names else list(listing.bundles)
@@ -158,7 +167,7 @@ def _reconstruct_library(
     tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
-    job = LibraryJob(library, method, tell, band)
+    job = LibraryJob(library, method, tell, band, force=force)
     done = 0
     for scan in scans:
         try:

@@ -43,12 +43,10 @@ def height_coverage(found: Reconstruction, truth: TwinTruth) -> Coverage:
 
 
 def slope_coverage(found: Reconstruction, truth: TwinTruth) -> Coverage:
-    """Coverage of the surface's slopes, both components, over the inner contact; no pixel where no σ is stated."""
-    stated = getattr(found, "slope_sigma", None)
-    if stated is None:
-        return NOTHING
-    sigma_p, sigma_q = stated
-    return count_within(found.p - truth.p, sigma_p, truth) + count_within(found.q - truth.q, sigma_q, truth)
+    """Coverage of the surface's slopes, both components, over the inner contact."""
+    return count_within(found.p - truth.p, found.slope_sigma, truth) + count_within(
+        found.q - truth.q, found.slope_sigma, truth
+    )
 
 
 def total(parts: Iterable[Coverage]) -> Coverage:

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 from fresh import thread_settings
 from plan import Plan, Shape
-from video import height_of, sequence
+from video import sequence
 
 from host_sync.calibration.full_calibration import Calibration
+from host_sync.reconstruction.frame_solver import FrameSolver
 
 LONGEST_WAIT_S = 600.0
 SPINS = 2_000_000
@@ -58,9 +60,11 @@ def _work(gate: Any, results: Any, calibration: Calibration, folder: Path, shape
     """Put the seconds for the frames and for counting; every worker begins each at the same time."""
     cv2.setNumThreads(1)
     given, full = sequence(calibration, folder, shape, frames)
-    height_of(given[0], full, weighted=True)
+    solver = FrameSolver(full, "direct", None)
+    out = np.empty(solver.shape, np.float32)
+    solver.solve(given[0], out)
     gate.wait(LONGEST_WAIT_S)
-    frames_s = _seconds(lambda: [height_of(frame, full, weighted=True) for frame in given])
+    frames_s = _seconds(lambda: [solver.solve(frame, out) for frame in given])
     gate.wait(LONGEST_WAIT_S)
     results.put((frames_s, _seconds(_count)))
 

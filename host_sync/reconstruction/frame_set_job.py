@@ -97,10 +97,13 @@ def reconstruct_frame_set(
     names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
     band: DetailBand | None = None,
+    *,
+    force: bool = False,
 ) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
     """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
 
     band : of the detail that is written beside each height map, if any
+    force : reconstruct frames too that the calibration cannot explain
 
     Raises
     ------
@@ -117,7 +120,7 @@ def reconstruct_frame_set(
     for scan in scans:
         tell(f"{scan.name}: slopes and height")
         try:
-            reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method)
+            reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method, force=force)
             write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name}, band)
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))

@@ -29,6 +29,7 @@ class LibraryJob:
     method : the method for every scan; None takes the one that each calibration's held-out balls prefer
     tell : is given a few words as each step begins
     band : of the detail that is written beside each height map, if any
+    force : reconstruct scans too that their calibration cannot explain
     """
 
     def __init__(
@@ -37,11 +38,14 @@ class LibraryJob:
         method: Method | None = None,
         tell: Callable[[str], None] = lambda _: None,
         band: DetailBand | None = None,
+        *,
+        force: bool = False,
     ) -> None:
         self._library = library
         self._method = method
         self._tell = tell
         self._band = band
+        self._force = force
         self._calibrations: dict[str, Calibration] = {}
 
     def run(self, scan: ScanBundle) -> tuple[Reconstruction, Path]:
@@ -61,7 +65,7 @@ class LibraryJob:
         calibration = self._calibration(bundle)
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
-        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, self._method)
+        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, self._method, force=self._force)
         folder = self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}

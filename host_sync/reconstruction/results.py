@@ -22,6 +22,7 @@ from host_sync.render.relief_sheet import write_relief
 
 SCHEMA = "retrograph.result/1"
 RECORD_FILE = "result.json"
+DRAWS_FILE = "height_draws_um.tif"
 WRITERS = 2
 """Files written at a time: the relief takes about as long as the fields together."""
 
@@ -50,11 +51,13 @@ def write_result(
             "slope_p.tif": (reconstruction.p, "dz/dcolumn, um/um"),
             "slope_q.tif": (reconstruction.q, "dz/drow, um/um"),
             "height_sigma_um.tif": (reconstruction.sigma_um, "standard uncertainty of height, um"),
+            "slope_sigma.tif": (reconstruction.slope_sigma, "standard uncertainty of either slope, um/um"),
         }
         with ThreadPoolExecutor(WRITERS) as writers:
             jobs = [writers.submit(write_relief, folder / "relief.png", reconstruction.height, name)]
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
+            jobs.append(writers.submit(write_draws, folder / DRAWS_FILE, reconstruction, calibration.pitch_um))
             for job in jobs:
                 job.result()
         record = result_record(name, reconstruction, calibration) | (facts or {})
@@ -92,6 +95,21 @@ def write_field(path: Path, values: Float32Array, pitch_um: float, description: 
     )
 
 
+def write_draws(path: Path, reconstruction: Reconstruction, pitch_um: float) -> None:
+    """Write the height errors that the data allow, float32 TIFF of one page a draw, µm, over the field reduced."""
+    draws_um = reconstruction.draws_um
+    reduced_um = pitch_um * reconstruction.p.shape[1] / draws_um.shape[2]
+    tifffile.imwrite(
+        path,
+        draws_um,
+        photometric="minisblack",
+        compression="zlib",
+        predictor=True,
+        description=f"height errors that the data allow, um, one page a draw; pixel pitch {reduced_um:g} um",
+        metadata=None,
+    )
+
+
 def result_record(name: str, reconstruction: Reconstruction, calibration: Calibration) -> dict[str, Any]:
     """What `result.json` says: units are in the names, missing readings are null."""
     z_um = reconstruction.height.z_um
@@ -114,6 +132,11 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         "height_zero": "median of untouched skin",
         "masked_share": reconstruction.masked_share,
         "clipped_share": reconstruction.clipped_share,
+        "warnings": list(reconstruction.warnings),
+        "calibration_passed": calibration.assessment.passed,
+        "calibration_notes": list(calibration.assessment.notes),
+        "height_scale": calibration.assessment.scale,
+        "slope_sigma_median": float(np.nanmedian(reconstruction.slope_sigma)) if finite else None,
         "held_out_error_deg": _number(calibration.held_out_deg[reconstruction.method]),
         "integration": {
             "cycles": reconstruction.integration.cycles,

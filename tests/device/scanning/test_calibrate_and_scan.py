@@ -53,7 +53,7 @@ def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, sto
     assert bundle.calibration_id == outcome.bundle.calibration_id
     assert len(bundle.record.presses) == len(press_places())
     stored = read_model(bundle.path(bundle.record.model_files[0]))
-    np.testing.assert_array_equal(stored.coefficients, outcome.fit.map.coefficients)
+    np.testing.assert_array_equal(stored.members[0].coefficients, outcome.fit.map.members[0].coefficients)
 
 
 def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(
