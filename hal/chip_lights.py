@@ -58,6 +58,11 @@ class ChipLights:
         """Names of the lights in R, G, B order."""
         return tuple(self._channels)
 
+    @property
+    def highest_ma(self) -> float:
+        """The most that a light can be driven with, mA."""
+        return self._chip.highest_ma
+
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
         """The chip's nearest steps to these currents (mA).
 

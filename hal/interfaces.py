@@ -93,6 +93,11 @@ class Lights(Protocol):
         """Names of the lights in R, G, B order."""
         ...
 
+    @property
+    def highest_ma(self) -> float:
+        """The most that a light can be driven with, mA."""
+        ...
+
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
         """What the driver makes of these currents (mA): its nearest steps, which `switch_on` then really drives.
 

@@ -23,6 +23,11 @@ class TwinLights:
         """Names of the lights in R, G, B order."""
         return tuple(light.name for light in self._bench.profile.lights)
 
+    @property
+    def highest_ma(self) -> float:
+        """The most that a light can be driven with, mA."""
+        return HIGHEST_CURRENT_MA
+
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
         """The same currents (mA): the twin has no steps.
 
