@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     import gpiod
 
 CONSUMER = "retroscan"
+EVENT_BUFFER = 1024
+"""Edges that the kernel keeps while nobody listens: its most; a bouncing press makes a dozen."""
+
 DEVICES = Path("/dev")
 _INSTALL = "apt install python3-libgpiod, or pip install 'retrograph[device]'"
 
@@ -84,9 +87,12 @@ class GpiodInput:
         place = f"the button on line {offset} of GPIO chip {label!r}"
         chip = _chip_path(label, place, ButtonError)
         try:
-            return cls(gpiod.request_lines(chip, consumer=CONSUMER, config={offset: settings}), place)
+            request = gpiod.request_lines(
+                chip, consumer=CONSUMER, config={offset: settings}, event_buffer_size=EVENT_BUFFER
+            )
         except (OSError, ValueError) as error:
             raise ButtonError(f"{place} cannot be had ({error}): check button.line and who else uses it") from error
+        return cls(request, place)
 
     def wait(self, timeout_s: float | None) -> bool:
         """True when edges can be read."""

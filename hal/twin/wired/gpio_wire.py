@@ -14,7 +14,7 @@ from hal.twin.bench import Bench
 BOUNCES_MS: Final = (0.0, 0.4, 0.9, 1.3, 3.1, 3.4, 5.2)
 """When a contact changes after it first touches; an odd number, so that it ends where it went."""
 
-KERNEL_BUFFER: Final = 16
+KERNEL_BUFFER: Final = 1024
 _FOR_EVER_S: Final = 1e6
 
 
