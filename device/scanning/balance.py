@@ -24,13 +24,15 @@ AIMED_LEVEL: Final = 0.84
 """Where the brightest is put: what filters pass of other lights, and a light's coarsest step, still fit below."""
 
 SATURATED_LEVEL: Final = 0.95
-MOST_HALVINGS: Final = 6
-SHORTEST_US: Final = 50.0
+MOST_HALVINGS: Final = 4
+SHORTEST_US: Final = 1000.0
+"""Shorter exposures come in coarse steps, a line of the sensor each."""
+
 HIGHEST_CURRENT_SHARE: Final = 0.9
 LOWEST_CURRENT_SHARE: Final = 0.05
 """Of what a light can be driven with: below, the driver's steps are coarse; above, LEDs grow hot."""
 
-LEAST_LEVEL: Final = 0.005
+LEAST_LEVEL: Final = 0.02
 BUTTON_TIMEOUT_S: Final = 300.0
 NEAREST_BORDER: Final = (1 / 8, 1 / 6)
 """Shares of the field's columns and rows that a press keeps from its borders, as the calibration's presses do."""
@@ -50,7 +52,7 @@ def balance(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], Non
     Raises
     ------
     CalibrationError
-        A light is too weak or the frame saturates however short the exposure.
+        A light is too weak or the frame saturates however weak the lights.
     HalError, FrameNotProven
         The hardware refused.
     """
@@ -61,6 +63,7 @@ def balance(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], Non
         hardware.operator.ask(PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
         if hardware.button.wait_for_press(BUTTON_TIMEOUT_S) is None:
             raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start again")
+        _check_seen(hardware, plan, light)
         responses.append(_response(hardware, plan))
     highest = [max(values) for values in zip(*responses, strict=True)]
     found = _plan_for(hardware, plan.settings, highest)
@@ -81,22 +84,28 @@ def _nearest_place(sensor: SensorFacts, light: LightFacts) -> tuple[float, float
     return column, row
 
 
+def _check_seen(hardware: Hardware, plan: CapturePlan, light: LightFacts) -> None:
+    """Refuse a light that does not shine: what other lights leak into its colour would be taken for it."""
+    alone = CapturePlan(plan.settings, {light.name: plan.currents_ma[light.name]})
+    level = channel_levels(capture(hardware, alone), BRIGHTEST_PERCENTILE)["RGB".index(light.colour)]
+    if level < LEAST_LEVEL:
+        raise CalibrationError(f"light {light.name} is hardly seen: run `retroscan selftest` to find out why")
+
+
 def _response(hardware: Hardware, plan: CapturePlan) -> list[float]:
-    """Brightest level of each channel per mA and µs; the exposure is halved until nothing saturates."""
+    """Brightest level of each channel per mA and µs; the currents are halved until nothing saturates."""
     for halving in range(MOST_HALVINGS + 1):
-        exposure_us = plan.settings.exposure_us / 2**halving
-        settings = CameraSettings(exposure_us, plan.settings.analogue_gain)
-        frame = capture(hardware, CapturePlan(settings, plan.currents_ma))
+        asked = {name: current / 2**halving for name, current in plan.currents_ma.items()}
+        currents_ma = hardware.lights.granted_ma(asked)
+        frame = capture(hardware, CapturePlan(plan.settings, currents_ma))
         levels = channel_levels(frame, BRIGHTEST_PERCENTILE)
         if max(levels) >= SATURATED_LEVEL:
             continue
-        for name, level in zip(plan.currents_ma, levels, strict=True):
-            if level < LEAST_LEVEL:
-                raise CalibrationError(f"light {name} is hardly seen: run `retroscan selftest` to find out why")
         exposed_us = frame.granted.exposure_us
-        return [level / (c * exposed_us) for level, c in zip(levels, plan.currents_ma.values(), strict=True)]
+        return [level / (c * exposed_us) for level, c in zip(levels, currents_ma.values(), strict=True)]
     raise CalibrationError(
-        f"the frame saturates even at {exposure_us:g} µs: keep daylight out, or lower the lights' current_ma"
+        f"the frame saturates even with the currents divided by {2**MOST_HALVINGS}: keep daylight out, or shorten "
+        "camera.exposure_us"
     )
 
 

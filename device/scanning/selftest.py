@@ -78,7 +78,8 @@ def _skipped(part: str, because: Finding) -> Finding:
 
 
 def _power(hardware: Hardware) -> Finding:
-    reading = hardware.power.read()
+    with hardware.power as power:
+        reading = power.read()
     if reading.under_voltage:
         return Finding("power", "failed", "the supply is too low now: use a stronger supply and a shorter cable")
     if reading.battery_share is not None and reading.battery_share < LOW_BATTERY:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -120,7 +121,8 @@ class WiredCamera:
                 raise RuntimeError(f"Control {name} is not advertised by libcamera")
         self.controls |= controls
         if not self.controls["AeEnable"]:
-            self.sensor.apply(CameraSettings(float(self.controls["ExposureTime"]), self.controls["AnalogueGain"]))
+            with suppress(CameraError):  # controls of a camera that is torn off are taken all the same
+                self.sensor.apply(CameraSettings(float(self.controls["ExposureTime"]), self.controls["AnalogueGain"]))
 
     def start(self) -> None:
         """Begin to stream."""
