@@ -9,8 +9,8 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -36,9 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
-    _end_like_ctrl_c(signal.SIGTERM, signal.SIGHUP)
     try:
-        return command(options)
+        with _ending_like_ctrl_c(signal.SIGTERM, signal.SIGHUP):
+            return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
     except (HalError, FrameNotProven) as error:
@@ -183,14 +183,19 @@ def _say_levels(record: CalibrationRecord) -> None:
         _say(f"Note: {told}.")
 
 
-def _end_like_ctrl_c(*signals: signal.Signals) -> None:
-    """These signals end the program as Ctrl-C does: through every exit, lights dark."""
+@contextmanager
+def _ending_like_ctrl_c(*signals: signal.Signals) -> Iterator[None]:
+    """Within it these signals end the program as Ctrl-C does: through every exit, lights dark."""
 
     def interrupt(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
 
-    for number in signals:
-        signal.signal(number, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _say(line: str) -> None:

@@ -140,7 +140,8 @@ class CameraPipeline:
             controls=self._controls(settings),
         )
         camera.configure(configuration)
-        return camera.camera_configuration().get("raw") or {}
+        granted: Mapping[str, Any] | None = camera.camera_configuration().get("raw")
+        return granted or {}
 
     def _controls(self, settings: CameraSettings) -> dict[str, Any]:
         """Everything that libcamera would otherwise decide by itself."""

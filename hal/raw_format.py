@@ -44,7 +44,11 @@ class RawStream:
         CameraError
             It is compressed or packed, or differs from the profile in size, bits or Bayer order.
         """
-        name = str(stream.get("format"))
+        if not stream:
+            raise CameraError(
+                "the camera grants no raw stream, as a USB or virtual camera: use a sensor on the board's own connector"
+            )
+        name = str(stream["format"])
         if "PISP_COMP" in name:
             raise CameraError(
                 f"the camera grants {name}, which loses counts: ask for an unpacked format (libcamera.raw_bits = 16)"

@@ -42,6 +42,7 @@ class StackFaults:
     no_memory : the kernel has no contiguous memory when the camera is configured
     in_use : another program holds the camera
     raw_format : the format that is granted whatever is asked for
+    no_raw : the camera has no raw stream, as libcamera's virtual one
     rows_lost : rows that are missing at the end of every raw buffer
     stalled_openings : times that the opened camera delivers nothing until it is opened again
     without : a key that is missing from the metadata
@@ -51,6 +52,7 @@ class StackFaults:
     no_memory: bool = False
     in_use: bool = False
     raw_format: str = ""
+    no_raw: bool = False
     rows_lost: int = 0
     stalled_openings: int = 0
     without: str = ""
@@ -112,7 +114,7 @@ class WiredCamera:
 
     def camera_configuration(self) -> dict[str, Any]:
         """What was granted."""
-        return self.configuration
+        return {**self.configuration, "raw": None} if self.wire.faults.no_raw else self.configuration
 
     def set_controls(self, controls: Mapping[str, Any]) -> None:
         """Ask for controls; exposure and gain arrive frames later."""
