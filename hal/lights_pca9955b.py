@@ -1,6 +1,6 @@
 """PCA9955B: 16 channels, each with its own 8-bit current; the outputs are fully on, so that no PWM reaches a row.
 
-Register numbers and bits follow NXP's data sheet, sections 7.3 and 7.4. Some public libraries place IREF0 at 22h and
+Register numbers and bits follow NXP's data sheet. Some public libraries place IREF0 at 22h and
 the ERROR bit at 20h; both are wrong for this chip.
 """
 
@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from hal.errors import LightError
 from hal.i2c_bus import I2cChip
+from hal.led_registers import CHANNELS, INCREMENT, packed_outputs, prove
 
-CHANNELS: Final = 16
 STEPS: Final = 255
 VOLT_OHM_PER_STEP: Final = 0.9 / 4.0
 """A step of current is this voltage over the reference resistor: 225 µA at 1 kΩ."""
 
-INCREMENT: Final = 0x80
 MODE1: Final = 0x00
 MODE2: Final = 0x01
 LEDOUT0: Final = 0x02
@@ -30,10 +28,8 @@ AWAKE: Final = 0x00
 CLEAR_ERRORS: Final = 0x10
 ERROR: Final = 0x40
 TOO_HOT: Final = 0x80
-OFF: Final = 0b00
 FULLY_ON: Final = 0b01
 FLAGS: Final = {0b01: "short", 0b10: "open"}
-OSCILLATOR_S: Final = 0.0005
 
 
 class Pca9955b:
@@ -65,7 +61,7 @@ class Pca9955b:
         self._chip.write(IREF_ALL, [0], "setting all currents to 0")
         self._chip.write(PWM_ALL, [0xFF], "setting the duty")
         self._clear_errors()
-        self._prove(LEDOUT0, [0] * (CHANNELS // 4), "outputs")
+        prove(self._chip, LEDOUT0, [0] * (CHANNELS // 4), "outputs")
 
     def drive(self, currents_ma: Mapping[int, float]) -> None:
         """Currents first, then outputs, and both read back.
@@ -80,8 +76,8 @@ class Pca9955b:
         subject = "driving channels " + ", ".join(str(channel) for channel, step in enumerate(steps) if step)
         self._chip.write(IREF0 | INCREMENT, steps, subject)
         self._chip.write(LEDOUT0 | INCREMENT, outputs, subject)
-        self._prove(IREF0, steps, "currents")
-        self._prove(LEDOUT0, outputs, "outputs")
+        prove(self._chip, IREF0, steps, "currents")
+        prove(self._chip, LEDOUT0, outputs, "outputs")
 
     def dark(self) -> None:
         """Every output off."""
@@ -111,19 +107,3 @@ class Pca9955b:
         if current_ma <= 0.0:
             return 0
         return min(max(round(current_ma / self._step_ma), 1), STEPS)
-
-    def _prove(self, register: int, written: list[int], what: str) -> None:
-        found = list(self._chip.read(register | INCREMENT, len(written), what))
-        if found != written:
-            raise LightError(
-                f"the {self._chip.place} did not keep its {what} (wrote {written}, reads {found}): "
-                "check its supply for dips, and that it is this chip at this address"
-            )
-
-
-def packed_outputs(states: Mapping[int, int]) -> list[int]:
-    """LEDOUT registers, two bits a channel, four channels a register."""
-    packed = [0] * (CHANNELS // 4)
-    for channel, state in states.items():
-        packed[channel // 4] |= state << 2 * (channel % 4)
-    return packed

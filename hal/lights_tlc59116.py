@@ -1,7 +1,7 @@
 """TLC59116: 16 channels that share one current; each is dimmed by its own 97 kHz duty, far above any row's exposure.
 
 The 190 Hz group dimming is never used: it would draw bands over a rolling shutter. Register numbers follow TI's data
-sheet SLDS157, section 9.5; auto-increment is the control byte's top bits.
+sheet SLDS157; auto-increment is the control byte's top bits.
 """
 
 from __future__ import annotations
@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from hal.errors import LightError
 from hal.i2c_bus import I2cChip
-from hal.lights_pca9955b import packed_outputs
+from hal.led_registers import CHANNELS, INCREMENT, packed_outputs, prove
 
-CHANNELS: Final = 16
 STEPS: Final = 256
 AMPERE_OHM: Final = 15.0 * 1.26 * 127.0 / 128.0
-"""Full current times the reference resistor at the power-on gain (SLDS157, section 9.3)."""
+"""Full current times the reference resistor at the power-on gain."""
 
-INCREMENT: Final = 0x80
 MODE1: Final = 0x00
 MODE2: Final = 0x01
 PWM0: Final = 0x02
@@ -60,7 +57,7 @@ class Tlc59116:
         self._chip.write(MODE1, [AWAKE], "waking it")
         self._chip.write(IREF, [FULL_GAIN], "setting the shared current")
         self._clear_errors()
-        self._prove(LEDOUT0, [0] * (CHANNELS // 4), "outputs")
+        prove(self._chip, LEDOUT0, [0] * (CHANNELS // 4), "outputs")
 
     def drive(self, currents_ma: Mapping[int, float]) -> None:
         """Duties first, then outputs, and both read back.
@@ -75,8 +72,8 @@ class Tlc59116:
         subject = "driving channels " + ", ".join(str(channel) for channel, duty in enumerate(duties) if duty)
         self._chip.write(PWM0 | INCREMENT, duties, subject)
         self._chip.write(LEDOUT0 | INCREMENT, outputs, subject)
-        self._prove(PWM0, duties, "duties")
-        self._prove(LEDOUT0, outputs, "outputs")
+        prove(self._chip, PWM0, duties, "duties")
+        prove(self._chip, LEDOUT0, outputs, "outputs")
 
     def dark(self) -> None:
         """Every output off."""
@@ -103,11 +100,3 @@ class Tlc59116:
         if current_ma <= 0.0:
             return 0
         return min(max(round(current_ma * STEPS / self._full_ma), 1), STEPS - 1)
-
-    def _prove(self, register: int, written: list[int], what: str) -> None:
-        found = list(self._chip.read(register | INCREMENT, len(written), what))
-        if found != written:
-            raise LightError(
-                f"the {self._chip.place} did not keep its {what} (wrote {written}, reads {found}): "
-                "check its supply for dips, and that it is this chip at this address"
-            )
