@@ -14,7 +14,7 @@ from hal.camera_pipeline import CameraPipeline
 from hal.errors import CameraError, FrameTimeout
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import Clock
-from hal.picamera_stack import CameraStack, Request
+from hal.picamera_stack import CameraStack, OpenCamera, Request
 
 MOST_RESTARTS: Final = 2
 OLDEST_S: Final = 30.0
@@ -109,16 +109,26 @@ class PicameraCamera:
                 request = self._pipeline.request(left_ns * 1e-9)
                 if request is None:
                     break
-                try:
-                    metadata = request.get_metadata()
-                    if self._ended_ns(metadata) >= asked_ns:
-                        return read(request, metadata)
-                finally:
-                    request.release()
+                if (result := self._read(request, asked_ns, read)) is not None:
+                    return result
         raise FrameTimeout(
             f"camera {self.camera_id} delivers no frame, though it was restarted {MOST_RESTARTS} times and given "
             f"{timeout_s:g} s each time: check its ribbon cable at both ends and its supply"
         )
+
+    def _read(
+        self, request: Request, asked_ns: int, read: Callable[[Request, Mapping[str, Any]], Result]
+    ) -> Result | None:
+        """What `read` makes of a request, or None when its frame ended before `asked_ns`; its buffers go back."""
+
+        def unpack(_camera: OpenCamera) -> Result | None:
+            metadata = request.get_metadata()
+            return read(request, metadata) if self._ended_ns(metadata) >= asked_ns else None
+
+        try:
+            return self._pipeline.guarded("hand out a frame", unpack)
+        finally:
+            request.release()
 
     def _raw_frame(self, request: Request, metadata: Mapping[str, Any]) -> RawFrame:
         """The frame; libcamera stamps it as its first row is read out, so its exposure began that much earlier."""

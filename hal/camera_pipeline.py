@@ -70,26 +70,48 @@ class CameraPipeline:
                 "and that no other program uses it"
             ) from error
         try:
-            granted = self._guarded("be configured", lambda camera: self._configured(camera, settings))
+            granted = self.guarded("be configured", lambda camera: self._configured(camera, settings))
             self._stream = RawStream.granted(granted, self._sensor, self._facts)
-            self._guarded("start", lambda camera: camera.start())
+            self.guarded("start", lambda camera: camera.start())
         except CameraError:
             self.close()
             raise
 
     def set_controls(self, settings: CameraSettings) -> None:
         """Ask for exposure and gain; frames show them some frames later."""
-        self._guarded("take controls", lambda camera: camera.set_controls(self._controls(settings)))
+        self.guarded("take controls", lambda camera: camera.set_controls(self._controls(settings)))
 
     def request(self, timeout_s: float) -> Request | None:
         """The next completed request, or None when none came; one that comes too late is given back."""
-        job = self._guarded("deliver a frame", lambda camera: camera.capture_request(wait=False))
+        job = self.guarded("deliver a frame", lambda camera: camera.capture_request(wait=False))
         with suppress(TimeoutError):
-            return self._guarded("deliver a frame", lambda _camera: job.get_result(timeout=timeout_s))
-        self._guarded("call off a frame", lambda camera: camera.cancel_all_and_flush())
+            return self.guarded("deliver a frame", lambda _camera: job.get_result(timeout=timeout_s))
+        self.guarded("call off a frame", lambda camera: camera.cancel_all_and_flush())
         with suppress(TimeoutError, CancelledError):
             job.get_result(timeout=0.0).release()
         return None
+
+    def guarded(self, what: str, act: Callable[[OpenCamera], Result]) -> Result:
+        """What `act` returns; what picamera2 raises becomes a sentence, a time-out stays one.
+
+        Raises
+        ------
+        CameraError
+            Names the camera, `what` it cannot do, and what to check.
+        """
+        if self._camera is None:
+            raise self._not_started()
+        try:
+            return act(self._camera)
+        except (TimeoutError, CameraError):
+            raise
+        except (RuntimeError, OSError, ValueError, LookupError) as error:
+            if OUT_OF_MEMORY in str(error):
+                raise CameraError(
+                    f"camera {self.camera_id} finds no memory to {what}: give the kernel more (cma=256M in "
+                    "cmdline.txt), lower libcamera.buffer_count, or choose a smaller mode"
+                ) from error
+            raise CameraError(f"camera {self.camera_id} cannot {what} ({error}): check its cable and mode") from error
 
     def close(self) -> None:
         """Give the camera back, without waiting for ever: a torn cable can leave libcamera hanging.
@@ -159,22 +181,6 @@ class CameraPipeline:
         if self._facts.lens_position is not None:
             controls |= {"AfMode": 0, "LensPosition": self._facts.lens_position}
         return controls
-
-    def _guarded(self, what: str, act: Callable[[OpenCamera], Result]) -> Result:
-        """What `act` returns; what picamera2 raises becomes a sentence."""
-        if self._camera is None:
-            raise self._not_started()
-        try:
-            return act(self._camera)
-        except TimeoutError:
-            raise
-        except (RuntimeError, OSError, ValueError) as error:
-            if OUT_OF_MEMORY in str(error):
-                raise CameraError(
-                    f"camera {self.camera_id} finds no memory to {what}: give the kernel more (cma=256M in "
-                    "cmdline.txt), lower libcamera.buffer_count, or choose a smaller mode"
-                ) from error
-            raise CameraError(f"camera {self.camera_id} cannot {what} ({error}): check its cable and mode") from error
 
     def _not_started(self) -> CameraError:
         return CameraError(f"camera {self.camera_id} is not started: enter it before asking for a frame")

@@ -146,6 +146,15 @@ def test_a_frame_of_the_wrong_size_is_refused_and_its_buffer_given_back(wired: W
         hardware.camera.next_frame(0.5)
 
 
+def test_what_picamera2_raises_on_a_buffer_is_told_and_the_buffer_given_back(wired: Wired) -> None:
+    wired.cameras.faults.unmappable = True
+    with wired.hardware as hardware:
+        for take in (hardware.camera.next_frame, hardware.camera.aiming_view):
+            with pytest.raises(CameraError, match=r"cannot hand out a frame \(cannot reshape"):
+                take(0.5)
+        assert wired.cameras.held_requests == 0
+
+
 @pytest.mark.parametrize("key", ["SensorTimestamp", "ExposureTime", "AnalogueGain", "SensorBlackLevels"])
 def test_a_frame_without_proof_is_refused(wired: Wired, key: str) -> None:
     wired.cameras.faults.without = key

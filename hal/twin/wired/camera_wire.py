@@ -45,6 +45,7 @@ class StackFaults:
     no_raw : the camera has no raw stream, as libcamera's virtual one
     rows_lost : rows that are missing at the end of every raw buffer
     stalled_openings : times that the opened camera delivers nothing until it is opened again
+    unmappable : buffers cannot be mapped
     without : a key that is missing from the metadata
     clock_offset_ns : the frames are stamped by another clock, this much ahead
     """
@@ -55,6 +56,7 @@ class StackFaults:
     no_raw: bool = False
     rows_lost: int = 0
     stalled_openings: int = 0
+    unmappable: bool = False
     without: str = ""
     clock_offset_ns: int = 0
 
@@ -210,6 +212,8 @@ class WiredRequest:
         """A copy of a buffer: raw bytes with the stride's padding, or planar YUV."""
         if self._released:
             raise RuntimeError("the request was released")
+        if self._camera.wire.faults.unmappable:
+            raise ValueError("cannot reshape array of size 0 into shape (272,768)")
         if name == "raw":
             return self._raw()
         columns, rows = self._camera.configuration["main"]["size"]
