@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Mapping
 
 import msgspec
 import pytest
@@ -67,6 +68,26 @@ def test_a_plan_names_the_currents_that_the_driver_grants(bench: Bench) -> None:
     plan = CapturePlan.of_board(hardware)
     assert plan.currents_ma != hardware.profile.currents_ma
     assert plan.currents_ma == hardware.lights.granted_ma(plan.currents_ma)
+
+
+def test_a_bus_that_dies_while_lights_shine_is_told_and_the_next_capture_ends_dark(bench: Bench) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    with wired.hardware as hardware:
+        plan = CapturePlan.of_board(hardware)
+        switch_on = hardware.lights.switch_on
+
+        def switch_on_and_lose_the_bus(currents_ma: Mapping[str, float]) -> None:
+            switch_on(currents_ma)
+            wired.wire.faults.stuck = True
+
+        hardware.lights.switch_on = switch_on_and_lose_the_bus  # type: ignore[method-assign]
+        with pytest.raises(LightError, match="switching all channels off"):
+            capture(hardware, plan)
+        assert any(wired.leds.currents_ma())
+        hardware.lights.switch_on = switch_on  # type: ignore[method-assign]
+        wired.wire.faults.stuck = False
+        assert capture(hardware, plan).granted.exposure_us > 0.0
+        assert not any(wired.leds.currents_ma())
 
 
 def test_silent_lights_are_an_error_of_the_lights(hardware: Hardware, bench: Bench) -> None:
