@@ -19,11 +19,15 @@ from rich.progress import BarColumn, DownloadColumn, Progress, SpinnerColumn, Te
 
 from device.errors import DeviceError
 from host_sync.calibration.full_calibration import Method
+from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
+from host_sync.picture_format import PictureFormat
+from host_sync.reconstruction.detail_filter import DetailBand
+from host_sync.video_command import video
 
 DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
 
@@ -31,6 +35,7 @@ app = App(
     name="retrosync",
     version=lambda: f"retrograph {version('retrograph')}",
     help="Fetch scans from a handheld, prove them, reconstruct their surfaces.",
+    suppress_keyboard_interrupt=False,
 )
 
 
@@ -45,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError:
         return BAD_INPUT  # it has said in its own words which argument is wrong
     except KeyboardInterrupt:
-        return _complain("stopped", 130)
+        return _complain("stopped: what was not finished is not there", 130)
     except BrokenPipeError:
         # Whoever read the output has gone: let the interpreter's last flush go nowhere too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -64,17 +69,19 @@ def pull_command(source: Path, *, library: Path | None = None) -> int:
     """
     target = Library(library or default_library())
     console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), DownloadColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pull", total=None)
 
         def show(state: PullProgress) -> None:
             progress.update(task, description=state.bundle_id, completed=state.done_bytes, total=state.total_bytes)
 
         report = pull(DirectorySource(source), target, show)
-    console.print(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {target.root}")
+    sys.stdout.write(
+        f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {target.root}\n"
+    )
     for scan in report.without_calibration:
-        console.print(f"Note: scan {scan} has no calibration here.")
+        sys.stdout.write(f"Note: scan {scan} has no calibration here.\n")
     for failure in report.failed:
         _complain(f"{failure.bundle_id}: {failure.reason}", PARTLY)
     return DONE if report.complete else PARTLY
@@ -86,6 +93,8 @@ def reconstruct(
     out: Path | None = None,
     library: Path | None = None,
     method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    s_filter_um: float | None = None,
+    l_filter_um: float | None = None,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -94,25 +103,37 @@ def reconstruct(
     names: The frame set's file and, after it, names of scans; or scans of the library. All scans when none is named.
     out: Folder for the results of a frame set.
     library: Folder of pulled scans; results go to <scan>/results/.
+    s_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
+    l_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
     """
+    band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     with _telling() as tell:
         if library is not None:
-            return _reconstruct_library(Library(library), names, method, tell)
+            return _reconstruct_library(Library(library), names, method, tell, band)
         if not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell)
+        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band)
+
+
+app.command(video)
 
 
 def _reconstruct_frame_set(
-    path: Path, out: Path, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    path: Path,
+    out: Path,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
 ) -> int:
     frame_set = load_frame_set(path)
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
-    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell)
+    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band)
     for failure in failures:
         _complain(f"{failure.name}: {failure.reason}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
@@ -122,17 +143,22 @@ def _reconstruct_frame_set(
 
 
 def _reconstruct_library(
-    library: Library, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    library: Library,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
 ) -> int:
     listing = library.scans()
     scans = [library.find(name) for name in names] if names else list(listing.bundles)
     failed = [] if names else [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
-    job = LibraryJob(library, method, tell)
+    job = LibraryJob(library, method, tell, band)
     done = 0
     for scan in scans:
         try:
@@ -149,11 +175,40 @@ def _reconstruct_library(
     return PARTLY if failed else DONE
 
 
+@app.command
+def figures(
+    name: str | None = None,
+    *,
+    out: Path,
+    library: Path | None = None,
+    formats: Annotated[tuple[PictureFormat, ...], Parameter(name="--format", consume_multiple=True)] = ("png",),
+) -> int:
+    """Draw a calibration as the paper does: reflectance maps, ambiguous colours, errors of a held-out ball.
+
+    Parameters
+    ----------
+    name: The frame set's file; or, with --library, a calibration of it, the latest when none is named.
+    out: Folder for the pictures.
+    library: Folder of pulled calibrations.
+    formats: Any of png, pdf, svg.
+    """
+    with _telling() as tell:
+        tell("loading compiled code (the first run compiles it)")
+        from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
+
+        frames = frames_to_draw(name, Library(library) if library is not None else None)
+        written = write_figures(frames, out, formats, tell)
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+    return DONE
+
+
 @contextmanager
 def _telling() -> Iterator[Callable[[str], None]]:
     """A line that says what is being done and for how long."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None)
         yield lambda words: progress.update(task, description=words)
 

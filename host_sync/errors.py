@@ -12,6 +12,10 @@ class FrameSetError(HostError, ValueError):
     """A frame set or one of its images cannot be used. Mend the file and the key that the message names."""
 
 
+class SequenceError(HostError, ValueError):
+    """A sequence of frames cannot be used, or none of its frames can. Mend or name what the message says."""
+
+
 class SourceError(HostError, OSError):
     """A device, card or folder cannot be read or holds no bundles. Connect it, or name the right one."""
 
@@ -34,3 +38,7 @@ class ResultError(HostError, OSError):
 
 class IntegrationError(HostError, ValueError):
     """Slopes cannot be integrated: shapes differ, or values are not numbers. Mask what is invalid first."""
+
+
+class FilterError(HostError, ValueError):
+    """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""

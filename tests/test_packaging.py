@@ -87,10 +87,14 @@ def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
     assert command in run_away_from_checkout(unpacked, "-m", module, "--help")
 
 
-def test_lock_holds_what_the_project_asks_for() -> None:
+@pytest.mark.parametrize(
+    ("lock", "extras"), [("requirements.lock", ("device", "host", "dev")), ("requirements-bench.lock", ("bench",))]
+)
+def test_lock_holds_what_the_project_asks_for(lock: str, extras: tuple[str, ...]) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    asked = [*project["dependencies"], *extras["device"], *extras["host"], *extras["dev"]]
+    asked = [need for extra in extras for need in project["optional-dependencies"][extra]]
+    if "host" in extras:
+        asked += project["dependencies"]
     names = {need.partition(">")[0].partition("[")[0] for need in asked} - {project["name"]}
-    pinned = {line.partition("==")[0] for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()}
+    pinned = {line.partition("==")[0] for line in (ROOT / lock).read_text(encoding="utf-8").splitlines()}
     assert names <= pinned

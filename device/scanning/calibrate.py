@@ -12,6 +12,7 @@ from device.ball import BallSamples, gather_samples
 from device.ball_finder import BallSearch, find_balls
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
+from device.calibration_limits import FEWEST_BALLS, WORST_HELD_OUT_DEG
 from device.errors import CalibrationError
 from device.inverse_fit import InverseFit, fit_inverse_map
 from device.photometry import bin_bayer, blurred_reference, check_exposed, divide
@@ -29,11 +30,8 @@ BINNING: Final = 2
 COLUMNS: Final = 4
 ROWS: Final = 3
 MOST_TRIES: Final = 3
-FEWEST_BALLS: Final = 4
 BUTTON_TIMEOUT_S: Final = 300.0
 FITTED_SAMPLES: Final = 20_000
-WORST_HELD_OUT_DEG: Final = 8.0
-"""A calibration whose held-out balls are worse is not made active."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from device.ball import Ball, BallSamples
 from device.ball_finder import RejectedBall
 from device.bundle_store import BundleStore
 from device.calibration_bundle import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
+from device.dropped_ball import dropped_ball
 from device.exposure_levels import BRIGHTEST_PERCENTILE, brightest, channel_levels
 from device.fingerprint import Fingerprint
 from device.inverse_fit import InverseFit
@@ -91,17 +92,11 @@ def _press_records(
         span = range(first, first + len(press.balls))
         first += len(press.balls)
         kept = tuple(BallRecord.of(fit.balls[i]) for i in span if fit.kept[i])
-        dropped = tuple(
-            RejectedRecord(
-                column=fit.balls[i].column,
-                row=fit.balls[i].row,
-                reason=f"does not follow the sphere (held-out error {fit.ball_error_deg[i]:.1f} degrees)",
-            )
-            for i in span
-            if not fit.kept[i]
+        dropped = tuple(dropped_ball(fit, i) for i in span if not fit.kept[i])
+        rejected = tuple(
+            RejectedRecord(column=ball.column, row=ball.row, reason=ball.reason) for ball in dropped + press.rejected
         )
-        unseen = tuple(RejectedRecord(column=ball.column, row=ball.row, reason=ball.reason) for ball in press.rejected)
-        records.append(PressRecord(file=name, ball_radius_mm=ball_radius_mm, balls=kept, rejected=dropped + unseen))
+        records.append(PressRecord(file=name, ball_radius_mm=ball_radius_mm, balls=kept, rejected=rejected))
     return records
 
 

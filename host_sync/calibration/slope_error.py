@@ -20,6 +20,7 @@ from device.ball import Ball, BallSamples, gather_samples, sphere_slopes
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float64Array, MaskArray
+from host_sync.calibration.ball_radii import radius_shares
 
 SPLIT_SHARE: Final = 0.1
 """Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
@@ -27,7 +28,6 @@ SPLIT_SHARE: Final = 0.1
 APEX_SLOPE: Final = 0.1
 INNER_SHARE: Final = 0.9
 FEWEST_PIXELS: Final = 50
-MOST_SAMPLES: Final = 20_000
 
 Pressed = Sequence[tuple[IntensityImage, Sequence[Ball]]]
 
@@ -70,38 +70,29 @@ def measure_slope_error(presses: Pressed, inverse_map: InverseMap, inflation: fl
         patch_deg=patch_deg * inflation,
         patch_px=float(np.median(widths)),
         raised_shade=_raised_shade(samples),
-        scale_share=_scale_share(samples, inverse_map),
+        scale_share=float(np.sqrt(np.nanmean((1.0 / radius_shares(samples, inverse_map) - 1.0) ** 2))),
     )
 
 
 def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[tuple[Ball, Float64Array, MaskArray]]:
     """For each ball and slope component: its error as an angle (radians) in a window, and the pixels that count."""
     for image, balls in presses:
-        gradients = inverse_map.gradients(image)
         for ball in balls:
-            rows, columns = _window(ball, image.shape)
-            row, column = np.mgrid[rows, columns].astype(np.float32)
+            window = _window(ball, image.shape)
+            row, column = np.mgrid[window].astype(np.float32)
             reach = INNER_SHARE * ball.contact_radius_px
             inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < reach**2
-            inside &= image.faithful[rows, columns] & gradients.valid[rows, columns]
+            inside &= image.faithful[window]
             if inside.sum() < FEWEST_PIXELS:
                 continue
-            truth = sphere_slopes(ball, column, row)
-            tilt = 1.0 + truth[0] ** 2 + truth[1] ** 2
-            for slope, true in zip((gradients.p, gradients.q), truth, strict=True):
-                yield ball, np.where(inside, (slope[rows, columns] - true) / tilt, 0.0).astype(np.float64), inside
-
-
-def _scale_share(samples: BallSamples, inverse_map: InverseMap) -> float:
-    """Root mean square over balls of the factor that fits read to true slopes, less 1."""
-    step = max(1, len(samples.p) // MOST_SAMPLES)
-    true = np.stack([samples.p[::step], samples.q[::step]], axis=-1).astype(np.float64)
-    read = inverse_map.predict(samples.intensity[::step], samples.column[::step], samples.row[::step])
-    ball = samples.ball[::step]
-    agreement = np.bincount(ball, (read * true).sum(axis=-1))
-    square = np.bincount(ball, (true**2).sum(axis=-1))
-    known = square > 0.0
-    return float(np.sqrt(np.mean((agreement[known] / square[known] - 1.0) ** 2)))
+            column, row = column[inside], row[inside]
+            read = inverse_map.predict(image.values[window][inside], column, row)
+            truth = np.stack(sphere_slopes(ball, column, row), axis=-1)
+            wrong = (read - truth) / (1.0 + (truth**2).sum(axis=-1, keepdims=True))
+            for component in wrong.T:
+                error = np.zeros(inside.shape)
+                error[inside] = component
+                yield ball, error, inside
 
 
 def _raised_shade(samples: BallSamples) -> tuple[float, float, float]:

@@ -1,23 +1,24 @@
-"""From one linear frame to its height map: intensity, gradients, integration, level, uncertainty."""
+"""From one frame to its height map: intensity, gradients, integration, level, uncertainty."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from device.channel_order import check_channel_order
-from device.photometry import IntensityImage, LinearFrame, check_exposed, divide
+from device.photometry import IntensityImage, LinearFrame, divide
 from device.surface import Float32Array, GradientField, HeightMap, surface_slopes
+from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.paper_model import estimate_gradients
-from host_sync.reconstruction.edge_slopes import EdgeRule
+from host_sync.reconstruction.intensity_checks import check_intensity
+from host_sync.reconstruction.intensity_kernel import raw_intensity
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import IntegrationReport, integrate
+from host_sync.reconstruction.printed_integration import integrate_as_printed
+from host_sync.reconstruction.slope_kernel import evaluate
 from host_sync.reconstruction.uncertainty import contradicted_slope, height_sigma_um, raised_slopes
-
-EDGES: Final[dict[Method, EdgeRule]] = {"direct": "fourth-order", "paper": "printed"}
+from host_sync.softening import softened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,19 +61,32 @@ def reconstruct(
     CalibrationMismatch
         Its size or channel order is not the calibration's.
     """
+    return reconstruct_intensity(divide(frame, calibration.divisor), calibration, name, method)
+
+
+def reconstruct_raw(
+    frame: RawFrame, calibration: Calibration, name: str, method: Method | None = None
+) -> Reconstruction:
+    """The same from a raw frame, which becomes intensity in one pass; errors as for `reconstruct`."""
+    return reconstruct_intensity(raw_intensity(frame, calibration.divisor), calibration, name, method)
+
+
+def reconstruct_intensity(
+    intensity: IntensityImage, calibration: Calibration, name: str, method: Method | None = None
+) -> Reconstruction:
+    """The same from intensity under the calibration's divisor; errors as for `reconstruct`."""
     chosen = method or calibration.preferred
-    check_exposed(frame, name)
-    intensity = divide(frame, calibration.divisor)
-    check_channel_order(frame, calibration.divisor, name)
+    check_intensity(intensity, calibration.divisor, name)
     gradients = estimate(intensity, calibration, chosen)
-    height, integration = integrate(gradients, calibration.pitch_um, edges=EDGES[chosen])
+    solve = integrate_as_printed if chosen == "paper" else integrate
+    height, integration = solve(gradients, calibration.pitch_um)
     at_rest = untouched_skin(gradients)
     height = levelled(height, at_rest)
     p, q = surface_slopes(height)
     raised = raised_slopes(gradients, intensity, calibration.inverse.map, calibration.slope_error)
     contradiction = contradicted_slope(gradients, p, q)
     sigma_um = height_sigma_um(height, gradients, raised, contradiction, calibration.slope_error, at_rest)
-    clipped = float(frame.clipped.mean())
+    clipped = float(intensity.clipped.mean())
     return Reconstruction(chosen, height, sigma_um, p, q, gradients, integration, clipped)
 
 
@@ -80,4 +94,4 @@ def estimate(intensity: IntensityImage, calibration: Calibration, method: Method
     """Slopes per pixel by the method."""
     if method == "paper":
         return estimate_gradients(calibration.paper, intensity)
-    return calibration.inverse.map.gradients(intensity)
+    return evaluate(calibration.inverse.map, softened(intensity))

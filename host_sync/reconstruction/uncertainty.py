@@ -29,6 +29,9 @@ RAISED_SPREAD: Final = 0.5
 CONTRADICTION_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
 
+CONTRADICTION_CELL_PX: Final = 4
+"""The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
+
 SlopePair = tuple[Float32Array, Float32Array]
 
 
@@ -38,11 +41,15 @@ def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Arra
     Slopes that belong to no surface cannot be right. Of an error without preference integration removes half the power
     and keeps the other half, so that twice of what it removed is the error (p and q are the integrated slopes).
     """
-    total = np.zeros(gradients.p.shape, np.float32)
+    rows, columns = gradients.p.shape
+    size = (max(columns // CONTRADICTION_CELL_PX, 1), max(rows // CONTRADICTION_CELL_PX, 1))
+    sigma = CONTRADICTION_PX / CONTRADICTION_CELL_PX
+    total = np.zeros(size[::-1], np.float32)
     for estimated, integrated in ((gradients.p, p), (gradients.q, q)):
         removed = np.where(gradients.valid & np.isfinite(integrated), estimated - integrated, np.float32(0.0))
-        total += cv2.GaussianBlur(removed, (0, 0), CONTRADICTION_PX) ** 2
-    return np.asarray(np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * CONTRADICTION_PX)), np.float32)
+        total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
+    patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
+    return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def raised_slopes(
