@@ -48,11 +48,16 @@ def press_places() -> list[tuple[float, float]]:
 
 
 def calibrate(
-    hardware: Hardware, store: BundleStore, ball_radius_mm: float, tell: Callable[[str], None]
+    hardware: Hardware,
+    store: BundleStore,
+    ball_radius_mm: float,
+    tell: Callable[[str], None],
+    plan: CapturePlan | None = None,
 ) -> CalibrationOutcome:
     """Guide through a calibration, publish it and make it active.
 
     tell : shows one line to the person at the instrument
+    plan : exposure and currents, such as `balance` found; the board profile's when none is given
 
     Raises
     ------
@@ -61,7 +66,7 @@ def calibrate(
     HalError, FrameNotProven, StoreError
         The hardware or the disk refused.
     """
-    plan = CapturePlan.of_board(hardware)
+    plan = plan or CapturePlan.of_board(hardware)
     tell("Touch nothing with the gel, then push the button.")
     reference = _capture_on_button(hardware, plan, LiftOff())
     check_exposed(bin_bayer(reference, BINNING), "the reference")

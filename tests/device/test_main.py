@@ -1,5 +1,7 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,43 @@ def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.Cap
 def test_lights_off_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--board", "twin", "lights-off"]) == 0
     assert capsys.readouterr().out == ""
+
+
+def test_the_selftest_walks_the_twin(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "twin", "selftest", "--push"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0].split()[0] for line in lines] == ["ok"] * 10
+    assert lines[0].startswith("ok       power: ")
+
+
+def test_the_selftest_of_a_board_that_is_not_there_blames_its_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "zero2w-imx708", "selftest"]) == 3
+    told = capsys.readouterr().out
+    assert "failed   light driver: I2C bus 1" in told
+    assert "failed   camera: " in told
+    assert "skipped  light green: not tested, since the light driver failed" in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_ends_through_every_exit(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended: list[str] = []
+
+    class Dark:
+        def __enter__(self) -> "Dark":
+            return self
+
+        def __exit__(self, *exc: object) -> None:
+            ended.append("dark")
+
+        def dark(self) -> None:
+            os.kill(os.getpid(), number)
+
+    class Board:
+        lights = Dark()
+
+    monkeypatch.setattr("device.__main__.open_hardware", lambda _profile: Board())
+    assert main(["--board", "twin", "lights-off"]) == 130
+    assert ended == ["dark"]
+    assert "stopped" in capsys.readouterr().err
