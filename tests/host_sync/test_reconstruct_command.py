@@ -29,7 +29,8 @@ from hal.twin.hardware import twin_hardware
 from host_sync.__main__ import main
 
 RESULT_FILES = {
-    "height_um.tif", "slope_p.tif", "slope_q.tif", "height_sigma_um.tif", "relief.png", "result.json",
+    "height_um.tif", "slope_p.tif", "slope_q.tif", "height_sigma_um.tif", "slope_sigma.tif", "height_draws_um.tif",
+    "relief.png", "result.json",
 }  # fmt: skip
 RADIUS_MM = 3.0
 PITCH_UM = 48.0
