@@ -13,6 +13,7 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from device.active_calibration import read_active
 from device.bundle_store import BundleStore
 from device.errors import DeviceError, FrameNotProven
 from device.scan_bundle import Annotations
@@ -52,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"retrograph {version('retrograph')}")
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
-    parser.add_argument("--store", type=Path, help="folder of scans and calibrations")
+    parser.add_argument("--store", type=_folder, help="folder of scans and calibrations")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
@@ -86,6 +87,12 @@ def _text(text: str) -> str:
     return text
 
 
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("an empty name is no folder")
+    return Path(text)
+
+
 def _positive(text: str) -> float:
     try:
         value = float(text)
@@ -108,7 +115,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 def _scan(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        scanner = Scanner(hardware, _store(options, hardware))
+        scanner = Scanner(hardware, _calibrated_store(options, hardware))
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
@@ -119,7 +126,7 @@ def _scan(options: argparse.Namespace) -> int:
 
 def _watch(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        scanner = Scanner(hardware, _store(options, hardware))
+        scanner = Scanner(hardware, _calibrated_store(options, hardware))
         _say(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
         while hardware.button.wait_for_press(None):
             try:
@@ -141,6 +148,12 @@ def _hardware(options: argparse.Namespace) -> Hardware:
 
 def _store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:
     return BundleStore(options.store or default_store(os.environ), hardware.clock)
+
+
+def _calibrated_store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:
+    """A store that can be scanned into; one without a calibration is refused before anything is made."""
+    read_active(options.store or default_store(os.environ))
+    return _store(options, hardware)
 
 
 def _annotations(options: argparse.Namespace) -> Annotations:

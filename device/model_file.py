@@ -12,6 +12,8 @@ from device.errors import RecordError
 from device.inverse_map import InverseMap
 
 MODEL_FILE: Final = "inverse-map.npz"
+MOST_MODEL_BYTES: Final = 64 << 20
+"""A map takes a few megabytes; a file that unpacks to more than this is not unpacked."""
 
 
 def write_model(path: Path, inverse_map: InverseMap) -> None:
@@ -29,6 +31,10 @@ def read_model(path: Path) -> InverseMap:
         The file is missing, damaged or holds something else.
     """
     try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked_bytes = sum(member.file_size for member in archive.infolist())
+        if unpacked_bytes > MOST_MODEL_BYTES:
+            raise RecordError(f"{path}: unpacks to {unpacked_bytes / 1e6:.0f} MB, more than any model: calibrate again")
         with np.load(path, allow_pickle=False) as arrays:
             return InverseMap.from_arrays(dict(arrays), str(path))
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:

@@ -70,17 +70,18 @@ def write_raw(path: Path, frame: RawFrame) -> None:
     )
 
 
-def read_raw(path: Path) -> RawFrame:
-    """The frame that `write_raw` wrote.
+def read_raw(path: Path, shape: tuple[int, int] | None = None) -> RawFrame:
+    """The frame that `write_raw` wrote, of `shape` (H, W) when one is promised; nothing else is decompressed.
 
     Raises
     ------
     RecordError
-        The file is missing, damaged or not a raw frame; names it.
+        The file is missing, damaged, not a raw frame, or of another size; names it.
     """
     try:
         with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
             header = decode_record(tiff.pages.first.description.encode(), RawHeader, path)
+            _check_size(header, shape, path)
             planes = _read_planes(tiff, header, path)
     except RecordError:
         raise
@@ -109,6 +110,12 @@ def _planes(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
     if rows % 2 or columns % 2:
         raise ValueError(f"a mosaic of {columns}x{rows} pixels does not consist of 2x2 blocks")
     return np.stack([mosaic[site // 2 :: 2, site % 2 :: 2] for site in range(4)]).astype("<u2", copy=False)
+
+
+def _check_size(header: RawHeader, promised: tuple[int, int] | None, path: Path) -> None:
+    found = (header.rows, header.columns)
+    if promised is not None and found != promised:
+        raise RecordError(f"{path}: is {found} pixels (rows, columns), not {promised} as recorded: fetch it again")
 
 
 def _read_planes(tiff: tifffile.TiffFile, header: RawHeader, path: Path) -> NDArray[np.uint16]:

@@ -11,10 +11,18 @@ from device.active_calibration import ActiveCalibration
 from device.calibration_bundle import CalibrationRecord
 from device.device_identity import DeviceState
 from device.raw_file import RawHeader
+from device.receipts import Receipt
 from device.records import Record
 from device.scan_bundle import ScanRecord
 
-_RECORDS: Final[tuple[type[Record], ...]] = (ScanRecord, CalibrationRecord, RawHeader, DeviceState, ActiveCalibration)
+_RECORDS: Final[tuple[type[Record], ...]] = (
+    ScanRecord,
+    CalibrationRecord,
+    RawHeader,
+    DeviceState,
+    ActiveCalibration,
+    Receipt,
+)
 
 
 def schemas() -> dict[str, dict[str, Any]]:

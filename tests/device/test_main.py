@@ -17,7 +17,16 @@ def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int)
 
 def test_scanning_before_calibrating_says_what_to_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = str(tmp_path / "store")
-    assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, "scan"], 2)
+    for command in ("scan", "watch"):
+        assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, command], 2)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_name_is_no_store(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "--store", "", "calibrate"])
+    assert ended.value.code == 2
+    assert "an empty name is no folder" in capsys.readouterr().err
 
 
 def test_an_unknown_board_lists_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
