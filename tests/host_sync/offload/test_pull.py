@@ -4,19 +4,17 @@ import errno
 import os
 import shutil
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 
-from device.bundle_layout import BundleKind
 from device.bundle_publishing import locked_directory
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.records import CHUNK_BYTES
 from device.scan_bundle import ScanBundle, ScanRecord
-from host_sync.errors import LibraryError, SourceError
+from host_sync.errors import LibraryError, NoSource
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
@@ -65,13 +63,13 @@ def test_a_second_pull_copies_nothing(
     source = DirectorySource(store.root)
     pull(source, library)
     opened: list[str] = []
-    genuine = DirectorySource.open_file
+    genuine = DirectorySource.blocks
 
-    def noting(self: DirectorySource, kind: BundleKind, bundle_id: str, name: str) -> BinaryIO:
-        opened.append(name)
-        return genuine(self, kind, bundle_id, name)
+    def noting(self: DirectorySource, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
+        opened.append(place.rpartition("/")[2])
+        return genuine(self, place, offset_bytes)
 
-    monkeypatch.setattr(DirectorySource, "open_file", noting)
+    monkeypatch.setattr(DirectorySource, "blocks", noting)
     report = pull(source, library)
     assert (report.copied, report.copied_bytes, len(report.already_there)) == ((), 0, 4)
     assert {name.removesuffix(".sha256") for name in opened} == {"scan.json", "calibration.json"}
@@ -108,7 +106,7 @@ def test_a_bundle_that_a_store_damages_in_writing_is_never_published(
     def rotting(descriptor: int) -> None:
         genuine(descriptor)
         written = Path(f"/proc/self/fd/{descriptor}").resolve()
-        if written.name == "preview.png" and scans[0].scan_id in str(written):
+        if written.name == "preview.png.part" and scans[0].scan_id in str(written):
             written.write_bytes(b"\0" * written.stat().st_size)
 
     monkeypatch.setattr(os, "fsync", rotting)
@@ -186,6 +184,7 @@ def test_leftovers_are_cleared_and_two_pulls_do_not_mix(
     leftover = library.root / "scans" / f".{scans[0].scan_id}.partial"
     leftover.mkdir(parents=True)
     (leftover / "raw.tif").write_bytes(b"half")
+    (leftover / "stranger.part").write_bytes(b"half")
     with locked_directory(library.root), pytest.raises(LibraryError, match="another program"):
         pull(DirectorySource(store.root), library)
     assert pull(DirectorySource(store.root), library).complete
@@ -216,7 +215,7 @@ def test_the_store_is_found_on_a_card(store: BundleStore, tmp_path: Path, scans:
     shutil.copytree(store.root, card / "var" / "lib" / "retroscan")
     assert DirectorySource(card).root == card / "var" / "lib" / "retroscan"
     shutil.copytree(store.root, card / "backup")
-    with pytest.raises(SourceError, match="several stores"):
+    with pytest.raises(NoSource, match="several stores"):
         DirectorySource(card)
 
 
@@ -224,5 +223,5 @@ def test_a_place_without_scans_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "empty").mkdir()
     for name, sentence in (("file", "Not a directory"), ("absent", "No such file"), ("empty", "holds no scans")):
-        with pytest.raises(SourceError, match=sentence):
+        with pytest.raises(NoSource, match=sentence):
             DirectorySource(tmp_path / name)

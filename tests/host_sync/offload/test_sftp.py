@@ -1,0 +1,212 @@
+"""Offload over the real OpenSSH server on loopback: in the end everything is there, bit by bit, whatever happens."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from device.bundle_store import BundleStore
+from device.records import sha256_bytes
+from host_sync.errors import SourceLost, SourceRefused
+from host_sync.library import Library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.pull import PullReport, pull
+from host_sync.offload.receipting import Vouch
+from host_sync.offload.sftp import REQUEST_BYTES, REQUESTS_AHEAD, SftpSource
+from host_sync.offload.sftp_link import Patience
+
+BLOCK_BYTES = REQUESTS_AHEAD * REQUEST_BYTES
+HANDSHAKE_BYTES = 16_384
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Library:
+    return Library(tmp_path / "library")
+
+
+def vouch() -> Vouch:
+    return Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
+
+
+def contents(root: Path, kind: str) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(root)): path.read_bytes() for path in sorted((root / kind).rglob("*")) if path.is_file()
+    }
+
+
+def assert_identical(store: BundleStore, library: Library) -> None:
+    for kind in ("scans", "calibrations"):
+        assert contents(library.root, kind) == contents(store.root, kind)
+
+
+def pull_over(server: Any, library: Library, port: int | None = None, **named: Any) -> PullReport:
+    with server.link(port, **named) as link:
+        return pull(SftpSource(link), library, vouch=vouch())
+
+
+def test_network_and_card_give_the_same(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any, publish_calibration: Any, tmp_path: Path
+) -> None:
+    calibration = publish_calibration(store)
+    scan = publish_scan(store, calibration.calibration_id)
+    report = pull_over(server, library)
+    assert report.copied == (calibration.calibration_id, scan.scan_id)
+    assert report.unreceipted is None
+    assert_identical(store, library)
+    card = Library(tmp_path / "from-card")
+    assert pull(DirectorySource(store.root), card).copied == report.copied
+    assert contents(card.root, "scans") == contents(library.root, "scans")
+    again = pull_over(server, library)
+    assert (again.copied, again.copied_bytes, len(again.already_there)) == ((), 0, 2)
+
+
+def test_a_receipt_follows_what_was_read_back_and_lets_the_device_free_it(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any
+) -> None:
+    scan = publish_scan(store)
+    assert store.make_room(1 << 62) == []
+    pull_over(server, library)
+    receipt = json.loads((store.root / "receipts" / f"{scan.scan_id}.json").read_bytes())
+    assert receipt["manifest_sha256"] == sha256_bytes((scan.directory / "scan.json").read_bytes())
+    assert store.make_room(1 << 62) == [scan.scan_id]
+    library.find(scan.scan_id).verify()
+
+
+def test_a_copy_that_has_rotted_in_the_library_is_not_receipted(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any
+) -> None:
+    scan = publish_scan(store)
+    pull(DirectorySource(store.root), library)
+    raw = library.root / "scans" / scan.scan_id / "raw.tif"
+    raw.write_bytes(raw.read_bytes()[:-1] + b"?")
+    report = pull_over(server, library)
+    assert [failure.bundle_id for failure in report.failed] == [scan.scan_id]
+    assert "raw.tif" in report.failed[0].reason
+    assert store.make_room(1 << 62) == []
+
+
+def harmed_pull(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object], cuts: int
+) -> None:
+    publish_large(3 << 20)
+    publish_large(700_001)
+    rng = np.random.default_rng(7)
+    positions = np.concatenate([rng.integers(0, 5_000, cuts // 4), rng.integers(0, 900_000, cuts - cuts // 4)])
+    proxy.harms.extend(("cut", int(at)) for at in rng.permutation(positions))
+    report = pull_over(server, library, proxy.port)
+    while proxy.harms:  # what is already whole is not fetched again: begin anew until every cut has been made
+        assert report.complete
+        for bundle in library.scans().bundles:
+            for path in (*bundle.directory.iterdir(),):
+                path.unlink()
+            bundle.directory.rmdir()
+        for receipt in (store.root / "receipts").iterdir():
+            receipt.unlink()
+        proxy.served_bytes = proxy.connections = 0
+        report = pull_over(server, library, proxy.port)
+    assert report.complete
+    assert_identical(store, library)
+    assert report.copied_bytes == sum(path.stat().st_size for path in (store.root / "scans").glob("*/raw.tif"))
+    repeated = proxy.served_bytes - report.copied_bytes
+    assert repeated <= proxy.connections * (BLOCK_BYTES + HANDSHAKE_BYTES)
+    assert list((library.root / "scans").glob(".*")) == []
+
+
+def test_a_transfer_that_is_cut_goes_on_where_it_stopped(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    harmed_pull(server, proxy, store, library, publish_large, 8)
+
+
+@pytest.mark.slow
+def test_two_hundred_cuts(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    harmed_pull(server, proxy, store, library, publish_large, 200)
+
+
+def test_flipped_bits_never_arrive(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(1 << 20)
+    rng = np.random.default_rng(3)
+    proxy.harms.extend(("flip", int(at)) for at in (*rng.integers(5_000, 400_000, 6), 30, 900))
+    assert pull_over(server, library, proxy.port).complete
+    assert_identical(store, library)
+
+
+def test_silence_ends_in_a_sentence_and_the_next_pull_goes_on(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("silence", 2_000_000), *[("silence", 0)] * 50])
+    hasty = Patience(keepalive_s=0.2, unanswered=2, give_up_s=0.8, retry_s=0.01)
+    report = pull_over(server, library, proxy.port, patience=hasty)
+    assert report.lost is not None
+    assert "what came is kept" in report.lost
+    (part,) = (library.root / "scans").glob(".*/raw.tif.part")
+    kept = part.stat().st_size
+    assert kept > 500_000
+    proxy.harms.clear()
+    report = pull_over(server, library, proxy.port)
+    assert report.complete
+    assert report.copied_bytes == (3 << 20) - kept
+    assert_identical(store, library)
+
+
+def test_a_slow_line_only_takes_longer(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(400_000)
+    proxy.bytes_per_s = 32e6 / 8
+    assert pull_over(server, library, proxy.port).complete
+    assert_identical(store, library)
+
+
+def test_a_server_killed_and_back_again_is_picked_up(
+    server: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(4 << 20)
+    killed = False
+
+    def kill_once(_: object) -> None:
+        nonlocal killed
+        if not killed:
+            killed = True
+            server.kill()
+            server.start()
+
+    with server.link() as link:
+        report = pull(SftpSource(link), library, kill_once)
+    assert killed
+    assert report.complete
+    assert_identical(store, library)
+
+
+def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, library: Library) -> None:
+    foreign = server.host_key[:-6] + ("AAAAAA" if not server.host_key.endswith("AAAAAA") else "BBBBBB")
+    with pytest.raises(SourceRefused, match=r"another key than the one it was paired with.*pair it again"):
+        pull_over(server, library, host_key=foreign)
+    (server.folder / "authorized_keys").write_text("")
+    with pytest.raises(SourceRefused, match="does not accept this workstation's key"):
+        pull_over(server, library)
+
+
+def test_nobody_there_is_told(server: Any, library: Library) -> None:
+    server.kill()
+    hasty = Patience(give_up_s=0.2, retry_s=0.01)
+    with pytest.raises(SourceLost, match=r"cannot be reached at 127\.0\.0\.1"):
+        pull_over(server, library, patience=hasty)
+
+
+def test_the_devices_clock_is_compared(server: Any) -> None:
+    with server.link() as link:
+        offset_s = SftpSource(link).clock_offset_s()
+    assert offset_s is not None
+    assert abs(offset_s) <= 2.0
