@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from device.bundle_store import BundleStore
 from device.records import sha256_bytes
+from hal.clock import VirtualClock
+from host_sync.__main__ import main
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import PullReport, pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sftp import REQUEST_BYTES, REQUESTS_AHEAD, SftpSource
 from host_sync.offload.sftp_link import Patience
+from host_sync.offload.sync import sync
 
 BLOCK_BYTES = REQUESTS_AHEAD * REQUEST_BYTES
 HANDSHAKE_BYTES = 16_384
@@ -210,3 +216,61 @@ def test_the_devices_clock_is_compared(server: Any) -> None:
         offset_s = SftpSource(link).clock_offset_s()
     assert offset_s is not None
     assert abs(offset_s) <= 2.0
+
+
+def test_sync_status_and_push_by_the_devices_name(
+    server: Any,
+    store: BundleStore,
+    publish_scan: Any,
+    publish_calibration: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    settings = PairedDevices(tmp_path / "config" / "retrograph")
+    settings.private_key(server.private_key.read_bytes)
+    settings.save(server.device())
+    publish_scan(store)
+    library = ["--library", str(tmp_path / "library")]
+    assert main(["sync", *library]) == 0
+    assert main(["pull", "c0ffee", *library]) == 0
+    assert "1 of 1 verified" in capsys.readouterr().out
+    assert main(["status"]) == 0
+    said = capsys.readouterr().out
+    assert "rg00c0ffee" in said
+    assert "1 verified, 0 failed; its clock was" in said
+    other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
+    calibration = publish_calibration(other)
+    assert main(["pull", str(other.root), *library]) == 0
+    assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 0
+    assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 3
+    assert "in its inbox already" in capsys.readouterr().err
+    assert [delivery.refusal for delivery in store.take_inbox()] == [None]
+    assert store.activate(calibration.calibration_id).record == calibration.record
+
+
+def test_several_devices_fill_one_library_side_by_side(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any, tmp_path: Path
+) -> None:
+    publish_scan(store)
+    other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
+    publish_scan(other)
+    settings = PairedDevices(tmp_path / "settings")
+    near, far, gone = (msgspec.structs.replace(server.device(), device_id=f"rg{i}") for i in range(3))
+
+    @contextmanager
+    def opener(device: PairedDevice) -> Iterator[Any]:
+        if device == gone:
+            raise SourceLost("gone: cannot be reached")
+        if device == far:
+            yield DirectorySource(other.root)
+            return
+        with server.link() as link:
+            yield SftpSource(link)
+
+    outcomes = sync([near, gone, far], library, settings, opener, lambda *_: None)
+    assert [getattr(outcome, "complete", False) for outcome in outcomes] == [True, False, True]
+    assert len(library.scans().bundles) == 2
+    assert settings.sync_state("rg1") is not None
+    assert settings.sync_state("rg1").clock_offset_s is None  # type: ignore[union-attr]
