@@ -145,6 +145,18 @@ def check_seal(data: bytes, seal: bytes, source: str | Path) -> None:
         raise RecordError(f"{source}: does not agree with its seal {Path(source).name}.sha256: fetch the bundle again")
 
 
+def check_folder_name(directory: Path, identity: Identity) -> None:
+    """Refuse a bundle in a folder that is not named by its id: a copy beside the original would count twice.
+
+    Raises
+    ------
+    RecordError
+        Names the folder.
+    """
+    if directory.name != identity.id:
+        raise RecordError(f"{directory}: holds the bundle {identity.id}: name the folder so, or remove the copy")
+
+
 def read_small(path: Path, remedy: str = "fetch the bundle again") -> bytes:
     """Bytes of a small regular file; `remedy` is what to do when there is none.
 

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
+from host_sync.commands import library as library_commands
 from host_sync.commands import offload
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
 from host_sync.errors import FrameSetError, HostError, SourceError
@@ -62,6 +63,7 @@ def _let_output_go() -> None:
 
 
 offload.register(app)
+library_commands.register(app)
 
 
 @app.command

@@ -100,6 +100,11 @@ class Library:
             entries = folder.iterdir() if folder.is_dir() else ()
             return tuple(sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")))
 
+    def require(self) -> None:
+        """Refuse a library that is not there."""
+        if not self.root.is_dir():
+            raise LibraryError(f"{self.root}: there is no library: pull into it first, or name another")
+
     def free_bytes(self) -> int:
         """Free space of the library's disk, bytes."""
         with self.translating("read"):
@@ -156,9 +161,8 @@ class Library:
             ) from error
 
     def _listing(self, kind: BundleKind, read: Callable[[Path], BundleT]) -> Listing[BundleT]:
+        self.require()
         with self.translating("read"):
-            if not self.root.is_dir():
-                raise LibraryError(f"{self.root}: there is no library: pull into it first, or name another")
             return list_bundles(self.root, kind, read)
 
     def _find(self, kind: BundleKind, name: str) -> Path:

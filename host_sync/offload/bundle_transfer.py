@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -85,8 +86,10 @@ def read_offer(source: Source, kind: BundleKind, bundle_id: str) -> Offer:
     return Offer(kind, bundle_id, data, files, calibration_id)
 
 
-def fetch(source: Source, offer: Offer, into: Path, advance: Advance) -> None:
+def fetch(source: Source, offer: Offer, into: Path, advance: Advance, known: Mapping[str, Path]) -> None:
     """Complete an offered bundle in a directory that may hold a part of it.
+
+    known : files of this machine by their SHA-256; what is among them is copied (never linked: rot must not spread)
 
     Raises
     ------
@@ -99,10 +102,10 @@ def fetch(source: Source, offer: Offer, into: Path, advance: Advance) -> None:
     """
     _prepare(offer, into)
     for name, entry in offer.files.items():
-        if not (into / name).exists():
-            _fetch_file(source, offer, name, entry, into / name, advance)
-        else:
+        if (into / name).exists() or _copy_known(known.get(entry.sha256), entry, into / name):
             advance(entry.size, fetched=False)
+        else:
+            _fetch_file(source, offer, name, entry, into / name, advance)
     try:
         verify_files(into, offer.files)
     except RecordError:
@@ -123,6 +126,19 @@ def _prepare(offer: Offer, into: Path) -> None:
             path.unlink()
     (into / manifest).write_bytes(offer.manifest)
     (into / seal_name(manifest)).write_bytes(seal)
+
+
+def _copy_known(path: Path | None, entry: FileEntry, target: Path) -> bool:
+    """Whether a file that this machine has was copied, and its copy is what the manifest promises."""
+    part = target.with_name(target.name + PART)
+    if path is None or part.exists() or path.is_symlink() or not path.is_file():
+        return False
+    shutil.copyfile(path, part)
+    if describe_file(part) != entry:
+        part.unlink()
+        return False
+    part.rename(target)
+    return True
 
 
 def _fetch_file(source: Source, offer: Offer, name: str, entry: FileEntry, path: Path, advance: Advance) -> None:

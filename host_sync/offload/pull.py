@@ -5,7 +5,8 @@ A bundle that is damaged is named and left behind; the others go on. A second pu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,7 @@ from device.receipts import RECEIPTS, bundle_of
 from device.records import read_small
 from host_sync.errors import BusyBundle, LibraryError, SourceError, SourceLost
 from host_sync.library import Library
+from host_sync.library_index import files_by_hash
 from host_sync.offload.bundle_transfer import Offer, fetch, read_offer
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.source import Source
@@ -81,6 +83,19 @@ class _Ledger:
     copied_bytes: int = 0
     lost: str | None = None
 
+    @contextmanager
+    def noting(self, offer: Offer, meter: _Meter) -> Iterator[None]:
+        """Notes whether a bundle was copied; what concerns this one alone goes no further."""
+        try:
+            yield
+            self.copied.append(offer.bundle_id)
+        except SourceLost:
+            raise
+        except (RecordError, SourceError, BusyBundle) as error:
+            self.failed.append(PullFailure(offer.bundle_id, str(error)))
+        finally:
+            self.copied_bytes += meter.fetched_bytes
+
     def report(self, library: Library, unreceipted: str | None) -> PullReport:
         here = {*self.copied, *self.already_there}
         folder: Path = library.root / "calibrations"
@@ -127,9 +142,14 @@ def pull_into(
         offers = _survey(source, library, ledger, receipted, vouch)
         total_bytes = sum(offer.size_bytes for offer in offers)
         _require_space(library, total_bytes)
+        known = files_by_hash(library) if offers else {}
         done_bytes = 0
         for offer in offers:
-            _copy(source, library, offer, ledger, _Meter(offer.bundle_id, done_bytes, total_bytes, progress), vouch)
+            meter = _Meter(offer.bundle_id, done_bytes, total_bytes, progress)
+            with ledger.noting(offer, meter), library.publishing(offer.kind, offer.bundle_id) as partial:
+                fetch(source, offer, partial, meter.advance, known)
+            if vouch and offer.bundle_id in ledger.copied:
+                vouch.for_bundle(source, offer)
             done_bytes += offer.size_bytes
     except SourceLost as error:
         ledger.lost = str(error)
@@ -186,22 +206,6 @@ def _require_space(library: Library, needed_bytes: int) -> None:
             f"{library.root}: {needed_bytes / 1e6:.0f} MB are to come and {free / 1e6:.0f} MB are free: "
             "free space or name another library"
         )
-
-
-def _copy(source: Source, library: Library, offer: Offer, ledger: _Ledger, meter: _Meter, vouch: Vouch | None) -> None:
-    try:
-        with library.publishing(offer.kind, offer.bundle_id) as partial:
-            fetch(source, offer, partial, meter.advance)
-    except SourceLost:
-        raise
-    except (RecordError, SourceError, BusyBundle) as error:
-        ledger.failed.append(PullFailure(offer.bundle_id, str(error)))
-        return
-    finally:
-        ledger.copied_bytes += meter.fetched_bytes
-    ledger.copied.append(offer.bundle_id)
-    if vouch:
-        vouch.for_bundle(source, offer)
 
 
 @dataclass(slots=True)

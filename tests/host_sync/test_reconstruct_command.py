@@ -258,6 +258,18 @@ def test_a_reference_that_is_black_or_saturated_is_refused(
     assert f"the reference {word}" in refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
 
 
+def pretend_another_version_wrote(folder: Path) -> None:
+    """Results of a version whose heights were 2.5 µm higher at one pixel and missing at another."""
+    old = folder.with_name(folder.name + "-old")
+    folder.rename(old)
+    record = json.loads((old / "result.json").read_text())
+    (old / "result.json").write_text(json.dumps(record | {"program": "retrograph 0.0.1"}))
+    height = tifffile.imread(old / "height_um.tif")
+    height[10, 10] += 2.5
+    height[20, 20] = np.nan
+    tifffile.imwrite(old / "height_um.tif", height)
+
+
 def test_from_card_to_library_to_results(
     calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -279,6 +291,18 @@ def test_from_card_to_library_to_results(
     height = tifffile.imread(folder / "height_um.tif")
     error = np.abs(height - truth.z_um)[truth.contact]
     assert np.median(error) < 0.1 * truth.z_um.max()
+    assert main(["reprocess", "--library", str(library)]) == 0
+    assert "1 identical, 0 not as promised" in capsys.readouterr().out
+    pretend_another_version_wrote(folder)
+    assert main(["reprocess", "--library", str(library)]) == 0
+    said = capsys.readouterr().out
+    assert "height_um.tif: differs by 0 um (median) and 2.5 um at most; 1 pixels changed validity" in said
+    assert len(list(folder.parent.iterdir())) == 2
+    changed = next(path for path in folder.parent.iterdir() if path.name != folder.name + "-old")
+    (changed / "slope_p.tif").unlink()
+    assert main(["reprocess", "--library", str(library)]) == 2
+    assert "slope_p.tif is missing" in capsys.readouterr().out
+    assert leftovers(library) == []
     raw = library / "scans" / scan.scan_id / "raw.tif"
     raw.write_bytes(raw.read_bytes()[:-100])
     assert "raw.tif" in refusal(capsys, ["reconstruct", "--library", str(library), scan.scan_id])

@@ -170,6 +170,25 @@ def test_a_renamed_bundle_is_not_taken_for_another(
     assert scans[0].scan_id in report.failed[0].reason
 
 
+def test_what_the_library_has_is_not_fetched_again_and_not_linked(
+    store: BundleStore, library: Library, tmp_path: Path, scan_record: Callable[..., ScanRecord]
+) -> None:
+    def publish() -> ScanBundle:
+        return store.publish_scan(scan_record(store), lambda folder: (folder / "raw.tif").write_bytes(b"same") and None)
+
+    first = publish()
+    assert pull(DirectorySource(store.root), library).copied_bytes == 4
+    second = publish()
+    report = pull(DirectorySource(store.root), library)
+    assert (report.copied, report.copied_bytes) == ((second.scan_id,), 0)
+    held = library.find(first.scan_id).path("raw.tif")
+    held.write_bytes(b"rot!")
+    library.find(second.scan_id).verify()
+    third = publish()
+    assert pull(DirectorySource(store.root), library).complete
+    library.find(third.scan_id).verify()
+
+
 def test_a_scan_without_its_calibration_is_told(
     store: BundleStore, library: Library, scans: list[ScanBundle], calibration: CalibrationBundle
 ) -> None:
