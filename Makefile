@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo test format lock clean set-up
+.PHONY: help demo test powercut format lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
@@ -29,6 +29,9 @@ demo: set-up ## the whole story on the simulated handheld; pictures in demo-outp
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
+
+powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
+	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
 
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
