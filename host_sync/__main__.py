@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
+from host_sync.commands import exporting, offload
 from host_sync.commands import library as library_commands
-from host_sync.commands import offload
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
@@ -64,6 +64,7 @@ def _let_output_go() -> None:
 
 offload.register(app)
 library_commands.register(app)
+exporting.register(app)
 
 
 @app.command

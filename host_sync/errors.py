@@ -54,3 +54,7 @@ class SourceRefused(SourceError):
 
 class PairingError(HostError, ValueError):
     """Pairing failed: a wrong code, or something else answered. Open the device's window again and repeat."""
+
+
+class ExportError(HostError, OSError):
+    """An export cannot be written. Free the place or choose another."""
