@@ -7,12 +7,11 @@ a library that cannot be written gets one in memory.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, date
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from device.bundle_layout import MANIFESTS, BundleKind, bundle_ids
 from device.calibration_bundle import CalibrationBundle, read_calibration
@@ -77,43 +76,50 @@ def search(library: Library, query: Query) -> list[Hit]:
     sql = (
         f"SELECT id, taken, verdict, job, part, gel FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
     )
-    with _index(library) as index:
-        return [Hit(*row) for row in index.execute(sql, given | days)]
+    return [Hit(*row) for row in _ask(library, sql, given | days)]
 
 
 def files_by_hash(library: Library) -> dict[str, Path]:
     """A file of the library for each SHA-256 that it holds, as its manifests say: hash it before trusting it."""
-    with _index(library) as index:
-        rows = index.execute("SELECT sha256, kind, id, name FROM file")
-        return {sha256: library.root / kind / bundle_id / name for sha256, kind, bundle_id, name in rows}
+    rows = _ask(library, "SELECT sha256, kind, id, name FROM file", {})
+    return {sha256: library.root / kind / bundle_id / name for sha256, kind, bundle_id, name in rows}
 
 
-@contextmanager
-def _index(library: Library) -> Iterator[sqlite3.Connection]:
-    """The library's index, up to date."""
-    path = library.root / INDEX_FILE
+def _ask(library: Library, sql: str, values: dict[str, str]) -> list[tuple[Any, ...]]:
+    """The rows that an up-to-date index gives; one that turns out to be damaged is made anew first."""
     library.require()
-    try:
-        index = _open(path)
-    except sqlite3.DatabaseError:
-        with library.translating("indexed"):
+    path = library.root / INDEX_FILE
+    with library.translating("read"):
+        try:
+            return _ask_once(path, sql, values)
+        except sqlite3.DatabaseError:
             path.unlink(missing_ok=True)
-        index = _open(path)
-    with closing(index):
-        with library.translating("read"):
-            _update(index, library.root)
-        yield index
+            return _ask_once(path, sql, values)
+
+
+def _ask_once(path: Path, sql: str, values: dict[str, str]) -> list[tuple[Any, ...]]:
+    with closing(_open(path)) as index:
+        if index.execute("PRAGMA quick_check").fetchone() != ("ok",):
+            raise sqlite3.DatabaseError("the index is damaged")
+        _update(index, path.parent)
+        return index.execute(sql, values).fetchall()
 
 
 def _open(path: Path) -> sqlite3.Connection:
     """The index in a file, empty when it is new or was of another version; in memory when the file cannot be had."""
     try:
-        index = sqlite3.connect(path, timeout=30.0)
+        return _prepared(sqlite3.connect(path, timeout=30.0))
+    except sqlite3.OperationalError:
+        return _prepared(sqlite3.connect(":memory:"))
+
+
+def _prepared(index: sqlite3.Connection) -> sqlite3.Connection:
+    try:
         with index:
             _prepare(index)
-    except sqlite3.OperationalError:
-        index = sqlite3.connect(":memory:")
-        _prepare(index)
+    except sqlite3.Error:
+        index.close()
+        raise
     return index
 
 
