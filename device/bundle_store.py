@@ -216,4 +216,4 @@ def _open_to_group(folder: Path) -> None:
     """Make a folder that the offload's user may write, through the group that it shares with the store's user."""
     if not folder.is_dir():
         folder.mkdir()
-        folder.chmod(0o2770)
+        folder.chmod(0o770)
