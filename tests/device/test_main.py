@@ -1,10 +1,17 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from device.__main__ import main
+from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationBundle
+from device.pairing_card import leave_host_card, read_device_card
+from device.pairing_exchange import HostCard
+from hal.clock import VirtualClock
 
 
 def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
@@ -59,3 +66,33 @@ def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.Cap
 def test_lights_off_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--board", "twin", "lights-off"]) == 0
     assert capsys.readouterr().out == ""
+
+
+def test_a_memory_card_authorizes_workstations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    card, key = tmp_path / "card", "ssh-ed25519 " + "A" * 68
+    card.mkdir()
+    (tmp_path / "host_key.pub").write_text(f"{key} root@device\n")
+    leave_host_card(card, HostCard(name="bench", public_key=key))
+    store = ["--board", "twin", "--store", str(tmp_path / "store")]
+    arguments = ["pair", "--card", str(card), "--host-key", str(tmp_path / "host_key.pub")]
+    for _ in range(2):
+        assert main([*store, *arguments]) == 0
+    assert (tmp_path / "store-pairing" / "authorized_keys").read_text() == f"restrict {key} bench\n"
+    device = read_device_card(card)
+    assert device is not None
+    assert (device.host_key, device.user, device.port) == (key, "retrosync", 22)
+    assert "install openssh-server" in refusal(capsys, [*store, "pair", "--host-key", str(tmp_path / "none")], 2)
+
+
+def test_what_was_pushed_is_taken_and_put_in_force(
+    tmp_path: Path, publish_calibration: Callable[[BundleStore], CalibrationBundle], capsys: pytest.CaptureFixture[str]
+) -> None:
+    bundle = publish_calibration(BundleStore(tmp_path / "other", VirtualClock()))
+    arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "receive"]
+    assert main(arguments) == 0
+    shutil.copytree(bundle.directory, tmp_path / "store" / "inbox" / bundle.calibration_id)
+    (tmp_path / "store" / "inbox" / "empty").mkdir()
+    assert main([*arguments, "--activate"]) == 2
+    said = capsys.readouterr().out
+    assert f"Calibration {bundle.calibration_id} is active." in said
+    assert "empty: " in said

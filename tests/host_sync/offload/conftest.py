@@ -85,7 +85,13 @@ def public_line(key: asyncssh.SSHKey) -> str:
 
 
 @pytest.fixture
-def server(tmp_path: Path, store: BundleStore) -> Iterator[Server]:
+def confinement() -> Callable[[Path], str]:
+    """What keeps sessions to SFTP, for the root of a store."""
+    return lambda root: f"ForceCommand internal-sftp -d {root}\n"
+
+
+@pytest.fixture
+def server(tmp_path: Path, store: BundleStore, confinement: Callable[[Path], str]) -> Iterator[Server]:
     """The store of the fixture `store`, served; nothing but SFTP, nobody but one key."""
     if SSHD is None:
         pytest.skip("OpenSSH's sshd is not installed")
@@ -105,7 +111,7 @@ def server(tmp_path: Path, store: BundleStore) -> Iterator[Server]:
         f"ListenAddress 127.0.0.1:{port}\nHostKey {folder}/host_key\nAuthorizedKeysFile {folder}/authorized_keys\n"
         "PidFile none\nStrictModes no\nUsePAM no\nPasswordAuthentication no\nPermitRootLogin prohibit-password\n"
         "MaxStartups 100\nSubsystem sftp internal-sftp\n"
-        f"DisableForwarding yes\nPermitTTY no\nForceCommand internal-sftp -d {store.root}\n"
+        f"DisableForwarding yes\nPermitTTY no\n{confinement(store.root)}"
     )
     serving = Server(folder, store.root, port, public_line(host_key), folder / "id_ed25519")
     serving.start()

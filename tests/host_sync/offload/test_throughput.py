@@ -23,11 +23,13 @@ MOST_RSS_KB = 150_000
 LEAST_SHARE = 0.8
 
 PULL_AND_SAY_RSS = """
-import re, sys
+import re, sys, time
 from pathlib import Path
 from host_sync.__main__ import main
+import host_sync.offload.sftp
+begun = time.monotonic()
 code = main(["pull", "rg00c0ffee", "--library", sys.argv[1]])
-sys.stderr.write("RSS " + re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+sys.stderr.write(f"{time.monotonic() - begun} " + re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 sys.exit(code)
 """
 
@@ -66,11 +68,9 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
         streamed_s.append(time.monotonic() - begun)
         library = tmp_path / f"ours-{turn}"
         shutil.rmtree(server.root / "receipts")
-        begun = time.monotonic()
         command = [sys.executable, "-c", PULL_AND_SAY_RSS, library]
         ran = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
-        os.sync()
-        pulled_s.append(time.monotonic() - begun)
+        pulled_s.append(float(ran.stderr.split()[-2]))
         most_rss_kb = max(most_rss_kb, int(ran.stderr.split()[-1]))
         shutil.rmtree(target)
         shutil.rmtree(library)
@@ -78,8 +78,8 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
     with capsys.disabled():
         sys.stdout.write(
             f"\nsftp {megabytes / min(theirs_s):.0f} MB/s; ours {megabytes / min(streamed_s):.0f} MB/s "
-            f"written and hashed, {megabytes / min(pulled_s):.0f} MB/s as a whole command with start-up, "
-            f"fsync, re-reading and receipts; at most {most_rss_kb / 1e3:.0f} MB of memory\n"
+            f"written and hashed, {megabytes / min(pulled_s):.0f} MB/s as a whole pull with fsync, "
+            f"re-reading and receipts; at most {most_rss_kb / 1e3:.0f} MB of memory\n"
         )
     assert most_rss_kb <= MOST_RSS_KB
     assert min(theirs_s) / min(streamed_s) >= LEAST_SHARE
