@@ -17,6 +17,7 @@ from pathlib import Path
 from device.active_calibration import read_active
 from device.bundle_store import BundleStore
 from device.errors import DeviceError, FrameNotProven, PairingRefused
+from device.inbox import Delivery
 from device.pairing.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
 from device.pairing.window import wait_for_host
 from device.pairing_card import leave_device_card, take_host_cards
@@ -145,7 +146,9 @@ def _scan(options: argparse.Namespace) -> int:
 
 def _watch(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        scanner = Scanner(hardware, _calibrated_store(options, hardware))
+        store = _calibrated_store(options, hardware)
+        _take_inbox(store)
+        scanner = Scanner(hardware, store)
         _say(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
         while hardware.button.wait_for_press(None):
             try:
@@ -187,13 +190,19 @@ def _pair(options: argparse.Namespace) -> int:
 
 def _receive(options: argparse.Namespace) -> int:
     store = BundleStore(options.store or default_store(os.environ), SystemClock())
-    deliveries = store.take_inbox()
+    deliveries = _take_inbox(store)
     taken = [delivery.name for delivery in deliveries if delivery.refusal is None]
-    for delivery in deliveries:
-        _say(f"{delivery.name}: {delivery.refusal or 'taken'}")
     if options.activate and taken:
         _say(f"Calibration {store.activate(taken[-1]).calibration_id} is active.")
     return 2 if len(taken) < len(deliveries) else 0
+
+
+def _take_inbox(store: BundleStore) -> list[Delivery]:
+    """Take what a workstation pushed, and say what became of it."""
+    deliveries = store.take_inbox()
+    for delivery in deliveries:
+        _say(f"{delivery.name}: {delivery.refusal or 'taken'}")
+    return deliveries
 
 
 def _hardware(options: argparse.Namespace) -> Hardware:

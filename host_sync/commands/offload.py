@@ -24,9 +24,10 @@ from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Fold
 from host_sync.errors import PairingError, SourceError
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ledger import PullReport
 from host_sync.offload.opening import Address, is_folder, open_device, open_source
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
-from host_sync.offload.pull import PullProgress, PullReport, pull
+from host_sync.offload.pull import PullProgress, pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sync import sync, sync_one, utc_now
 
@@ -173,7 +174,7 @@ def status_command() -> int:
 
 
 def push_command(source: str, calibration: str, *, library: Folder | None = None, at: str | None = None) -> int:
-    """Put a calibration of the library into a device's inbox; the device proves it and takes it with its next start.
+    """Put a calibration of the library into a device's inbox; the device proves it when it takes it.
 
     Parameters
     ----------
@@ -187,7 +188,7 @@ def push_command(source: str, calibration: str, *, library: Folder | None = None
     bundle = Library(library or default_library()).find_calibration(calibration)
     with open_source(source, _devices(), Address.parse(at) if at else None) as opened:
         push_calibration(opened, bundle)
-    say(f"{bundle.calibration_id} lies in the inbox of {source}: `retroscan receive` takes it there.")
+    say(f"{bundle.calibration_id} lies in the inbox of {source}: `retroscan receive --activate` takes it there.")
     return DONE
 
 

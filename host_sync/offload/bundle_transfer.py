@@ -96,7 +96,7 @@ def fetch(source: Source, offer: Offer, into: Path, advance: Advance, known: Map
     SourceError
         The source cannot be read; what came is kept.
     RecordError
-        What came, or what was stored, is not what the manifest promises; names the file.
+        What came is not what the manifest promises; names the file.
     OSError
         The directory cannot be written.
     """
@@ -106,13 +106,21 @@ def fetch(source: Source, offer: Offer, into: Path, advance: Advance, known: Map
             advance(entry.size, fetched=False)
         else:
             _fetch_file(source, offer, name, entry, into / name, advance)
-    try:
-        verify_files(into, offer.files)
-    except RecordError:
-        for name, entry in offer.files.items():
-            if describe_file(into / name) != entry:
-                (into / name).unlink()
-        raise
+
+
+def prove(offer: Offer, into: Path) -> None:
+    """Return when a fetched bundle is on the disk, was read back from there, and is what its manifest promises.
+
+    Raises
+    ------
+    RecordError
+        What was stored is not what came; names the file.
+    OSError
+        The directory cannot be written.
+    """
+    for name in offer.files:
+        _settle(into / name)
+    verify_files(into, offer.files)
 
 
 def _prepare(offer: Offer, into: Path) -> None:
@@ -177,9 +185,6 @@ def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advanc
                     advance(len(block), fetched=True)
                     if size > entry.size:
                         break
-        stored.flush()
-        os.fsync(stored.fileno())
-        _forget_cached(stored.fileno())
     return size, digest.hexdigest()
 
 
@@ -193,7 +198,12 @@ def _read_small(source: Source, place: str) -> bytes:
     return data
 
 
-def _forget_cached(descriptor: int) -> None:
-    """Have the stored bytes read from the disk, not from memory, when they are hashed again."""
-    if hasattr(os, "posix_fadvise"):
-        os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+def _settle(path: Path) -> None:
+    """Have a file's bytes on the disk, and out of memory, so that it is the disk that is read back."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+        if hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+    finally:
+        os.close(descriptor)

@@ -10,8 +10,9 @@ from datetime import UTC, datetime
 from device.errors import DeviceError
 from host_sync.errors import HostError
 from host_sync.library import Library
+from host_sync.offload.ledger import PullReport
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState, this_host
-from host_sync.offload.pull import PullProgress, PullReport, pull_into
+from host_sync.offload.pull import PullProgress, pull_into
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.source import Source
 

@@ -106,7 +106,7 @@ def test_a_bundle_that_a_store_damages_in_writing_is_never_published(
     def rotting(descriptor: int) -> None:
         genuine(descriptor)
         written = Path(f"/proc/self/fd/{descriptor}").resolve()
-        if written.name == "preview.png.part" and scans[0].scan_id in str(written):
+        if written.name == "preview.png" and scans[0].scan_id in str(written):
             written.write_bytes(b"\0" * written.stat().st_size)
 
     monkeypatch.setattr(os, "fsync", rotting)

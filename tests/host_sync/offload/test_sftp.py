@@ -20,8 +20,9 @@ from host_sync.__main__ import main
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ledger import PullReport
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
-from host_sync.offload.pull import PullReport, pull
+from host_sync.offload.pull import pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sftp import REQUEST_BYTES, REQUESTS_AHEAD, SftpSource
 from host_sync.offload.sftp_link import Patience
