@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -16,18 +15,13 @@ from pathlib import Path
 
 from device.active_calibration import read_active
 from device.bundle_store import BundleStore
-from device.errors import DeviceError, FrameNotProven, PairingRefused
-from device.inbox import Delivery
-from device.pairing.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
-from device.pairing.window import wait_for_host
-from device.pairing_card import leave_device_card, take_host_cards
-from device.pairing_exchange import CODE_DIGITS, PAIRING_PORT, DeviceCard, draw_code
+from device.errors import DeviceError, FrameNotProven
+from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
 from device.scanning.calibrate import calibrate
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.store_location import default_store
 from hal.board_profile import load_board_profile, profile_names
-from hal.clock import SystemClock
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.hardware import Hardware, open_hardware
 from hal.interfaces import PressObject
@@ -76,18 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_annotations(watch)
     watch.set_defaults(command=_watch)
 
-    pair = commands.add_parser("pair", help="let a workstation fetch scans: show a code for two minutes")
-    pair.add_argument("--port", type=int, default=PAIRING_PORT, help="where the workstation's call is awaited")
-    pair.add_argument("--ssh-port", type=int, default=22, help="where sshd listens")
-    pair.add_argument("--user", default="retrosync", help="whom sshd lets in to fetch scans")
-    pair.add_argument("--keys", type=_folder, help="folder of the workstations' keys, as sshd's configuration names it")
-    pair.add_argument("--host-key", type=_folder, default=SSHD_HOST_KEY, help="sshd's public key")
-    pair.add_argument("--card", type=_folder, help="without a screen: take keys from this memory card, leave ours")
-    pair.set_defaults(command=_pair)
-
-    receive = commands.add_parser("receive", help="take the calibrations that a workstation pushed")
-    receive.add_argument("--activate", action="store_true", help="put the last one taken in force")
-    receive.set_defaults(command=_receive)
+    add_offload_commands(commands, _folder, _say)
 
     dark = commands.add_parser("lights-off", help="all lights dark")
     dark.set_defaults(command=_lights_off)
@@ -147,7 +130,7 @@ def _scan(options: argparse.Namespace) -> int:
 def _watch(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
         store = _calibrated_store(options, hardware)
-        _take_inbox(store)
+        take_inbox(store, _say)
         scanner = Scanner(hardware, store)
         _say(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
         while hardware.button.wait_for_press(None):
@@ -162,47 +145,6 @@ def _lights_off(options: argparse.Namespace) -> int:
     with open_hardware(load_board_profile(options.board)).lights as lights:
         lights.dark()
     return 0
-
-
-def _pair(options: argparse.Namespace) -> int:
-    store = BundleStore(options.store or default_store(os.environ), SystemClock())
-    keys = (options.keys or store.root.with_name(f"{store.root.name}-pairing")) / "authorized_keys"
-    card = DeviceCard(
-        device_id=store.device_id, user=options.user, port=options.ssh_port, host_key=read_host_key(options.host_key)
-    )
-    if options.card:
-        hosts = take_host_cards(options.card)
-        for host in hosts:
-            authorize(keys, host)
-        _say(f"{len(hosts)} workstations authorized; this device's card is {leave_device_card(options.card, card)}")
-        return 0
-    code = draw_code()
-    try:
-        listening = socket.create_server(("", options.port))
-    except (OSError, OverflowError) as error:
-        raise PairingRefused(f"port {options.port}: cannot be listened on ({error}): name another") from error
-    half = CODE_DIGITS // 2
-    _say(f"Code {code[:half]} {code[half:]}, for two minutes. On the workstation: retrosync pair {os.uname().nodename}")
-    host = wait_for_host(listening, code, card, lambda host: authorize(keys, host))
-    _say(f"Paired with {host.name}.")
-    return 0
-
-
-def _receive(options: argparse.Namespace) -> int:
-    store = BundleStore(options.store or default_store(os.environ), SystemClock())
-    deliveries = _take_inbox(store)
-    taken = [delivery.name for delivery in deliveries if delivery.refusal is None]
-    if options.activate and taken:
-        _say(f"Calibration {store.activate(taken[-1]).calibration_id} is active.")
-    return 2 if len(taken) < len(deliveries) else 0
-
-
-def _take_inbox(store: BundleStore) -> list[Delivery]:
-    """Take what a workstation pushed, and say what became of it."""
-    deliveries = store.take_inbox()
-    for delivery in deliveries:
-        _say(f"{delivery.name}: {delivery.refusal or 'taken'}")
-    return deliveries
 
 
 def _hardware(options: argparse.Namespace) -> Hardware:

@@ -131,7 +131,7 @@ def _tiff_facts(path: Path) -> ImageFacts:
     try:
         with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
             page, pages = tiff.pages.first, len(tiff.pages)
-            shape, dtype, photometric = page.shape, page.dtype, page.photometric
+            shape, dtype, photometric = tuple(int(size) for size in page.shape), page.dtype, page.photometric
     except TIFF_READ_ERRORS as error:
         raise FrameSetError(f"{path}: is truncated or damaged: fetch it again") from error
     if pages != 1:

@@ -150,14 +150,14 @@ def cases(
         refused_or_read(lambda: search(library, Query()))
 
     return {
+        "frame set": (frames.try_one, 10),
+        "model": (model.try_one, 8),
+        "pull": (pulled, 2),
+        "index": (indexed, 1),
+        "raw file": (raw_file, 14),
         "scan manifest": (scan_manifest, 25),
         "calibration manifest": (calibration_record, 20),
         "small record": (small_record, 20),
-        "raw file": (raw_file, 14),
-        "model": (model.try_one, 8),
-        "frame set": (frames.try_one, 10),
-        "pull": (pulled, 2),
-        "index": (indexed, 1),
     }
 
 
