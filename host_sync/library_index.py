@@ -92,7 +92,7 @@ def _ask(library: Library, sql: str, values: dict[str, str]) -> list[tuple[Any, 
     with library.translating("read"):
         try:
             return _ask_once(path, sql, values)
-        except sqlite3.DatabaseError:
+        except (sqlite3.DatabaseError, UnicodeDecodeError):
             path.unlink(missing_ok=True)
             return _ask_once(path, sql, values)
 
@@ -117,7 +117,7 @@ def _prepared(index: sqlite3.Connection) -> sqlite3.Connection:
     try:
         with index:
             _prepare(index)
-    except sqlite3.Error:
+    except BaseException:
         index.close()
         raise
     return index
