@@ -53,6 +53,7 @@ class SftpSource:
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
         """A file's bytes from an offset on, with some requests always under way."""
+        self._link.note_progress()
         while True:
             try:
                 for block in self._read_ahead(place, offset_bytes):
@@ -127,6 +128,7 @@ class SftpSource:
                 if not block:
                     return
                 yield block
+                link.note_progress()
                 offset_bytes += len(block)
                 if len(block) < REQUEST_BYTES:
                     _cancel(requests)

@@ -37,7 +37,7 @@ class Patience:
 
     keepalive_s : between questions whether the other side is there
     unanswered : questions without an answer after which the connection counts as lost
-    give_up_s : since the last byte, after which reconnecting ends
+    give_up_s : since something came last, after which reconnecting ends
     retry_s : between two tries
     """
 
@@ -96,7 +96,7 @@ class SftpLink:
         return self._client
 
     def note_progress(self) -> None:
-        """Something came: patience begins anew."""
+        """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
 
     def submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
@@ -114,7 +114,7 @@ class SftpLink:
             The device refused just this.
         """
         try:
-            value = future.result(timeout=self._patience.give_up_s)
+            return future.result(timeout=self._patience.give_up_s)
         except LOST as error:
             future.cancel()
             if isinstance(error, asyncssh.SFTPError) and not isinstance(
@@ -122,11 +122,10 @@ class SftpLink:
             ):
                 raise
             raise LinkBroken from error
-        self.note_progress()
-        return value
 
     def persist(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
         """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
+        self.note_progress()
         while True:
             try:
                 return self.result(self.submit(work(self.client)))
@@ -213,4 +212,6 @@ async def _finish_tasks() -> None:
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    if tasks:
+        ended, _ = await asyncio.wait(tasks, timeout=1.0)
+        await asyncio.gather(*ended, return_exceptions=True)

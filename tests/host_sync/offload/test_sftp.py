@@ -167,6 +167,16 @@ def test_silence_ends_in_a_sentence_and_the_next_pull_goes_on(
     assert_identical(store, library)
 
 
+def test_a_line_that_always_breaks_before_a_byte_comes_ends_too(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("cut", 300_000), *[("cut", 6_000)] * 500])
+    report = pull_over(server, library, proxy.port, patience=Patience(give_up_s=1.0, retry_s=0.01))
+    assert report.lost is not None
+    assert proxy.connections > 2
+
+
 def test_a_slow_line_only_takes_longer(
     server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
 ) -> None:
