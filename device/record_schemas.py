@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,7 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
 
 def schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema by file name, such as "scan-1.json"."""
-    return {_file_name(record): msgspec.json.schema(record) for record in _RECORDS}
+    return {_file_name(record): _tidied(msgspec.json.schema(record)) for record in _RECORDS}
 
 
 def write_schemas(folder: Path) -> None:
@@ -40,6 +41,16 @@ def write_schemas(folder: Path) -> None:
 def schema_bytes(schema: dict[str, Any]) -> bytes:
     """A schema as the committed files hold it."""
     return msgspec.json.format(msgspec.json.encode(schema), indent=2) + b"\n"
+
+
+def _tidied(schema: Any) -> Any:
+    """The same with docstrings without their indentation, which some versions of Python keep and others do not."""
+    if isinstance(schema, dict):
+        return {
+            key: inspect.cleandoc(value) if key == "description" and isinstance(value, str) else _tidied(value)
+            for key, value in schema.items()
+        }
+    return [_tidied(part) for part in schema] if isinstance(schema, list) else schema
 
 
 def _file_name(record: type[Record]) -> str:
