@@ -43,7 +43,7 @@ class Patience:
 
     keepalive_s: float = 1.0
     unanswered: int = 3
-    give_up_s: float = 9.0
+    give_up_s: float = 8.0
     retry_s: float = 0.25
 
 
@@ -165,8 +165,8 @@ class SftpLink:
     async def _connect(self, within_s: float) -> None:
         device = self._device
         key = asyncssh.import_public_key(device.host_key)
-        self._connection = await asyncio.wait_for(
-            asyncssh.connect(
+        async with asyncio.timeout(within_s):
+            self._connection = await asyncssh.connect(
                 device.host,
                 device.port,
                 username=device.user,
@@ -180,10 +180,8 @@ class SftpLink:
                 config=None,
                 keepalive_interval=self._patience.keepalive_s,
                 keepalive_count_max=self._patience.unanswered,
-            ),
-            within_s,
-        )
-        self._client = await asyncio.wait_for(self._connection.start_sftp_client(), within_s)
+            )
+            self._client = await self._connection.start_sftp_client()
 
     def _explain_refusal(self, cause: BaseException) -> str:
         where = f"{self.name} ({self._device.host}:{self._device.port})"

@@ -130,6 +130,8 @@ class Proxy:
         self.bytes_per_s: float | None = None
         self.served_bytes = 0
         self.connections = 0
+        self.milestone_bytes = 0
+        self.passed_milestone = threading.Event()
         self._server_port = server_port
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
@@ -189,6 +191,8 @@ class Proxy:
                 client.sendall(block)
                 passed += len(block)
                 self.served_bytes += len(block)
+                if self.served_bytes > self.milestone_bytes:
+                    self.passed_milestone.set()
                 if harm and passed >= harm[1]:
                     if harm[0] == "cut":
                         break

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -204,6 +209,55 @@ def test_a_server_killed_and_back_again_is_picked_up(
     assert killed
     assert report.complete
     assert_identical(store, library)
+
+
+def test_a_client_killed_in_the_middle_leaves_what_the_next_one_needs(
+    server: Any,
+    proxy: Any,
+    store: BundleStore,
+    library: Library,
+    publish_large: Callable[[int], object],
+    tmp_path: Path,
+) -> None:
+    publish_large(6 << 20)
+    settings = PairedDevices(tmp_path / "config" / "retrograph")
+    settings.private_key(server.private_key.read_bytes)
+    settings.save(server.device(proxy.port))
+    proxy.bytes_per_s, proxy.milestone_bytes = 8e6, 3 << 20
+    command = [sys.executable, "-m", "host_sync", "pull", "rg00c0ffee", "--library", str(library.root)]
+    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
+        assert proxy.passed_milestone.wait(60.0)
+        client.kill()
+    (part,) = (library.root / "scans").glob(".*/raw.tif.part")
+    kept = part.stat().st_size
+    assert kept > 1 << 20
+    proxy.bytes_per_s = None
+    report = pull_over(server, library, proxy.port)
+    assert report.copied_bytes == (6 << 20) - kept
+    assert_identical(store, library)
+
+
+@pytest.mark.slow
+def test_silence_is_borne_for_less_than_ten_seconds(
+    server: Any,
+    proxy: Any,
+    library: Library,
+    publish_large: Callable[[int], object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("silence", 1_000_000), *[("silence", 0)] * 100])
+    proxy.milestone_bytes = 950_000
+    with server.link(proxy.port, Patience()) as link, ThreadPoolExecutor(1) as pulling:
+        pulled = pulling.submit(pull, SftpSource(link), library)
+        proxy.passed_milestone.wait()
+        begun = time.monotonic()
+        assert pulled.result().lost
+        waited_s = time.monotonic() - begun
+    with capsys.disabled():
+        sys.stdout.write(f"\nsilence was borne for {waited_s:.1f} s\n")
+    assert waited_s < 10.0
 
 
 def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, library: Library) -> None:
