@@ -13,11 +13,13 @@ import asyncssh
 import msgspec
 import pytest
 
+from device.bundle_store import BundleStore
 from device.errors import PairingRefused, RecordError
 from device.pairing.authorized_keys import authorize, read_host_key
 from device.pairing.window import wait_for_host
 from device.pairing_card import leave_device_card, take_host_cards
 from device.pairing_exchange import DeviceCard, HostCard
+from host_sync.__main__ import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
 from host_sync.offload import pairing
 from host_sync.offload.paired_devices import PairedDevices
@@ -68,6 +70,23 @@ def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: 
     )
     with pytest.raises(SourceError, match="no device waits there"):
         pairing.pair_over_network("127.0.0.1", port, "12345678", own)
+
+
+def test_after_pairing_and_not_before_scans_can_be_fetched(
+    server: Any, store: BundleStore, publish_scan: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    publish_scan(store)
+    library = ["--library", str(tmp_path / "library")]
+    keys = server.folder / "authorized_keys"
+    keys.unlink()
+    card = DeviceCard(device_id=store.device_id, user=server.device().user, port=server.port, host_key=server.host_key)
+    assert main(["pull", store.device_id, *library]) == 2
+    with window(card, keys, "12345678") as (port, _):
+        assert main(["pair", "127.0.0.1", "--port", str(port), "--code", "1234 5678"]) == 0
+    assert main(["pull", store.device_id, *library]) == 0
+    keys.unlink()
+    assert main(["pull", store.device_id, *library]) == 3
 
 
 def test_three_wrong_codes_close_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
