@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -23,6 +24,8 @@ from host_sync.offload.paired_devices import PairedDevice
 T = TypeVar("T")
 
 CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
+PACKET_BYTES: Final = 128 << 10
+
 LOST: Final = (asyncssh.Error, OSError)
 """What a connection that is gone, or never came about, raises; a time-out is an OSError."""
 
@@ -181,6 +184,9 @@ class SftpLink:
                 keepalive_interval=self._patience.keepalive_s,
                 keepalive_count_max=self._patience.unanswered,
             )
+            # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less work.
+            session = partial(self._connection.create_session, max_pktsize=PACKET_BYTES)
+            self._connection.create_session = session  # type: ignore[method-assign]
             self._client = await self._connection.start_sftp_client()
 
     def _explain_refusal(self, cause: BaseException) -> str:
