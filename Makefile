@@ -19,13 +19,19 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo test powercut format lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut bench format lock clean set-up
 
 help: ## say what there is
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
 	@"$(VENV)/bin/python" docs/demo/story.py --out demo-output
+
+accuracy: set-up ## every mark of accuracy, on the twin and on real frames when there are some; writes accuracy.json
+	@"$(VENV)/bin/python" docs/accuracy/accuracy.py $(ARGS)
+
+methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
+	@"$(VENV)/bin/python" docs/accuracy/methods.py $(ARGS)
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
@@ -33,6 +39,12 @@ test: set-up ## the one gate: lint, types, import contracts, tests
 powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
 
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, systemd's checks (asks for root)
+	@bash .ci/test-deps
+
+bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
+	@bash .ci/set-up-bench "$(VENV)"
+	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" docs/bench/run.py $(if $(QUICK),--quick)
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
@@ -45,9 +57,13 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links \
 	    --extra device --extra host --extra dev --output-file requirements.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
+	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \
+	    --extra bench --output-file requirements-bench.lock pyproject.toml
 
 clean: ## remove .venv, demo-output and every cache
-	@rm -rf .venv .lock-tool demo-output dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	@rm -rf .venv .lock-tool demo-output accuracy.json dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find hal device host_sync tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 set-up:

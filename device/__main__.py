@@ -7,19 +7,24 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
 from device.active_calibration import read_active
 from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationRecord
 from device.errors import DeviceError, FrameNotProven
 from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
+from device.scanning.balance import balance, warning
 from device.scanning.calibrate import calibrate
 from device.scanning.scanner import Scanner, ScanOutcome
+from device.scanning.selftest import selftest
+from device.scanning.watching import watch
 from device.store_location import default_store
 from hal.board_profile import load_board_profile, profile_names
 from hal.errors import BoardProfileError, HalError, OperatorError
@@ -34,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        return command(options)
+        with _ending_like_ctrl_c(signal.SIGTERM, signal.SIGHUP):
+            return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
     except (HalError, FrameNotProven) as error:
@@ -59,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
     guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM")
+    guided.add_argument("--balance", action="store_true", help="first set exposure and currents for gel and lights")
     guided.set_defaults(command=_calibrate)
 
     scan = commands.add_parser("scan", help="wait for one press of the button and scan")
@@ -71,6 +78,10 @@ def _parser() -> argparse.ArgumentParser:
     watch.set_defaults(command=_watch)
 
     add_offload_commands(commands, _folder, _say)
+
+    test = commands.add_parser("selftest", help="walk through every part and say which one is at fault")
+    test.add_argument("--push", action="store_true", help="also wait for a push of the button")
+    test.set_defaults(command=_selftest)
 
     dark = commands.add_parser("lights-off", help="all lights dark")
     dark.set_defaults(command=_lights_off)
@@ -108,10 +119,13 @@ def _positive(text: str) -> float:
 
 def _calibrate(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        outcome = calibrate(hardware, _store(options, hardware), options.ball_radius_mm, _say)
+        store = _store(options, hardware)
+        plan = balance(hardware, options.ball_radius_mm, _say).plan if options.balance else None
+        outcome = calibrate(hardware, store, options.ball_radius_mm, _say, plan)
     fit = outcome.fit
     error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
     _say(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
+    _say_levels(outcome.bundle.record)
     _say(f"Calibration {outcome.bundle.calibration_id} is active.")
     return 0
 
@@ -131,14 +145,16 @@ def _watch(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
         store = _calibrated_store(options, hardware)
         take_inbox(store, _say)
-        scanner = Scanner(hardware, store)
-        _say(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
-        while hardware.button.wait_for_press(None):
-            try:
-                _report(scanner.scan(_annotations(options)))
-            except (DeviceError, HalError) as error:
-                _complain(error, 3)
+        watch(hardware, store, _annotations(options), _report, _warn, _say)
     return 0
+
+
+def _selftest(options: argparse.Namespace) -> int:
+    failed = 0
+    for finding in selftest(_hardware(options), options.push):
+        _say(f"{finding.state:8} {finding.part}: {finding.sentence}")
+        failed += finding.state == "failed"
+    return 3 if failed else 0
 
 
 def _lights_off(options: argparse.Namespace) -> int:
@@ -172,6 +188,33 @@ def _report(outcome: ScanOutcome) -> None:
         _say(f"No quick look: {outcome.quick_look_fault}")
 
 
+def _say_levels(record: CalibrationRecord) -> None:
+    """The flat level, and the brightest that ball presses reached."""
+    figures = record.figures
+    flat, peak = (
+        tuple(figures[f"{what}_level_{colour}"] or 0.0 for colour in ("red", "green", "blue"))
+        for what in ("flat", "brightest")
+    )
+    _say("Flat skin at " + ", ".join(f"{level:.0%}" for level in flat) + " of full scale (R, G, B).")
+    if told := warning((peak[0], peak[1], peak[2])):
+        _say(f"Note: {told}.")
+
+
+@contextmanager
+def _ending_like_ctrl_c(*signals: signal.Signals) -> Iterator[None]:
+    """Within it these signals end the program as Ctrl-C does: through every exit, lights dark."""
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _say(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
@@ -184,8 +227,12 @@ def _cue_lift() -> None:
 
 
 def _complain(what: object, code: int) -> int:
-    sys.stderr.write(f"retroscan: {what}\n")
+    _warn(what)
     return code
+
+
+def _warn(what: object) -> None:
+    sys.stderr.write(f"retroscan: {what}\n")
 
 
 if __name__ == "__main__":

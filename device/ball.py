@@ -5,7 +5,7 @@ Inside its contact the skin is the sphere, so that every pixel there has a known
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +71,7 @@ def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[
     return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
 
 
-def gather_samples(presses: Sequence[tuple[IntensityImage, Sequence[Ball]]]) -> BallSamples:
+def gather_samples(presses: Iterable[tuple[IntensityImage, Sequence[Ball]]]) -> BallSamples:
     """Samples of every faithful pixel inside the contact of every ball of every press, in order.
 
     Raises
@@ -84,7 +84,9 @@ def gather_samples(presses: Sequence[tuple[IntensityImage, Sequence[Ball]]]) -> 
     number = 0
     for image, balls in presses:
         for ball in balls:
-            column, row = _pixels_inside(ball, image)
+            row, column = pixels_inside(ball, image.shape)
+            faithful = image.faithful[row, column]
+            row, column = row[faithful], column[faithful]
             slopes = sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32))
             parts.append((image.values[row, column], *slopes, column.astype(np.float32), row.astype(np.float32)))
             owners.append(np.full(column.size, number))
@@ -95,15 +97,13 @@ def gather_samples(presses: Sequence[tuple[IntensityImage, Sequence[Ball]]]) -> 
     return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners))
 
 
-def _pixels_inside(ball: Ball, image: IntensityImage) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns and rows of the faithful pixels inside a ball's contact."""
-    rows, columns = image.shape
+def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the pixels inside a ball's contact that a frame of `shape` (H, W) holds."""
+    rows, columns = shape
     reach = int(np.ceil(ball.contact_radius_px)) + 1
     top, left = max(int(ball.row) - reach, 0), max(int(ball.column) - reach, 0)
     row, column = np.mgrid[
         top : min(int(ball.row) + reach + 1, rows), left : min(int(ball.column) + reach + 1, columns)
     ]
     inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 <= ball.contact_radius_px**2
-    row, column = row[inside], column[inside]
-    faithful = image.faithful[row, column]
-    return column[faithful], row[faithful]
+    return row[inside], column[inside]

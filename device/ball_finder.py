@@ -6,6 +6,7 @@ cannot teach is handed back with the reason, so that the person who pressed know
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +16,7 @@ from device.ball import Ball
 from device.ball_candidates import find_candidates, reduce_intensity
 from device.ball_contact import CONTACT_RINGS, find_contact, find_lift_off, ramp_profile
 from device.ball_refine import Rings, find_apex, find_circle, join_centres, read_rings
+from device.errors import CalibrationError
 from device.photometry import IntensityImage
 from device.surface import Float64Array
 
@@ -30,6 +32,9 @@ LEAST_CONTACT: Final = 0.35
 
 IMPOSSIBLE_CONTACT: Final = 1.15
 """No skin follows a sphere beyond its own radius; the skin around it lets a contact seem a little wider."""
+
+LEAST_RADIUS_PX: Final = 4.0
+"""The slopes of a smaller ball change too much from pixel to pixel."""
 
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
@@ -52,9 +57,41 @@ class BallSearch:
     rejected: tuple[RejectedBall, ...]
 
 
-def find_balls(image: IntensityImage, radius_px: float) -> BallSearch:
-    """Balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too."""
-    sightings = _look(image, radius_px)
+def check_radius(radius_px: float, shape: tuple[int, int], name: str) -> None:
+    """Refuse a ball that no frame of `shape` (H, W) could show.
+
+    Raises
+    ------
+    CalibrationError
+        Names `name` and the radius.
+    """
+    if radius_px < LEAST_RADIUS_PX:
+        raise CalibrationError(
+            f"{name}: a ball of radius {radius_px:.3g} px is too small to be seen, {LEAST_RADIUS_PX:g} px are needed: "
+            "check the ball's radius and the pixel pitch"
+        )
+    if not 2.0 * LEAST_CONTACT * radius_px <= min(shape):
+        raise CalibrationError(
+            f"{name}: no useful contact of a ball of radius {radius_px:.3g} px fits into {shape[1]}x{shape[0]} pixels: "
+            "check the ball's radius and the pixel pitch"
+        )
+
+
+def find_balls(
+    image: IntensityImage, radius_px: float, expected: Sequence[tuple[float, float]] = (), name: str = "the press"
+) -> BallSearch:
+    """Balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too.
+
+    expected : (column, row) of places to look at, whether a ball is suspected there or not
+    name : of the press, for errors
+
+    Raises
+    ------
+    CalibrationError
+        No frame of this size could show a ball of that radius.
+    """
+    check_radius(radius_px, image.shape, name)
+    sightings = _look(image, radius_px, expected)
     reasons = [_fault(sighting, image.shape, radius_px) for sighting in sightings]
     kept = [sighting for sighting, reason in zip(sightings, reasons, strict=True) if not reason]
     rejected = [RejectedBall(s.column, s.row, reason) for s, reason in zip(sightings, reasons, strict=True) if reason]
@@ -78,14 +115,15 @@ class _Sighting:
     rings: Rings
 
 
-def _look(image: IntensityImage, radius_px: float) -> list[_Sighting]:
-    """Every candidate with its centre, the readings of which are weighed over the whole frame, and its contact."""
+def _look(image: IntensityImage, radius_px: float, expected: Sequence[tuple[float, float]]) -> list[_Sighting]:
+    """Every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
     coarse = reduce_intensity(image, radius_px / CANDIDATE_RADIUS_PX)
     fine = reduce_intensity(image, radius_px / REFINE_RADIUS_PX)
     reduced_radius = radius_px / fine.columns_per_pixel
     circles: list[Float64Array] = []
-    for candidate in find_candidates(coarse, radius_px / coarse.columns_per_pixel):
-        circle = find_circle(fine, *fine.from_full(candidate.column, candidate.row), reduced_radius)
+    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel)
+    for place in [(candidate.column, candidate.row) for candidate in candidates] + list(expected):
+        circle = find_circle(fine, *fine.from_full(*place), reduced_radius)
         if not any(np.hypot(*(circle - other)) < reduced_radius for other in circles):
             circles.append(circle)
     apexes = [find_apex(fine, circle, reduced_radius) for circle in circles]

@@ -26,9 +26,19 @@ def check_channel_order(frame: LinearFrame, divisor: Float32Array, name: str) ->
     CalibrationMismatch
         Names `name` and the order that the channels seem to have.
     """
-    step = max(1, frame.shape[0] // 128)
-    light = np.log(np.maximum(frame.rgb[::step, ::step], DARK_FLOOR))
-    rest = np.log(np.maximum(divisor[::step, ::step], DARK_FLOOR))
+    step = order_step(frame.shape)
+    check_channel_order_sample(frame.rgb[::step, ::step], divisor[::step, ::step], name)
+
+
+def order_step(shape: tuple[int, int]) -> int:
+    """One pixel in so many rows and columns of a frame of shape (H, W) tells its channel order."""
+    return max(1, shape[0] // 128)
+
+
+def check_channel_order_sample(frame: Float32Array, divisor: Float32Array, name: str) -> None:
+    """The same from a sample of a frame's linear light and its reference's, float32 arrays of shape (h, w, 3)."""
+    light = np.log(np.maximum(frame, DARK_FLOOR))
+    rest = np.log(np.maximum(divisor, DARK_FLOOR))
     disagreement = {
         order: float(np.median(np.abs(light[..., order] - rest), axis=(0, 1)).mean())
         for order in permutations(range(3))

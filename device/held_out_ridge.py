@@ -9,56 +9,67 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.inverse_map import slope_from_stereographic, stereographic_from_slope
+from device.stereographic import stereographic_from_slope
 from device.surface import Float64Array, MaskArray
 
 FOLDS: Final = 5
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldOutRidge:
-    """The regression problem; `slope` and `weight` may be replaced between solutions.
+    """The features of one polynomial at the pixels of balls.
 
     design : float64 array of shape (N, F), features
     flat_gram : float64 array of shape (F, F), Gram matrix of untouched skin, whose slope is 0
-    slope : float64 array of shape (N, 2), true slopes
-    weight : float64 array of shape (N,)
     ball : int array of shape (N,), the ball that each row belongs to
     """
 
     design: Float64Array
     flat_gram: Float64Array
-    slope: Float64Array
-    weight: Float64Array
     ball: NDArray[np.intp]
 
-    def solve(self, penalty: float, balls: MaskArray) -> Float64Array:
-        """Coefficients of shape (F, 2) learned from the balls that the mask marks."""
-        gram, moment = self._normal_equations(balls)
-        return self._ridge(gram, moment, penalty)
+    def solve(self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Float64Array:
+        """Coefficients of shape (F, 2) learned from the living balls.
 
-    def held_out_slopes(self, penalties: Sequence[float], alive: MaskArray) -> list[Float64Array]:
-        """Slopes of shape (N, 2), one array a penalty; each ball predicted from the living balls of other folds."""
-        fold = np.arange(len(alive)) % min(FOLDS, len(alive))
-        predictions = [np.zeros_like(self.slope) for _ in penalties]
-        for number in range(int(fold.max()) + 1):
-            gram, moment = self._normal_equations(alive & (fold != number))
-            rows = (fold == number)[self.ball]
-            for penalty, prediction in zip(penalties, predictions, strict=True):
-                u = self.design[rows] @ self._ridge(gram, moment, penalty)
-                prediction[rows] = slope_from_stereographic(u)
+        slope : float64 array of shape (N, 2), true slopes
+        weight : float64 array of shape (N,)
+        """
+        gram, moment = self._normal_equations(alive[self.ball], slope, weight)
+        return self._solutions(gram, moment, [penalty])[0]
+
+    def held_out(
+        self, penalties: Sequence[float], slope: Float64Array, weight: Float64Array, alive: MaskArray
+    ) -> list[Float64Array]:
+        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds."""
+        fold = self._fold_of_row(alive)
+        count = int(fold.max()) + 1
+        parts = [self._normal_equations(alive[self.ball] & (fold == number), slope, weight) for number in range(count)]
+        gram, moment = (np.sum([part[i] for part in parts], axis=0) for i in (0, 1))
+        predictions = [np.zeros((len(self.ball), 2)) for _ in penalties]
+        for number, (own_gram, own_moment) in enumerate(parts):
+            rows = fold == number
+            taught = self._solutions(gram - own_gram, moment - own_moment, penalties)
+            for solution, prediction in zip(taught, predictions, strict=True):
+                prediction[rows] = self.design[rows] @ solution
         return predictions
 
-    def _normal_equations(self, balls: MaskArray) -> tuple[Float64Array, Float64Array]:
-        rows = balls[self.ball]
+    def _fold_of_row(self, alive: MaskArray) -> NDArray[np.intp]:
+        return (np.arange(len(alive)) % min(FOLDS, len(alive)))[self.ball]
+
+    def _normal_equations(
+        self, rows: MaskArray, slope: Float64Array, weight: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
         design = self.design[rows]
-        weighted = design * self.weight[rows, None]
-        target = stereographic_from_slope(self.slope[rows, 0], self.slope[rows, 1])
+        weighted = design * weight[rows, None]
+        target = stereographic_from_slope(slope[rows, 0], slope[rows, 1])
         return weighted.T @ design + self.flat_gram * rows.mean(), weighted.T @ target
 
-    def _ridge(self, gram: Float64Array, moment: Float64Array, penalty: float) -> Float64Array:
-        scaled = penalty * len(self.ball) / 100.0
-        return np.asarray(np.linalg.solve(gram + scaled * np.eye(len(gram)), moment))
+    def _solutions(self, gram: Float64Array, moment: Float64Array, penalties: Sequence[float]) -> list[Float64Array]:
+        """Ridge solutions of shape (F, 2), one a penalty, from one decomposition."""
+        values, vectors = np.linalg.eigh(gram)
+        turned = vectors.T @ moment
+        scale = len(self.ball) / 100.0
+        return [vectors @ (turned / (np.maximum(values, 0.0) + scale * penalty)[:, None]) for penalty in penalties]
 
 
 def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:

@@ -1,8 +1,9 @@
 """Fits the inverse map to balls, judged by balls that the fit did not see.
 
-The penalty and the degree in position are those with the least error on held-out balls (whole balls, five folds).
-Ball centres come from images and are off by a pixel or so; each is moved to where the map learned from the *other*
-balls puts it. Moving centres to fit a model of the same ball would only shrink the residual.
+Each polynomial of the map gets the penalty and the degree in position with the least error on held-out balls (whole
+balls, five folds), and a share in the mean that falls steeply with that error. Ball centres come from images and are
+off by a pixel or so; each is moved to where the maps learned from the *other* balls put it. Moving centres to fit a
+model of the same ball would only shrink the residual.
 """
 
 from __future__ import annotations
@@ -15,19 +16,25 @@ from typing import Final
 import numpy as np
 
 from device.ball import Ball, BallSamples
+from device.colour_domain import ColourDomain
+from device.colour_space import CURVES
 from device.errors import CalibrationError
-from device.held_out_ridge import HeldOutRidge, angle_between_deg, robust_weight
-from device.inverse_map import ColourSpace, InverseMap, design_matrix, position_exponents
+from device.held_out_ridge import angle_between_deg, robust_weight
+from device.inverse_map import InverseMap
+from device.slope_learner import (
+    SlopeLearner,
+    held_out_mean,
+    learned_members,
+    learner_of,
+    preferred_learner,
+    with_shares,
+)
 from device.surface import Float64Array, MaskArray
 
-COLOUR_DEGREE: Final = 4
-POSITION_DEGREES: Final = (0, 1, 2)
-PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 REFINEMENT_ROUNDS: Final = 4
 SHIFT_TAKEN: Final = 0.8
 """Share of a centre's indicated shift that is taken."""
-FLAT_SHARE: Final = 0.1
-"""Untouched skin, as a share of the ball pixels: it pins intensity 1 to slope 0 everywhere in the field."""
+LONE_BALL_PENALTY: Final = 1e-3
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 FEWEST_PIXELS: Final = 500
 
@@ -81,19 +88,40 @@ def fit_inverse_map(
         raise CalibrationError(
             f"the balls cover only {len(chosen.p)} usable pixels: press the ball deeper or lower the exposure"
         )
-    colours = ColourSpace.observed(chosen.intensity)
+    domain = ColourDomain.observed(samples.intensity)
     everyone = np.ones(len(balls), bool)
+    slope = _true_slopes(chosen, balls)
     if len(balls) == 1:
-        ridge = _ridge(chosen, balls, colours, shape, degree=0)
-        fitted = _map(ridge, 1e-3, everyone, colours, shape, 0, balls)
+        learners = [learner_of(chosen, curve, shape, 0, LONE_BALL_PENALTY) for curve in CURVES]
+        members = learned_members(learners, slope, np.ones(len(slope)), everyone)
+        fitted = InverseMap(shape, members, domain, balls[0].steepest)
         return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
-    degree, penalty, ridge = _preferred(chosen, balls, colours, shape)
-    refined, errors, kept = _refine(chosen, balls, ridge, penalty)
-    (slope,) = ridge.held_out_slopes([penalty], kept)
-    rows = kept[chosen.ball]
-    error = angle_between_deg(slope[rows], ridge.slope[rows])
-    fitted = _map(ridge, penalty, kept, colours, shape, degree, refined)
-    return InverseFit(fitted, refined, kept, errors, float(error.mean()), _bands(error, ridge.slope[rows]))
+    learners = with_shares([preferred_learner(chosen, slope, len(balls), curve, shape) for curve in CURVES])
+    state = _refine(chosen, balls, learners)
+    rows = state.kept[chosen.ball]
+    error = angle_between_deg(state.held_out[rows], state.slope[rows])
+    members = learned_members(learners, state.slope, state.weight, state.kept)
+    steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
+    return InverseFit(
+        map=InverseMap(shape, members, domain, steepest),
+        balls=state.balls,
+        kept=state.kept,
+        ball_error_deg=state.errors_deg,
+        held_out_deg=float(error.mean()),
+        bands=_bands(error, state.slope[rows]),
+    )
+
+
+@dataclass(slots=True, eq=False)
+class _Refined:
+    """Balls with moved centres, true slopes and weights of the samples that follow from them, held-out slopes."""
+
+    balls: tuple[Ball, ...]
+    slope: Float64Array
+    weight: Float64Array
+    kept: MaskArray
+    errors_deg: Float64Array
+    held_out: Float64Array
 
 
 def _thinned(samples: BallSamples, count: int) -> BallSamples:
@@ -120,58 +148,23 @@ def _true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
     return np.asarray(-offset / height[:, None])
 
 
-def _ridge(
-    samples: BallSamples, balls: Sequence[Ball], colours: ColourSpace, shape: tuple[int, int], degree: int
-) -> HeldOutRidge:
-    design = design_matrix(colours, COLOUR_DEGREE, degree, shape, samples.intensity, samples.column, samples.row)
-    count = max(int(FLAT_SHARE * len(samples.p)), 1)
-    place = np.random.default_rng(1).uniform(size=(2, count)).astype(np.float32)
-    untouched = np.ones((count, 3), np.float32)
-    flat = design_matrix(colours, COLOUR_DEGREE, degree, shape, untouched, place[0] * shape[1], place[1] * shape[0])
-    return HeldOutRidge(design, flat.T @ flat, _true_slopes(samples, balls), np.ones(len(samples.p)), samples.ball)
-
-
-def _preferred(
-    samples: BallSamples, balls: Sequence[Ball], colours: ColourSpace, shape: tuple[int, int]
-) -> tuple[int, float, HeldOutRidge]:
-    """Degree in position, penalty and problem with the least held-out error."""
-    everyone = np.ones(len(balls), bool)
-    best: tuple[float, int, float, HeldOutRidge] | None = None
-    for degree in POSITION_DEGREES:
-        ridge = _ridge(samples, balls, colours, shape, degree)
-        for penalty, slope in zip(PENALTIES, ridge.held_out_slopes(PENALTIES, everyone), strict=True):
-            error = _balanced_error(samples, slope, ridge.slope)
-            if best is None or error < best[0]:
-                best = (error, degree, penalty, ridge)
-    assert best is not None  # noqa: S101 - POSITION_DEGREES is not empty
-    return best[1:]
-
-
-def _balanced_error(samples: BallSamples, slope: Float64Array, truth: Float64Array) -> float:
-    """Mean absolute slope error after each ball's own median is taken out, so that centre errors do not count."""
-    error = slope - truth
-    for ball in np.unique(samples.ball):
-        rows = samples.ball == ball
-        error[rows] -= np.median(error[rows], axis=0)
-    return float(np.abs(error).mean())
-
-
-def _refine(
-    samples: BallSamples, balls: Sequence[Ball], ridge: HeldOutRidge, penalty: float
-) -> tuple[tuple[Ball, ...], Float64Array, MaskArray]:
-    """Balls with moved centres, their held-out errors, and which follow the sphere; `ridge` takes the slopes."""
-    kept = np.ones(len(balls), bool)
-    refined: tuple[Ball, ...] = tuple(balls)
-    errors = np.full(len(balls), np.nan)
+def _refine(samples: BallSamples, balls: Sequence[Ball], learners: Sequence[SlopeLearner]) -> _Refined:
+    """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each."""
+    slope = _true_slopes(samples, balls)
+    count = len(balls)
+    state = _Refined(
+        tuple(balls), slope, np.ones(len(slope)), np.ones(count, bool), np.full(count, np.nan), np.zeros_like(slope)
+    )
     for _ in range(REFINEMENT_ROUNDS):
-        (slope,) = ridge.held_out_slopes([penalty], kept)
-        refined = _recentred(samples, balls, slope, kept)
-        ridge.slope = _true_slopes(samples, refined)
-        ridge.weight = robust_weight(slope, ridge.slope)
-        angle = angle_between_deg(slope, ridge.slope)
-        errors = np.array([angle[samples.ball == number].mean() for number in range(len(balls))])
-        kept = _following(errors)
-    return refined, errors, kept
+        held_out = held_out_mean(learners, state.slope, state.weight, state.kept)
+        state.balls = _recentred(samples, balls, held_out, state.kept)
+        state.slope = _true_slopes(samples, state.balls)
+        state.weight = robust_weight(held_out, state.slope)
+        angle = angle_between_deg(held_out, state.slope)
+        state.errors_deg = np.array([angle[samples.ball == number].mean() for number in range(count)])
+        state.kept = _following(state.errors_deg)
+    state.held_out = held_out_mean(learners, state.slope, state.weight, state.kept)
+    return state
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:
@@ -193,20 +186,6 @@ def _following(errors: Float64Array) -> MaskArray:
     median = float(np.median(errors))
     deviation = float(np.median(np.abs(errors - median)))
     return np.asarray(errors <= median + 3.0 * max(deviation, 0.1 * median))
-
-
-def _map(
-    ridge: HeldOutRidge,
-    penalty: float,
-    kept: MaskArray,
-    colours: ColourSpace,
-    shape: tuple[int, int],
-    degree: int,
-    balls: Sequence[Ball],
-) -> InverseMap:
-    coefficients = ridge.solve(penalty, kept).reshape(-1, len(position_exponents(degree)), 2).astype(np.float32)
-    steepest = max(ball.steepest for ball, follows in zip(balls, kept, strict=True) if follows)
-    return InverseMap(shape, colours, COLOUR_DEGREE, degree, coefficients, steepest)
 
 
 def _bands(error_deg: Float64Array, slope: Float64Array) -> tuple[SlopeBand, ...]:

@@ -5,8 +5,9 @@ Device and workstation share these functions, so that a calibration means the sa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -27,6 +28,9 @@ SATURATED: Final = 0.98
 
 BLACK_FRAME: Final = 0.01
 """A frame whose 99th percentile stays under this share of full scale saw no light."""
+
+EXPOSURE_STEP: Final = 8
+"""One pixel in so many rows and columns tells whether a frame is exposed."""
 
 _DEMOSAIC: Final[dict[BayerOrder, int]] = {
     # OpenCV names the pattern by the second row's second and third pixel: its BG is RGGB.
@@ -104,18 +108,34 @@ def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
         raise ValueError(f"binning factor {factor} is not a positive even number")
     rows, columns = (size // factor * factor for size in frame.shape)
     mosaic = frame.mosaic[:rows, :columns]
-    shape = (columns // factor, rows // factor)
+    brightest = _combined(np.maximum, [mosaic[i::factor] for i in range(factor)], np.uint16)
+    fits = int(brightest.max(initial=0)) * (factor // 2) <= np.iinfo(np.uint16).max
+    # Whole rows first: what is then left to be picked by columns is small.
+    down = [
+        _combined(np.add, [mosaic[i::factor] for i in range(parity, factor, 2)], np.uint16 if fits else np.uint32)
+        for parity in (0, 1)
+    ]
     scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
-    planes = []
-    for colour in "RGB":
-        sites = [i for i, letter in enumerate(frame.bayer_order) if letter == colour]
-        same = [mosaic[i // 2 :: 2, i % 2 :: 2] for i in sites]
-        plane = np.mean([cv2.resize(s, shape, interpolation=cv2.INTER_AREA) for s in same], axis=0, dtype=np.float32)
-        planes.append((plane - frame.black_level_dn) * scale)
+    planes = np.empty((3, rows // factor, columns // factor), np.float32)
+    for plane, colour in zip(planes, "RGB", strict=True):
+        sites = [divmod(i, 2) for i, letter in enumerate(frame.bayer_order) if letter == colour]
+        same = [down[row][:, i::factor] for row, column in sites for i in range(column, factor, 2)]
+        total = _combined(np.add, same, np.float32)
+        np.multiply(total, scale / (len(same) * (factor // 2)), out=plane)
+        plane -= np.float32(frame.black_level_dn * scale)
     limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
-    blocks = mosaic.reshape(rows // factor, factor, columns // factor, factor)
-    clipped = blocks.max(axis=(1, 3)) >= limit
-    return LinearFrame(np.stack(planes, axis=-1).astype(np.float32), clipped)
+    clipped = _combined(np.maximum, [brightest[:, i::factor] for i in range(factor)], np.uint16) >= limit
+    return LinearFrame(np.moveaxis(planes, 0, -1), clipped)
+
+
+def _combined(operation: np.ufunc, parts: Sequence[NDArray[Any]], dtype: type[np.generic]) -> NDArray[Any]:
+    """Element by element the sum or maximum of arrays of one shape, as a contiguous array of `dtype`."""
+    if len(parts) == 1:
+        return parts[0].astype(dtype)
+    total: NDArray[Any] = operation(parts[0], parts[1], dtype=dtype)
+    for part in parts[2:]:
+        operation(total, part, out=total)
+    return total
 
 
 def check_exposed(frame: LinearFrame, name: str) -> None:
@@ -126,12 +146,17 @@ def check_exposed(frame: LinearFrame, name: str) -> None:
     FrameError
         Names `name` and what to check.
     """
-    sample = frame.rgb[::8, ::8]
+    check_exposed_sample(frame.rgb[::EXPOSURE_STEP, ::EXPOSURE_STEP], float(frame.clipped.mean()), name)
+
+
+def check_exposed_sample(sample: Float32Array, clipped_share: float, name: str) -> None:
+    """The same from every `EXPOSURE_STEP`-th row and column of a frame and its share of clipped pixels."""
     if float(np.percentile(sample, 99)) < BLACK_FRAME:
         raise FrameError(f"{name} is black: check that the lights are on and the lens is open, then take it again")
-    clipped = float(frame.clipped.mean())
-    if clipped > 0.5:
-        raise FrameError(f"{name} is saturated over {clipped:.0%} of its area: lower the exposure and take it again")
+    if clipped_share > 0.5:
+        raise FrameError(
+            f"{name} is saturated over {clipped_share:.0%} of its area: lower the exposure and take it again"
+        )
 
 
 def blurred_reference(reference: LinearFrame) -> Float32Array:
@@ -148,14 +173,25 @@ def divide(frame: LinearFrame, divisor: Float32Array) -> IntensityImage:
     CalibrationMismatch
         The frame's size differs from the reference's.
     """
-    if frame.rgb.shape != divisor.shape:
-        sizes = [f"{shape[1]}x{shape[0]}" for shape in (frame.rgb.shape, divisor.shape)]
-        raise CalibrationMismatch(
-            f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
-        )
+    check_same_size(frame.shape, divisor)
     lit = np.asarray((divisor > DARK_FLOOR).all(axis=-1), np.bool_)
     values: Float32Array = np.divide(frame.rgb, np.maximum(divisor, np.float32(DARK_FLOOR)), dtype=np.float32)
     return IntensityImage(values, lit, frame.clipped)
+
+
+def check_same_size(shape: tuple[int, ...], divisor: Float32Array) -> None:
+    """Refuse a frame of shape (H, W) under a divisor of another size.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Says both sizes.
+    """
+    if shape != divisor.shape[:2]:
+        sizes = [f"{size[1]}x{size[0]}" for size in (shape, divisor.shape)]
+        raise CalibrationMismatch(
+            f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
+        )
 
 
 def pseudo_reference(frames: list[LinearFrame], degree: int = 6) -> Float32Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -26,6 +26,7 @@ from device.records import (
     verify_files,
 )
 from hal.frame import CameraSettings, RawFrame
+from hal.interfaces import PowerReading
 
 SCAN_SCHEMA: Final = "retrograph.scan/1"
 SCAN_MANIFEST: Final = "scan.json"
@@ -53,6 +54,27 @@ class VerdictRecord(Record, frozen=True):
     figures: dict[str, float | None] = msgspec.field(default_factory=dict)
 
 
+class PowerRecord(Record, frozen=True):
+    """Supply and battery at the press; None is "not measured".
+
+    under_voltage : the supply was too low then
+    was_under_voltage : it had been, at some time since boot
+    throttled : the processor was slowed down
+    battery_mv, battery_share : cell voltage (mV) and charge (0 to 1)
+    """
+
+    under_voltage: bool | None = None
+    was_under_voltage: bool | None = None
+    throttled: bool | None = None
+    battery_mv: float | None = None
+    battery_share: float | None = None
+
+    @classmethod
+    def of(cls, reading: PowerReading) -> PowerRecord:
+        """The same as a record."""
+        return cls(**asdict(reading))
+
+
 class Annotations(Record, frozen=True):
     """What people say about a scan; no part of its identity."""
 
@@ -71,6 +93,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     asked, granted : camera settings as asked for, and as the frame's own metadata states them
     currents_ma : current of each light as granted, mA
     calibration_id : of the calibration that was active, or None
+    power : supply and battery at the press
     files : hash and size of every file beside the manifest; filled in by the store
     """
 
@@ -87,6 +110,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     calibration_id: BundleId | None
     verdict: VerdictRecord
     annotations: Annotations = Annotations()
+    power: PowerRecord = PowerRecord()
     raw_file: FileName = "raw.tif"
     files: dict[FileName, FileEntry] = msgspec.field(default_factory=dict)
 

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 
+from hal.board_complaints import explain, not_finite
+from hal.board_parts import (
+    ButtonFacts,
+    Channel,
+    EvenSize,
+    IndicatorFacts,
+    LibcameraFacts,
+    LightDriverFacts,
+    NotNegative,
+    Positive,
+    PowerFacts,
+    Table,
+)
 from hal.errors import BoardProfileError
-from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings
+from hal.frame import BayerOrder, CameraSettings
 
-SCHEMA = "retrograph.board/1"
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-EvenSize = Annotated[int, msgspec.Meta(ge=16, multiple_of=2)]
+Exposure = Annotated[float, msgspec.Meta(gt=0, le=1e7)]
 Row3 = tuple[float, float, float]
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the profile: unknown keys are refused."""
-
-
-class SensorFacts(_Table, frozen=True):
+class SensorFacts(Table, frozen=True):
     """The sensor and its scale: counts in dn, charge in electrons, pitch at the skin in µm."""
 
     model: str
@@ -39,11 +44,11 @@ class SensorFacts(_Table, frozen=True):
     read_noise_e: NotNegative
 
 
-class CameraFacts(_Table, frozen=True):
+class CameraFacts(Table, frozen=True):
     """Exposure (µs) and analogue gain that this board scans with."""
 
-    exposure_us: Positive
-    analogue_gain: Annotated[float, msgspec.Meta(ge=1)]
+    exposure_us: Exposure
+    analogue_gain: Annotated[float, msgspec.Meta(ge=1, le=64)]
 
     @property
     def settings(self) -> CameraSettings:
@@ -51,23 +56,27 @@ class CameraFacts(_Table, frozen=True):
         return CameraSettings(self.exposure_us, self.analogue_gain)
 
 
-class LightFacts(_Table, frozen=True):
-    """One light: its place in the skin's frame (mm) and the current (mA) that this board scans with."""
+class LightFacts(Table, frozen=True):
+    """One light: its place in the skin's frame (mm) and the current (mA) that this board scans with.
+
+    channels : of the light driver, one an LED; each carries that current
+    """
 
     name: str
     colour: Literal["R", "G", "B"]
     position_mm: Row3
     current_ma: Positive
+    channels: tuple[Channel, ...] = ()
 
 
-class GelFacts(_Table, frozen=True):
+class GelFacts(Table, frozen=True):
     """The gel: identity and thickness of its slab (mm)."""
 
     id: str
     slab_thickness_mm: Positive
 
 
-class TwinFacts(_Table, frozen=True):
+class TwinFacts(Table, frozen=True):
     """What only the twin needs to know about the world that it simulates.
 
     crosstalk[c][l] : share of light l that colour filter c passes
@@ -89,7 +98,7 @@ class TwinFacts(_Table, frozen=True):
     control_delay_frames: Annotated[int, msgspec.Meta(ge=0)] = 3
 
 
-class BoardProfile(_Table, frozen=True):
+class BoardProfile(Table, frozen=True):
     """One board: everything that is a fact about hardware and nothing that is a choice of the user."""
 
     schema: Literal["retrograph.board/1"]
@@ -100,11 +109,28 @@ class BoardProfile(_Table, frozen=True):
     lights: tuple[LightFacts, LightFacts, LightFacts]
     gel: GelFacts
     twin: TwinFacts | None = None
+    libcamera: LibcameraFacts | None = None
+    light_driver: LightDriverFacts | None = None
+    button: ButtonFacts | None = None
+    indicator: IndicatorFacts | None = None
+    power: PowerFacts | None = None
 
     @property
     def currents_ma(self) -> dict[str, float]:
         """Current (mA) of each light by name, as `Lights.switch_on` takes them."""
         return {light.name: light.current_ma for light in self.lights}
+
+    @property
+    def capabilities(self) -> frozenset[str]:
+        """What this board can do beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current"."""
+        has = {
+            "indicator": self.indicator is not None,
+            "under-voltage": self.power is not None,
+            "battery": self.power is not None and self.power.fuel_gauge is not None,
+            "focus": self.libcamera is not None and self.libcamera.lens_position is not None,
+            "light-current": self.light_driver is not None and self.light_driver.chip == "PCA9955B",
+        }
+        return frozenset(name for name, there in has.items() if there)
 
 
 def profile_names() -> tuple[str, ...]:
@@ -128,7 +154,7 @@ def load_board_profile(name_or_path: str | Path) -> BoardProfile:
     try:
         profile = msgspec.toml.decode(data, type=BoardProfile)
     except msgspec.ValidationError as error:
-        raise BoardProfileError(f"{path}: {_explain(str(error))}") from error
+        raise BoardProfileError(f"{path}: {explain(str(error), BoardProfile, msgspec.toml.decode(data))}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BoardProfileError(f"{path}: is not TOML: {error}") from error
     _check(profile, path)
@@ -151,50 +177,53 @@ def _locate(name_or_path: str | Path) -> Path:
     return _profile_folder() / f"{name_or_path}.toml"
 
 
-_ACCEPTED_VALUES = {
-    "schema": (SCHEMA,),
-    "driver": ("twin", "picamera2"),
-    "sensor.bayer_order": BAYER_ORDERS,
-    "lights[...].colour": ("R", "G", "B"),
-    "twin.skin": ("diffuse", "flake", "sharp-flake"),
-}
-
-_TABLES: dict[str, type[_Table]] = {
-    "": BoardProfile,
-    "sensor": SensorFacts,
-    "camera": CameraFacts,
-    "lights[...]": LightFacts,
-    "gel": GelFacts,
-    "twin": TwinFacts,
-}
-
-
-def _explain(message: str) -> str:
-    """One sentence that names the key and says what is accepted there."""
-    what, _, where = message.partition(" - at `")
-    key = where.rstrip("`").removeprefix("$").lstrip(".")
-    accepted = ""
-    any_item = re.sub(r"\[\d+\]", "[...]", key)
-    if any_item in _ACCEPTED_VALUES:
-        accepted = "; accepted: " + ", ".join(_ACCEPTED_VALUES[any_item])
-    elif "unknown field" in what:
-        accepted = "; accepted: " + ", ".join(_TABLES[any_item].__struct_fields__)
-    return f"{key or 'top level'}: {what}{accepted}"
-
-
 def _check(profile: BoardProfile, path: Path) -> None:
     """Refuse what each key allows alone but the keys together do not."""
+    for complaint in _complaints(profile):
+        raise BoardProfileError(f"{path}: {complaint}")
+
+
+def _complaints(profile: BoardProfile) -> Iterator[str]:
+    for key in not_finite(profile):
+        yield f"{key}: is not finite; accepted: a finite number"
     colours = "".join(light.colour for light in profile.lights)
     if colours != "RGB":
-        raise BoardProfileError(f"{path}: lights: colours are {', '.join(colours)}; accepted is the order R, G, B")
+        yield f"lights: colours are {', '.join(colours)}; accepted is the order R, G, B"
     if len(profile.currents_ma) != len(profile.lights):
-        raise BoardProfileError(f"{path}: lights: two of them have the same name; give each its own")
+        yield "lights: two of them have the same name; give each its own"
     for light in profile.lights:
         if light.position_mm[2] <= 0.0:
-            raise BoardProfileError(
-                f"{path}: lights: position_mm of {light.name} is not above the skin; accepted is z > 0"
-            )
+            yield f"lights: position_mm of {light.name} is not above the skin; accepted is z > 0"
     if profile.sensor.white_level_dn <= profile.sensor.black_level_dn:
-        raise BoardProfileError(f"{path}: sensor.white_level_dn: accepted is more than black_level_dn")
-    if profile.driver == "twin" and profile.twin is None:
-        raise BoardProfileError(f"{path}: twin: the driver 'twin' needs a [twin] table; an empty one is accepted")
+        yield "sensor.white_level_dn: accepted is more than black_level_dn"
+    if profile.driver == "twin":
+        if profile.twin is None:
+            yield "twin: the driver 'twin' needs a [twin] table; an empty one is accepted"
+    else:
+        yield from _complaints_of_wiring(profile)
+
+
+def _complaints_of_wiring(profile: BoardProfile) -> Iterator[str]:
+    """What a real board's profile lacks or contradicts."""
+    for name in ("libcamera", "light_driver", "button"):
+        if getattr(profile, name) is None:
+            yield f"{name}: the driver {profile.driver!r} needs a [{name}] table"
+    for light in profile.lights:
+        if not light.channels:
+            yield f"lights: {light.name} has no channels; accepted: channels of the light driver, such as [0, 1]"
+    used = [channel for light in profile.lights for channel in light.channels]
+    indicator = profile.indicator
+    if indicator and (indicator.line is None) == (indicator.channel is None):
+        yield "indicator: accepted: exactly one of line (a GPIO line) and channel (of the light driver)"
+    if indicator and indicator.channel is not None:
+        used.append(indicator.channel)
+    if len(set(used)) != len(used):
+        twice = sorted({channel for channel in used if used.count(channel) > 1})
+        yield f"lights: channel {', '.join(map(str, twice))} is named twice; accepted: each channel once"
+    if indicator and profile.button and indicator.line == profile.button.line:
+        yield f"indicator.line: {indicator.line} is the button's line; accepted: another line"
+    camera = profile.libcamera
+    if camera and profile.sensor.white_level_dn >= 2**camera.raw_bits:
+        yield f"sensor.white_level_dn: accepted is less than 2^raw_bits, {2**camera.raw_bits}"
+    if camera and profile.camera.exposure_us > camera.frame_period_us:
+        yield "camera.exposure_us: accepted is at most libcamera.frame_period_us"

@@ -28,5 +28,17 @@ class ButtonError(HalError, OSError):
     """The button's line cannot be read. Check the line name in the board profile."""
 
 
+class IndicatorError(HalError, OSError):
+    """The status LED or buzzer cannot be driven. Check its line or channel in the board profile."""
+
+
+class PowerError(HalError, OSError):
+    """Supply or battery cannot be read. Check the gauge's address, or take it out of the board profile."""
+
+
+class DriverMissing(HalError, ImportError):
+    """A library that this board's drivers need is not installed. Install what the message names."""
+
+
 class OperatorError(HalError, ValueError):
     """The operator was asked for something that cannot be done, such as an unknown surface on the twin."""

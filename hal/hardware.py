@@ -8,22 +8,23 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from hal.board_profile import BoardProfile
-from hal.clock import VirtualClock
-from hal.errors import HalError
-from hal.interfaces import Button, Camera, Clock, Lights, Operator
+from hal.clock import SystemClock, VirtualClock
+from hal.interfaces import Button, Camera, Clock, Indicator, Lights, Operator, Power
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
     """Everything that the instrument touches; entering acquires all of it, leaving releases all of it.
 
-    The lights are entered last, so that they go dark first.
+    The lights go dark before anything else is touched, and first when it is left; the indicator may sit on their chip.
     """
 
     profile: BoardProfile
     camera: Camera
     lights: Lights
     button: Button
+    indicator: Indicator
+    power: Power
     operator: Operator
     clock: Clock
     _held: ExitStack = field(default_factory=ExitStack, init=False, repr=False, compare=False)
@@ -31,8 +32,11 @@ class Hardware:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(self.button)
-            stack.enter_context(self.camera)
+            stack.enter_context(self.power)
             stack.enter_context(self.lights)
+            stack.enter_context(self.indicator)
+            stack.enter_context(self.camera)
+            stack.callback(self.lights.dark)
             self._held.push(stack.pop_all())
         return self
 
@@ -50,14 +54,13 @@ def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int |
 
     Raises
     ------
-    HalError
-        The profile's driver is not built yet.
+    BoardProfileError
+        The profile lacks a table that its driver needs.
     """
     if profile.driver != "twin":
-        raise HalError(
-            f"board {profile.name!r}: the driver {profile.driver!r} is not built yet; "
-            "use a board whose driver is 'twin'"
-        )
+        from hal.board_hardware import board_hardware
+
+        return board_hardware(profile, clock or SystemClock())
     from hal.twin.bench import build
     from hal.twin.hardware import twin_hardware
 

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hal.frame import CameraSettings, RawFrame
 
@@ -59,6 +62,16 @@ class Camera(Protocol):
         """
         ...
 
+    def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
+        """The next small grey picture for aiming, uint8 array of shape (h, w): for the eye, no measure of light.
+
+        Raises
+        ------
+        FrameTimeout, CameraError
+            As for `next_frame`.
+        """
+        ...
+
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
@@ -78,6 +91,21 @@ class Lights(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the lights in R, G, B order."""
+        ...
+
+    @property
+    def highest_ma(self) -> float:
+        """The most that a light can be driven with, mA."""
+        ...
+
+    def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
+        """What the driver makes of these currents (mA): its nearest steps, which `switch_on` then really drives.
+
+        Raises
+        ------
+        LightError
+            An unknown name, or a current out of range.
+        """
         ...
 
     def switch_on(self, currents_ma: Mapping[str, float]) -> None:
@@ -115,7 +143,74 @@ class Button(Protocol):
     """The push button, already debounced."""
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press, or None when `timeout_s` went by without one (None waits for ever)."""
+        """The next press, or None when `timeout_s` went by without one (None waits for ever).
+
+        A button that is down when it is first looked at counts from its next press.
+        """
+        ...
+
+    def is_down(self) -> bool:
+        """Whether the button is down now."""
+        ...
+
+    def forget_presses(self) -> int:
+        """Drop what was pressed while nobody waited, and say how many presses that were."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "refused"]
+
+
+class Indicator(Protocol):
+    """A status LED or buzzer: one bit, so that every cue is a rhythm and colour carries nothing."""
+
+    def show(self, cue: Cue) -> None:
+        """Play a cue and leave the light as the cue ends: on while busy, else off.
+
+        Raises
+        ------
+        IndicatorError
+            It cannot be driven.
+        """
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class PowerReading:
+    """Supply and battery; None is "not measured", never 0.
+
+    under_voltage : the supply is too low now
+    was_under_voltage : it was, at some time since boot
+    throttled : the processor is slowed down now
+    battery_mv, battery_share : cell voltage (mV) and charge (0 to 1)
+    """
+
+    under_voltage: bool | None = None
+    was_under_voltage: bool | None = None
+    throttled: bool | None = None
+    battery_mv: float | None = None
+    battery_share: float | None = None
+
+
+class Power(Protocol):
+    """Supply and battery."""
+
+    def read(self) -> PowerReading:
+        """What is measured now.
+
+        Raises
+        ------
+        PowerError
+            A part that the board has does not answer.
+        """
         ...
 
     def __enter__(self) -> Self: ...

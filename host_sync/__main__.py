@@ -21,9 +21,13 @@ from device.errors import DeviceError
 from host_sync.commands import exporting, offload
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
+from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library
+from host_sync.picture_format import PictureFormat
+from host_sync.reconstruction.detail_filter import DetailBand
+from host_sync.video_command import video
 
 Method = Literal["direct", "paper"]
 """Said here once more, as commands that fetch and search do without the numerics where it is defined."""
@@ -32,6 +36,7 @@ app = App(
     name="retrosync",
     version=lambda: f"retrograph {version('retrograph')}",
     help="Fetch scans from a handheld, prove them, reconstruct their surfaces.",
+    suppress_keyboard_interrupt=False,
 )
 
 
@@ -47,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError:
         return BAD_INPUT  # it has said in its own words which argument is wrong
     except KeyboardInterrupt:
-        return complain("stopped", 130)
+        return complain("stopped: what was not finished is not there", 130)
     except BrokenPipeError:
         _let_output_go()
         return 141
@@ -73,6 +78,9 @@ def reconstruct(
     out: Folder | None = None,
     library: Folder | None = None,
     method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    s_filter_um: float | None = None,
+    l_filter_um: float | None = None,
+    force: bool = False,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -81,27 +89,45 @@ def reconstruct(
     names: The frame set's file and, after it, names of scans; or scans of the library. All scans when none is named.
     out: Folder for the results of a frame set.
     library: Folder of pulled scans; results go to <scan>/results/.
+    s_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
+    l_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
+    force: Reconstruct scans too that were not made as their calibration was; result.json keeps the warning.
     """
+    band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     with _telling() as tell:
         if library is not None:
-            return _reconstruct_library(Library(library), names, method, tell)
+            return _reconstruct_library(Library(library), names, method, tell, band, force=force)
         if not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell)
+        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band, force=force)
+
+
+app.command(video)
 
 
 def _reconstruct_frame_set(
-    path: Path, out: Path, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    path: Path,
+    out: Path,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
+    *,
+    force: bool,
 ) -> int:
     frame_set = load_frame_set(path)
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
-    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell)
+    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band, force=force)
     for failure in failures:
         complain(f"{failure.name}: {failure.reason}", PARTLY)
+    for name, reconstruction in done.items():
+        for warning in reconstruction.warnings:
+            complain(f"{name}: {warning}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
     if failures and not done:
         return BAD_INPUT
@@ -109,17 +135,24 @@ def _reconstruct_frame_set(
 
 
 def _reconstruct_library(
-    library: Library, names: Sequence[str], method: Method | None, tell: Callable[[str], None]
+    library: Library,
+    names: Sequence[str],
+    method: Method | None,
+    tell: Callable[[str], None],
+    band: DetailBand | None,
+    *,
+    force: bool,
 ) -> int:
     listing = library.scans()
     scans = [library.find(name) for name in names] if names else list(listing.bundles)
     failed = [] if names else [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
-    tell("loading compiled code (the first run compiles it)")
+    tell("loading compiled code")
+    tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
-    job = LibraryJob(library, method, tell)
+    job = LibraryJob(library, method, tell, band, force=force)
     done = 0
     for scan in scans:
         try:
@@ -136,11 +169,40 @@ def _reconstruct_library(
     return PARTLY if failed else DONE
 
 
+@app.command
+def figures(
+    name: str | None = None,
+    *,
+    out: Path,
+    library: Path | None = None,
+    formats: Annotated[tuple[PictureFormat, ...], Parameter(name="--format", consume_multiple=True)] = ("png",),
+) -> int:
+    """Draw a calibration as the paper does: reflectance maps, ambiguous colours, errors of a held-out ball.
+
+    Parameters
+    ----------
+    name: The frame set's file; or, with --library, a calibration of it, the latest when none is named.
+    out: Folder for the pictures.
+    library: Folder of pulled calibrations.
+    formats: Any of png, pdf, svg.
+    """
+    with _telling() as tell:
+        tell("loading compiled code (the first run compiles it)")
+        from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
+
+        frames = frames_to_draw(name, Library(library) if library is not None else None)
+        written = write_figures(frames, out, formats, tell)
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+    return DONE
+
+
 @contextmanager
 def _telling() -> Iterator[Callable[[str], None]]:
     """A line that says what is being done and for how long."""
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None)
         yield lambda words: progress.update(task, description=words)
 

@@ -12,6 +12,10 @@ class FrameSetError(HostError, ValueError):
     """A frame set or one of its images cannot be used. Mend the file and the key that the message names."""
 
 
+class SequenceError(HostError, ValueError):
+    """A sequence of frames cannot be used, or none of its frames can. Mend or name what the message says."""
+
+
 class SourceError(HostError, OSError):
     """A device, card or folder cannot be read or holds no bundles. Connect it, or name the right one."""
 
@@ -58,3 +62,7 @@ class PairingError(HostError, ValueError):
 
 class ExportError(HostError, OSError):
     """An export cannot be written. Free the place or choose another."""
+
+
+class FilterError(HostError, ValueError):
+    """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""

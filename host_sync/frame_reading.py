@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from device.surface import Float32Array
 from host_sync.errors import FrameSetError
 from host_sync.frame_set import FrameSpec
 from host_sync.frame_set_file import Encoding
-from host_sync.image_file import Pixels, read_pixels
+from host_sync.image_file import read_pixels
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:
@@ -27,16 +29,16 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
             raise FrameSetError(
                 f"{path}: is of another size or kind than its frame set was checked with: load it again"
             )
-    planes = [_linear(image, spec.encoding) for image in images]
+    planes = [light_of_values(image.dtype, spec.encoding)[image] for image in images]
     rgb = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
 
 
-def _linear(pixels: Pixels, encoding: Encoding) -> Float32Array:
-    """Share of full scale of each stored value, by table."""
-    values = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
-    table = (decode_srgb(values) if encoding == "srgb" else values).astype(np.float32)
-    return table[pixels]
+def light_of_values(dtype: np.dtype[Any], encoding: Encoding) -> Float32Array:
+    """Share of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or uint16."""
+    highest = np.iinfo(dtype).max
+    values = np.arange(highest + 1) / highest
+    return (decode_srgb(values) if encoding == "srgb" else values).astype(np.float32)
 
 
 def decode_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -32,7 +32,8 @@ class PressSpec:
 
     name : "press-00" and so on, in the order of the file
     balls : labelled balls in pixels, or None to have them found
-    grid_pitch_mm : distance of neighbouring balls when they form a square grid
+    radius_tolerance_mm : by how much the ball's radius may be off, None when nobody said
+    grid_pitch_mm, grid_tolerance_mm : distance of neighbouring balls when they form a square grid, and its tolerance
     """
 
     name: str
@@ -41,6 +42,8 @@ class PressSpec:
     radius_px: float
     balls: tuple[Ball, ...] | None
     grid_pitch_mm: float | None
+    radius_tolerance_mm: float | None = None
+    grid_tolerance_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +139,29 @@ def _press(
                 f"{path}: {key}.r: a contact of {ball.contact_radius_px:g} px is not smaller than the ball itself, "
                 f"{radius_px:.1f} px: check ball_radius_mm and pixel_pitch_um"
             )
-    return PressSpec(f"press-{number:02d}", frame, press.ball_radius_mm, radius_px, balls, press.grid_pitch_mm)
+    _check_tolerances(press, f"{path}: press[{number}]")
+    return PressSpec(
+        name=f"press-{number:02d}",
+        frame=frame,
+        ball_radius_mm=press.ball_radius_mm,
+        radius_px=radius_px,
+        balls=balls,
+        grid_pitch_mm=press.grid_pitch_mm,
+        radius_tolerance_mm=press.ball_radius_tolerance_mm,
+        grid_tolerance_mm=press.grid_pitch_tolerance_mm,
+    )
+
+
+def _check_tolerances(press: PressTable, key: str) -> None:
+    """Refuse tolerances that are no smaller than what they belong to, and a grid's without the grid."""
+    tolerance = press.ball_radius_tolerance_mm
+    if tolerance is not None and tolerance >= press.ball_radius_mm:
+        raise FrameSetError(f"{key}.ball_radius_tolerance_mm: {tolerance:g} is not smaller than the radius itself")
+    tolerance = press.grid_pitch_tolerance_mm
+    if tolerance is not None and press.grid_pitch_mm is None:
+        raise FrameSetError(f"{key}.grid_pitch_tolerance_mm: there is no grid_pitch_mm that it could belong to")
+    if tolerance is not None and press.grid_pitch_mm is not None and tolerance >= press.grid_pitch_mm:
+        raise FrameSetError(f"{key}.grid_pitch_tolerance_mm: {tolerance:g} is not smaller than the spacing itself")
 
 
 def _size(shape: tuple[int, int]) -> str:

@@ -18,6 +18,7 @@ CALIBRATION_FOLDER: Final = "calibration"
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 ImagePath = Annotated[str, msgspec.Meta(pattern=r"^[^\0]+$")]
 ImageNames = ImagePath | tuple[ImagePath, ImagePath, ImagePath]
 
@@ -41,12 +42,19 @@ class ReferenceTable(_Table, frozen=True):
 
 
 class PressTable(_Table, frozen=True):
-    """A calibration press and its balls."""
+    """A calibration press and its balls.
+
+    ball_radius_tolerance_mm : by how much the radius may be off
+    grid_pitch_mm : distance of neighbouring balls when they form a square grid
+    grid_pitch_tolerance_mm : by how much that may be off
+    """
 
     image: ImageNames
     ball_radius_mm: Length
+    ball_radius_tolerance_mm: Tolerance | None = None
     balls: Annotated[tuple[BallTable, ...], msgspec.Meta(min_length=1)] | None = None
     grid_pitch_mm: Length | None = None
+    grid_pitch_tolerance_mm: Tolerance | None = None
 
 
 class ScanTable(_Table, frozen=True):

@@ -12,7 +12,16 @@ import pytest
 
 ENTRY_POINT = "device.__main__"
 PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs"}
-PORTABLE_HAL = {"hal", "hal.board_profile", "hal.clock", "hal.errors", "hal.frame", "hal.interfaces"}
+PORTABLE_HAL = {
+    "hal",
+    "hal.board_complaints",
+    "hal.board_parts",
+    "hal.board_profile",
+    "hal.clock",
+    "hal.errors",
+    "hal.frame",
+    "hal.interfaces",
+}
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")
 
 

@@ -17,8 +17,10 @@ def checkout(tmp_path: Path) -> Path:
     """A copy of what set-up reads, without an environment."""
     folder = tmp_path / "a checkout"
     (folder / ".ci").mkdir(parents=True)
-    for name in ("Makefile", "pyproject.toml", "requirements.lock", ".ci/set-up"):
+    for name in ("Makefile", "pyproject.toml", "requirements.lock", "requirements-bench.lock"):
         shutil.copy(ROOT / name, folder / name)
+    for path in (ROOT / ".ci").iterdir():
+        shutil.copy(path, folder / ".ci")
     return folder
 
 
@@ -103,6 +105,36 @@ def test_second_run_installs_nothing_until_the_lock_or_the_project_changes(check
     with (checkout / "requirements.lock").open("a", encoding="utf-8") as lock:
         lock.write("# changed\n")
     assert installed() == ["lock", "checkout"]
+
+
+def set_up_peers(checkout: Path, tmp_path: Path, pip: str) -> subprocess.CompletedProcess[str]:
+    """Set up the benchmark's peers with a pip that does what is given."""
+    python = checkout / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(fake_python(tmp_path, f'mkdir -p "{checkout}/.venv/peers"; {pip}'), python)
+    return subprocess.run(
+        ["bash", ".ci/set-up-bench", ".venv"], cwd=checkout, capture_output=True, text=True, check=False
+    )
+
+
+def test_the_benchmark_takes_the_small_torch_once(checkout: Path, tmp_path: Path) -> None:
+    calls = tmp_path / "calls"
+    pip = f'echo "$*" >> "{calls}"'
+    assert set_up_peers(checkout, tmp_path, pip).returncode == 0
+    assert [".ci/torch-cpu.lock" in line for line in calls.read_text().splitlines()] == [False, True]
+    assert set_up_peers(checkout, tmp_path, "exit 1").returncode == 0
+
+
+def test_the_benchmark_goes_on_without_torch(checkout: Path, tmp_path: Path) -> None:
+    run = set_up_peers(checkout, tmp_path, 'case "$*" in *light*) exit 0 ;; esac; echo "ERROR: no torch" >&2; exit 1')
+    assert run.returncode == 0, run.stderr
+    assert "torch could not be installed: the benchmark goes on without it" in run.stdout
+
+
+def test_the_benchmark_without_its_peers_says_so(checkout: Path, tmp_path: Path) -> None:
+    run = set_up_peers(checkout, tmp_path, "echo 'ERROR: No matching distribution found for pyamg' >&2; exit 1")
+    assert "No matching distribution found for pyamg" in complaint(run)
+    assert not (checkout / ".venv" / "peers" / "ready").exists()
 
 
 def fake_python(folder: Path, pip: str) -> Path:

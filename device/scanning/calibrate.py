@@ -12,6 +12,7 @@ from device.ball import BallSamples, gather_samples
 from device.ball_finder import BallSearch, find_balls
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
+from device.calibration_limits import FEWEST_BALLS, WORST_HELD_OUT_DEG
 from device.errors import CalibrationError
 from device.inverse_fit import InverseFit, fit_inverse_map
 from device.photometry import bin_bayer, blurred_reference, check_exposed, divide
@@ -29,11 +30,8 @@ BINNING: Final = 2
 COLUMNS: Final = 4
 ROWS: Final = 3
 MOST_TRIES: Final = 3
-FEWEST_BALLS: Final = 4
 BUTTON_TIMEOUT_S: Final = 300.0
 FITTED_SAMPLES: Final = 20_000
-WORST_HELD_OUT_DEG: Final = 8.0
-"""A calibration whose held-out balls are worse is not made active."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +48,16 @@ def press_places() -> list[tuple[float, float]]:
 
 
 def calibrate(
-    hardware: Hardware, store: BundleStore, ball_radius_mm: float, tell: Callable[[str], None]
+    hardware: Hardware,
+    store: BundleStore,
+    ball_radius_mm: float,
+    tell: Callable[[str], None],
+    plan: CapturePlan | None = None,
 ) -> CalibrationOutcome:
     """Guide through a calibration, publish it and make it active.
 
     tell : shows one line to the person at the instrument
+    plan : exposure and currents, such as `balance` found; the board profile's when none is given
 
     Raises
     ------
@@ -63,7 +66,7 @@ def calibrate(
     HalError, FrameNotProven, StoreError
         The hardware or the disk refused.
     """
-    plan = CapturePlan.of_board(hardware)
+    plan = plan or CapturePlan.of_board(hardware)
     tell("Touch nothing with the gel, then push the button.")
     reference = _capture_on_button(hardware, plan, LiftOff())
     check_exposed(bin_bayer(reference, BINNING), "the reference")

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from device.errors import FrameNotProven
+from device.errors import FrameError, FrameNotProven
+from device.fingerprint import Fingerprint
+from hal.board_profile import SensorFacts
 from hal.frame import CameraSettings, RawFrame
 from hal.hardware import Hardware
 
@@ -23,7 +25,7 @@ RELATIVE_TOLERANCE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class CapturePlan:
-    """How a frame is to be taken: camera settings and the current of each light, mA."""
+    """How a frame is to be taken: camera settings and the current of each light as its driver grants it, mA."""
 
     settings: CameraSettings
     currents_ma: Mapping[str, float]
@@ -31,7 +33,14 @@ class CapturePlan:
     @classmethod
     def of_board(cls, hardware: Hardware) -> CapturePlan:
         """The plan that the board profile states."""
-        return cls(hardware.profile.camera.settings, hardware.profile.currents_ma)
+        return cls(hardware.profile.camera.settings, hardware.lights.granted_ma(hardware.profile.currents_ma))
+
+    @classmethod
+    def of_calibration(cls, hardware: Hardware, fingerprint: Fingerprint) -> CapturePlan:
+        """The plan that a calibration was made with: exposure, gain and currents may have been balanced for it."""
+        currents_ma = {light.name: light.current_ma for light in fingerprint.lights}
+        settings = CameraSettings(fingerprint.exposure_us, fingerprint.analogue_gain)
+        return cls(settings, hardware.lights.granted_ma(currents_ma))
 
 
 def capture(hardware: Hardware, plan: CapturePlan) -> RawFrame:
@@ -41,6 +50,8 @@ def capture(hardware: Hardware, plan: CapturePlan) -> RawFrame:
     ------
     FrameNotProven
         No frame showed the asked exposure and gain with its exposure begun after the lights had settled.
+    FrameError
+        The camera delivers another size, Bayer order or scale than the board profile states.
     CameraError, LightError
         The hardware did not answer.
     """
@@ -51,6 +62,7 @@ def capture(hardware: Hardware, plan: CapturePlan) -> RawFrame:
         steady_ns = clock.monotonic_ns() + round(SETTLE_S * 1e9)
         for _ in range(MOST_FRAMES):
             frame = camera.next_frame(FRAME_TIMEOUT_S)
+            check_frame(frame, hardware.profile.sensor, camera.camera_id)
             if _proves(frame, plan.settings, steady_ns):
                 return frame
     finally:
@@ -60,6 +72,26 @@ def capture(hardware: Hardware, plan: CapturePlan) -> RawFrame:
         f"and gain {plan.settings.analogue_gain:g} under steady light (last: {frame.granted.exposure_us:g} µs, "
         f"{frame.granted.analogue_gain:g}): press again, and check the camera if it persists"
     )
+
+
+def check_frame(frame: RawFrame, sensor: SensorFacts, camera_id: str) -> None:
+    """Refuse a frame that is not of the sensor that the board profile states.
+
+    Raises
+    ------
+    FrameError
+        Names the camera, what differs, and the key to mend.
+    """
+    for key, found, stated in (
+        ("rows, sensor.columns", frame.shape, (sensor.rows, sensor.columns)),
+        ("bayer_order", frame.bayer_order, sensor.bayer_order),
+        ("white_level_dn", frame.white_level_dn, sensor.white_level_dn),
+    ):
+        if found != stated:
+            raise FrameError(
+                f"camera {camera_id} delivers {found} where the board profile says {stated}: check that it is the "
+                f"right camera, and sensor.{key}"
+            )
 
 
 def _proves(frame: RawFrame, asked: CameraSettings, steady_ns: int) -> bool:

@@ -16,9 +16,10 @@ from device.photometry import bin_bayer
 from device.quick_look import QuickLook, QuickLookModel, quick_look
 from device.quick_look_files import write_quick_look
 from device.raw_file import write_raw
-from device.scan_bundle import Annotations, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
+from device.scan_bundle import Annotations, PowerRecord, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
 from device.scanning.capture import CapturePlan, capture
 from device.verdict import judge
+from hal.errors import PowerError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 
@@ -43,16 +44,16 @@ class Scanner:
     NoCalibration
         None is active.
     CalibrationMismatch
-        The active one was made with another board, gel, light or camera setting.
+        The active one was made with another board, gel, sensor or place of a light.
     """
 
     def __init__(self, hardware: Hardware, store: BundleStore) -> None:
         self._hardware = hardware
         self._store = store
-        self._plan = CapturePlan.of_board(hardware)
         self._calibration = store.active_calibration()
-        _check_belongs(self._calibration, hardware, self._plan)
         record = self._calibration.record
+        self._plan = CapturePlan.of_calibration(hardware, record.fingerprint)
+        _check_belongs(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
 
@@ -119,11 +120,20 @@ class Scanner:
             calibration_id=self._calibration.calibration_id,
             verdict=verdict,
             annotations=annotations,
+            power=_power(self._hardware),
         )
 
 
+def _power(hardware: Hardware) -> PowerRecord:
+    """Supply and battery now; a gauge that fails never costs a scan, and is then not measured."""
+    try:
+        return PowerRecord.of(hardware.power.read())
+    except PowerError:
+        return PowerRecord()
+
+
 def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: CapturePlan) -> None:
-    """Refuse a calibration of another board, gel, size, light or camera setting."""
+    """Refuse a calibration of another board, gel or size, or with a light elsewhere."""
     record, profile = calibration.record, hardware.profile
     differences = [
         f"{what} ({mine}, not {theirs})"

@@ -15,7 +15,7 @@ from truth_judge import Judgement
 
 from device.surface import Float32Array
 from host_sync.reconstruction.pipeline import Reconstruction
-from host_sync.render.relief import draw_relief
+from host_sync.render.relief_axes import draw_relief
 
 REDUCTION = 2
 TITLES = ("frame", "quick look on the device", "relief", "height error", "angular error")

@@ -11,7 +11,7 @@ import numpy as np
 from hal.board_profile import BoardProfile, TwinFacts
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings, RawFrame
-from hal.interfaces import ButtonPress, Clock
+from hal.interfaces import ButtonPress, Clock, Cue
 from hal.twin.arrays import Float32Array, MaskArray
 from hal.twin.faults import Faults
 from hal.twin.scene import Press, Scene, render
@@ -45,7 +45,7 @@ class Bench:
     clock : the time of this world
     seed : of noise and placement
 
-    Its `faults` may be switched at any time.
+    Its `faults` may be switched at any time; `cues` are what its indicator has shown, with the times (ns).
     """
 
     def __init__(self, profile: BoardProfile, clock: Clock, seed: int) -> None:
@@ -60,6 +60,7 @@ class Bench:
         self._pressed: Timeline[Press | None] = Timeline(clock.monotonic_ns(), None)
         self._driven: Timeline[dict[str, float]] = Timeline(clock.monotonic_ns(), {})
         self._button: list[ButtonPress] = []
+        self.cues: list[tuple[int, Cue]] = []
 
     @property
     def pressed(self) -> Press | None:
@@ -108,7 +109,7 @@ class Bench:
         charge_e = np.zeros((sensor.rows, sensor.columns), np.float32)
         for light, per_ma_ms in zip(self.profile.lights, scene.charge_e, strict=True):
             dose = self._dose_ma_ms(light.name, began_ns, began_ns + exposure_ns)
-            if dose > 0.0 and not self.faults.lights_broken:
+            if dose > 0.0 and not (self.faults.lights_broken or light.name in self.faults.open_lights):
                 charge_e += per_ma_ms * np.float32(dose)
         random = np.random.Generator(np.random.SFC64([self.seed, index]))
         mosaic = expose(charge_e, sensor, settings.analogue_gain, random)

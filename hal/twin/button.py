@@ -37,6 +37,19 @@ class TwinButton:
         clock.sleep(timeout_s or 0.0)
         return None
 
+    def is_down(self) -> bool:
+        """Whether somebody pushes it now."""
+        press = self._bench.next_button_press()
+        return press is not None and press.began_ns <= self._bench.clock.monotonic_ns()
+
+    def forget_presses(self) -> int:
+        """Drop every push that has begun; says how many."""
+        dropped = 0
+        while self.is_down():
+            self._bench.take_button_press()
+            dropped += 1
+        return dropped
+
     def __enter__(self) -> Self:
         return self
 

@@ -6,10 +6,14 @@ import math
 from collections import deque
 from typing import Final, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hal.errors import CameraError, FrameTimeout
 from hal.frame import CameraSettings, RawFrame
 from hal.twin.bench import Bench
 
+AIMING_STEP: Final = 2
 _POWER_ON: Final = CameraSettings(exposure_us=9_990.0, analogue_gain=1.0)
 _LINE_US: Final = 14.8
 _GAIN_STEP_DB: Final = 0.1
@@ -72,6 +76,14 @@ class TwinCamera:
         frame = self._bench.expose(self._index, self._began_ns, self._current)
         self._advance()
         return frame
+
+    def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
+        """The next frame's green pixels, every `AIMING_STEP`-th of them, as 8 bits: uint8 array of shape (h, w)."""
+        frame = self.next_frame(timeout_s)
+        column = frame.bayer_order.index("G") % 2
+        green = frame.mosaic[0 :: 2 * AIMING_STEP, column :: 2 * AIMING_STEP].astype(np.float32)
+        share = (green - frame.black_level_dn) / (frame.white_level_dn - frame.black_level_dn)
+        return np.asarray(np.clip(255.0 * share, 0.0, 255.0), np.uint8)
 
     def __enter__(self) -> Self:
         self._check_present()

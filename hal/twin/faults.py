@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
@@ -14,7 +14,9 @@ class Faults:
     controls_ignored : exposure and gain that are asked for never arrive
     lights_silent : the light driver does not acknowledge
     lights_broken : the driver answers, but no light comes
+    open_lights : lights whose LED is not connected: the driver says "open", and no light comes
     button_unreadable : the button's line cannot be read
+    under_voltage : the supply is too low
     """
 
     camera_missing: bool = False
@@ -22,4 +24,6 @@ class Faults:
     controls_ignored: bool = False
     lights_silent: bool = False
     lights_broken: bool = False
+    open_lights: set[str] = field(default_factory=set)
     button_unreadable: bool = False
+    under_voltage: bool = False

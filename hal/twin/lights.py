@@ -23,13 +23,18 @@ class TwinLights:
         """Names of the lights in R, G, B order."""
         return tuple(light.name for light in self._bench.profile.lights)
 
-    def switch_on(self, currents_ma: Mapping[str, float]) -> None:
-        """Drive each named light with its current (mA); the others go dark.
+    @property
+    def highest_ma(self) -> float:
+        """The most that a light can be driven with, mA."""
+        return HIGHEST_CURRENT_MA
+
+    def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
+        """The same currents (mA): the twin has no steps.
 
         Raises
         ------
         LightError
-            An unknown name, a current out of range, or a silent driver.
+            An unknown name, or a current out of range.
         """
         for name, current in currents_ma.items():
             if name not in self.names:
@@ -38,6 +43,17 @@ class TwinLights:
                 raise LightError(
                     f"light {name!r} cannot be driven with {current:g} mA: choose 0 to {HIGHEST_CURRENT_MA:g} mA"
                 )
+        return dict(currents_ma)
+
+    def switch_on(self, currents_ma: Mapping[str, float]) -> None:
+        """Drive each named light with its current (mA); the others go dark.
+
+        Raises
+        ------
+        LightError
+            An unknown name, a current out of range, or a silent driver.
+        """
+        self.granted_ma(currents_ma)
         self._check_answering()
         self._bench.drive(currents_ma)
 
@@ -47,10 +63,11 @@ class TwinLights:
         self._bench.drive({})
 
     def faults(self) -> tuple[LightFault, ...]:
-        """An "open" for every light when they are broken."""
+        """An "open" for every light that is broken."""
         self._check_answering()
-        broken = self._bench.faults.lights_broken
-        return tuple(LightFault(name, "open") for name in self.names) if broken else ()
+        faults = self._bench.faults
+        open_lights = self.names if faults.lights_broken else [n for n in self.names if n in faults.open_lights]
+        return tuple(LightFault(name, "open") for name in open_lights)
 
     def __enter__(self) -> Self:
         self.dark()

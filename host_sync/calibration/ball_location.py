@@ -8,10 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from device.ball import Ball
-from device.ball_finder import RejectedBall, find_balls
+from device.ball import Ball, pixels_inside
+from device.ball_finder import BallSearch, RejectedBall, find_balls
+from device.calibration_limits import MOST_CLIPPED
 from device.channel_order import check_channel_order
-from device.errors import CalibrationError, CalibrationMismatch
+from device.dropped_ball import dropped_ball
+from device.errors import CalibrationMismatch
 from device.inverse_fit import InverseFit
 from device.photometry import IntensityImage, LinearFrame, check_exposed, divide
 from device.surface import Float32Array
@@ -20,12 +22,23 @@ SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
 
 
+@dataclass(frozen=True, slots=True)
+class GridSpacing:
+    """Distance of neighbouring balls of a square grid, and by how much it may be off; None when nobody said."""
+
+    pitch_mm: float
+    tolerance_mm: float | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PressFrame:
     """One calibration press: a frame in which balls of one known radius touch the skin.
 
     balls : where they are, or None to have them found
     labelled_by_hand : the places in `balls` may be some pixels off
+    source : the file that the frame came from
+    grid : the spacing of the balls when they form a grid
+    radius_tolerance : by which share the ball's radius may be off, None when nobody said
     """
 
     name: str
@@ -33,16 +46,48 @@ class PressFrame:
     radius_px: float
     balls: tuple[Ball, ...] | None = None
     labelled_by_hand: bool = False
+    source: str = ""
+    grid: GridSpacing | None = None
+    radius_tolerance: float | None = None
+
+    @property
+    def called(self) -> str:
+        """The press and its file, for messages."""
+        return f"{self.name} ({self.source})" if self.source else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class FittedBall:
+    """A ball that took part in the fit: its number in the press, from 1, and what became of it."""
+
+    number: int
+    ball: Ball
+    error_deg: float
+    kept: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsedPress:
-    """A press in calibration: its intensity, the balls that teach, and those that were rejected with the reason."""
+    """A press in calibration: its intensity, the balls that teach, and those that were rejected with the reason.
+
+    fault : why the press as a whole teaches nothing, empty when it does
+    seen : what was found in it, None when its balls were given by the instrument that took it
+    fitted : every ball that took part in the fit, in the fit's order
+    """
 
     name: str
     intensity: IntensityImage
     balls: tuple[Ball, ...]
     rejected: tuple[RejectedBall, ...]
+    fault: str = ""
+    source: str = ""
+    seen: BallSearch | None = None
+    fitted: tuple[FittedBall, ...] = ()
+
+    @property
+    def called(self) -> str:
+        """The press and its file, for messages."""
+        return f"{self.name} ({self.source})" if self.source else self.name
 
 
 def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) -> None:
@@ -57,40 +102,97 @@ def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) ->
     for press in presses:
         if press.frame.shape != shape:
             raise CalibrationMismatch(
-                f"{press.name} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
+                f"{press.called} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
                 f"the others {shape[1]}x{shape[0]}: use frames of one camera mode"
             )
 
 
 def locate(press: PressFrame, divisor: Float32Array) -> UsedPress:
-    """A press with its balls as given, or found when none are given.
+    """A press with its balls as given, or found when none are given; what cannot teach is listed with the reason.
 
     Raises
     ------
     FrameError, CalibrationMismatch
         The frame is black, saturated, or its channels are swapped.
     CalibrationError
-        No ball is found.
+        No frame of this size could show a ball of that radius.
     """
-    check_exposed(press.frame, press.name)
-    check_channel_order(press.frame, divisor, press.name)
+    check_exposed(press.frame, press.called)
+    check_channel_order(press.frame, divisor, press.called)
     intensity = divide(press.frame, divisor)
-    if press.balls is not None:
-        return UsedPress(press.name, intensity, press.balls, ())
-    search = find_balls(intensity, press.radius_px)
-    if not search.found:
-        reasons = "; ".join(sorted({ball.reason for ball in search.rejected})) or "nothing presses the skin"
-        raise CalibrationError(
-            f"{press.name} shows no ball of radius {press.radius_px:.0f} px ({reasons}): press the ball again, or take "
-            "this press out of the calibration"
-        )
-    return UsedPress(press.name, intensity, search.found, search.rejected)
+    seen = None
+    if press.balls is None or press.labelled_by_hand or press.grid:
+        seen = find_balls(intensity, press.radius_px, name=press.called)
+    used = UsedPress(press.name, intensity, press.balls or (), (), "", press.source, seen)
+    return used if press.balls is not None or seen is None else with_found(used, seen, press.radius_px)
 
 
-def seen_instead_of_labelled(press: UsedPress, radius_px: float) -> UsedPress:
+def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPress:
+    """The press with the balls of a search as its own."""
+    fault = ""
+    if not seen.found:
+        reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "nothing presses the skin"
+        fault = f"shows no ball of radius {radius_px:.0f} px ({reasons})"
+    return replace(press, balls=seen.found, rejected=seen.rejected, fault=fault, seen=seen)
+
+
+def drop_empty_labels(presses: Sequence[UsedPress], labelled: Sequence[bool]) -> list[UsedPress]:
+    """The presses without the labels at which nothing is seen, where balls are seen at most of the labels."""
+    blind = [
+        [not _places_near(ball, press.seen) for ball in press.balls] if by_hand and press.seen else []
+        for press, by_hand in zip(presses, labelled, strict=True)
+    ]
+    if sum(map(sum, blind)) > 0.5 * sum(map(len, blind)):
+        return list(presses)
+    return [_without(press, empty, "no ball is seen at its label") for press, empty in zip(presses, blind, strict=True)]
+
+
+def drop_clipped(press: UsedPress) -> UsedPress:
+    """The press without balls whose contacts are saturated."""
+    shares = [clipped_share(press.intensity, ball) for ball in press.balls]
+    worst = max(shares, default=0.0)
+    reason = f"{worst:.0%} of its contact is saturated in a channel, at most {MOST_CLIPPED:.0%} may be"
+    return _without(press, [share > MOST_CLIPPED for share in shares], reason)
+
+
+def clipped_share(image: IntensityImage, ball: Ball) -> float:
+    """Share of the pixels inside a ball's contact that are saturated in a channel."""
+    row, column = pixels_inside(ball, image.shape)
+    return float(image.clipped[row, column].mean()) if row.size else 0.0
+
+
+def _without(press: UsedPress, out: Sequence[bool], reason: str) -> UsedPress:
+    """The press with the marked balls among the rejected."""
+    if not any(out):
+        return press
+    balls = tuple(ball for ball, gone in zip(press.balls, out, strict=True) if not gone)
+    rejected = tuple(
+        RejectedBall(ball.column, ball.row, reason) for ball, gone in zip(press.balls, out, strict=True) if gone
+    )
+    return replace(press, balls=balls, rejected=press.rejected + rejected, fault="" if balls else reason)
+
+
+def _places_near(label: Ball, seen: BallSearch | None) -> bool:
+    """Whether anything, good or rejected, is seen at a label."""
+    places = [(b.column, b.row) for b in seen.found] + [(b.column, b.row) for b in seen.rejected] if seen else []
+    return any(np.hypot(c - label.column, r - label.row) < SAME_BALL * label.radius_px for c, r in places)
+
+
+def seen_instead_of_labelled(press: UsedPress) -> UsedPress:
     """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay."""
-    found = find_balls(press.intensity, radius_px).found
+    found = press.seen.found if press.seen else ()
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))
+
+
+def seen_beyond_labels(press: UsedPress) -> UsedPress:
+    """`seen_instead_of_labelled`, and after those balls all others that are seen."""
+    at_labels = seen_instead_of_labelled(press)
+    beyond = tuple(ball for ball in (press.seen.found if press.seen else ()) if not _is_one_of(ball, press.balls))
+    return replace(at_labels, balls=at_labels.balls + beyond)
+
+
+def _is_one_of(ball: Ball, others: Sequence[Ball]) -> bool:
+    return any(np.hypot(ball.column - o.column, ball.row - o.row) < SAME_BALL * o.radius_px for o in others)
 
 
 def _nearest(label: Ball, found: Sequence[Ball]) -> Ball:
@@ -114,14 +216,11 @@ def after_fit(located: Sequence[UsedPress], inverse: InverseFit) -> tuple[UsedPr
         span = range(first, first + len(press.balls))
         first += len(press.balls)
         kept = tuple(inverse.balls[i] for i in span if inverse.kept[i])
-        dropped = tuple(
-            RejectedBall(
-                inverse.balls[i].column,
-                inverse.balls[i].row,
-                f"does not follow the sphere (held-out error {inverse.ball_error_deg[i]:.1f} degrees)",
-            )
-            for i in span
-            if not inverse.kept[i]
+        dropped = tuple(dropped_ball(inverse, i) for i in span if not inverse.kept[i])
+        fitted = tuple(
+            FittedBall(number, inverse.balls[i], float(inverse.ball_error_deg[i]), bool(inverse.kept[i]))
+            for number, i in enumerate(span, start=1)
         )
-        used.append(UsedPress(press.name, press.intensity, kept, press.rejected + dropped))
+        fault = press.fault if kept else press.fault or "; ".join(ball.reason for ball in dropped)
+        used.append(replace(press, balls=kept, rejected=press.rejected + dropped, fault=fault, fitted=fitted))
     return tuple(used)

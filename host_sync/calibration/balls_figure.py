@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -14,14 +16,17 @@ from device.surface import Float32Array
 from host_sync.calibration.ball_location import UsedPress
 from host_sync.calibration.full_calibration import Calibration
 
-WIDEST_PX = 1500
-MOST_SHOWN = 16
+WIDEST_PX: Final = 1500
+MOST_SHOWN: Final = 16
+MOST_NAMES: Final = 60
 KEPT_COLOUR, REJECTED_COLOUR = "#ffffff", "#ffb000"
+KEPT_BAR: Final[dict[str, Any]] = {"color": "#4477aa", "label": "used"}
+REJECTED_BAR: Final[dict[str, Any]] = {"color": "#ddcc77", "hatch": "//", "edgecolor": "#776622", "label": "rejected"}
 
 
 def balls_figure(presses: Sequence[UsedPress]) -> Figure:
-    """Every press (at most `MOST_SHOWN`, spread over all) with its used and its rejected balls."""
-    shown = list(presses[:: -(-len(presses) // MOST_SHOWN)])
+    """Presses with their used and their rejected balls: all, or `MOST_SHOWN`, those with a rejected ball first."""
+    shown = _chosen(presses)
     across = int(np.ceil(np.sqrt(len(shown))))
     down = -(-len(shown) // across)
     rows, columns = shown[0].intensity.shape
@@ -33,8 +38,20 @@ def balls_figure(presses: Sequence[UsedPress]) -> Figure:
         axes.set_axis_off()
     used = sum(len(press.balls) for press in presses)
     rejected = sum(len(press.rejected) for press in presses)
-    figure.suptitle(f"{used} balls used (+, circle: trusted contact), {rejected} rejected (x)")
+    title = f"{used} balls used (+, circle: trusted contact), {rejected} rejected (x)"
+    if len(shown) < len(presses):
+        title += f"; {len(shown)} of {len(presses)} presses shown, those with rejected balls first"
+    figure.suptitle(title)
     return figure
+
+
+def _chosen(presses: Sequence[UsedPress]) -> list[UsedPress]:
+    """At most `MOST_SHOWN` presses in their order: with rejected balls first, the rest spread over all."""
+    spoilt = [i for i, press in enumerate(presses) if press.rejected or press.fault][:MOST_SHOWN]
+    good = [i for i in range(len(presses)) if i not in spoilt]
+    room = MOST_SHOWN - len(spoilt)
+    spread = [good[i * len(good) // room] for i in range(room)] if len(good) > room else good
+    return [presses[i] for i in sorted(spoilt + spread)]
 
 
 def _draw_press(axes: Axes, press: UsedPress, widest_px: int) -> None:
@@ -45,6 +62,10 @@ def _draw_press(axes: Axes, press: UsedPress, widest_px: int) -> None:
         axes.plot(ball.column, ball.row, "+", color=KEPT_COLOUR, ms=6, mew=1.0)
     for rejected in press.rejected:
         axes.plot(rejected.column, rejected.row, "x", color=REJECTED_COLOUR, ms=8, mew=1.6)
+    if len(press.fitted) > 1:
+        for one in press.fitted:
+            place = (one.ball.column + 0.25 * one.ball.radius_px, one.ball.row - 0.25 * one.ball.radius_px)
+            axes.annotate(str(one.number), place, color=KEPT_COLOUR, fontsize=7)
     axes.set_xlim(-0.5, columns - 0.5)
     axes.set_ylim(rows - 0.5, -0.5)
     axes.set_title(press.name, fontsize=8)
@@ -53,21 +74,37 @@ def _draw_press(axes: Axes, press: UsedPress, widest_px: int) -> None:
 
 
 def residuals_figure(calibration: Calibration) -> Figure:
-    """Held-out error by slope and by ball."""
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    by_slope, by_ball = figure.subplots(1, 2)
+    """Held-out error by slope and by ball, presses and balls named as in `balls_figure`."""
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    by_slope, by_ball = figure.subplots(1, 2, width_ratios=(1.0, 2.0))
     _draw_bands(by_slope, calibration)
-    errors = calibration.inverse.ball_error_deg
-    kept = calibration.inverse.kept
-    number = np.arange(len(errors)) + 1
-    by_ball.bar(number[kept], errors[kept], color="#4477aa", label="used")
-    if not kept.all():
-        by_ball.bar(number[~kept], errors[~kept], color="#ddcc77", hatch="//", edgecolor="#776622", label="rejected")
-        by_ball.legend(frameon=False)
+    fitted = [(press.name, len(press.fitted), one) for press in calibration.presses for one in press.fitted]
+    for kept, look in ((True, KEPT_BAR), (False, REJECTED_BAR)):
+        places = [place for place, (_, _, one) in enumerate(fitted) if one.kept is kept]
+        if places:
+            by_ball.bar(places, [fitted[place][2].error_deg for place in places], **look)
+    if not all(one.kept for _, _, one in fitted):
+        by_ball.legend(frameon=False, ncols=2, loc="upper right")
+    by_ball.margins(y=0.15)
+    single = all(count == 1 for _, count, _ in fitted)
+    names = [label if single else str(one.number) for label, _, one in fitted]
+    every = -(-len(names) // MOST_NAMES)
+    by_ball.set_xticks(range(0, len(names), every), names[::every], rotation=90 if single else 0, fontsize=7)
     by_ball.set_title("held-out error of each ball")
-    by_ball.set_xlabel("ball")
+    by_ball.set_xlabel("press" if single else "number of the ball in its press (balls.png)")
     by_ball.set_ylabel("mean error of the normal, degrees")
+    _part_presses(by_ball, [] if single else [label for label, _, _ in fitted])
     return figure
+
+
+def _part_presses(axes: Axes, owners: Sequence[str]) -> None:
+    """A line between the balls of neighbouring presses, and each press's name above its own."""
+    first = 0
+    for label, group in groupby(owners):
+        count = len(list(group))
+        axes.axvline(first - 0.5, color="#999999", lw=0.8)
+        axes.annotate(label, (first - 0.3, 0.97), xycoords=("data", "axes fraction"), fontsize=7, va="top")
+        first += count
 
 
 def _draw_bands(axes: Axes, calibration: Calibration) -> None:

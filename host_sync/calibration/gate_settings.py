@@ -60,7 +60,6 @@ def gate_settings(maps: ReflectanceMaps, surface: ReflectanceSurface, noise: flo
         tikhonov=np.float32(tikhonov),
         gate=np.float32(GATE_RATIO * noise_error),
         noise=np.float32(NOISE_QUANTILE * noise_error),
-        colour=np.float32(colour),
         flat_variance=np.float32(np.trace(np.linalg.inv(gram))),
         trusted=np.float32(TRUSTED_SCATTER * scatter + untouched),
         lost=np.float32(LOST_SCATTER * scatter + untouched),

@@ -16,9 +16,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from device.surface import Float32Array, Float64Array
+from host_sync.calibration.empty_bins import nearest_filled
 from host_sync.calibration.mean_shift import cluster_bins
 from host_sync.calibration.reflectance_surface import ReflectanceSurface
 
@@ -108,8 +108,17 @@ def build_table(
     chosen = centres[np.arange(centres.shape[1]) < count[:, None]]
     count = np.append(count, np.ones(len(rest), np.intp))
     candidates = np.concatenate([_packed(surface, chosen), np.repeat(_flat(surface), len(rest), axis=0)])
-    bin_of = _nearest_filled(np.append(filled, rest), step, bins)
+    bin_of = nearest_filled(np.append(filled, rest), step, bins)
     return LookupTable(low, step, bin_of, np.append(0, np.cumsum(count)).astype(np.int32), candidates)
+
+
+def slopes_of_bin(surface: ReflectanceSurface, table: LookupTable, filled: int) -> Float64Array:
+    """The slopes that were entered into one filled bin of a surface's table, float64 array of shape (N, 2)."""
+    bins = len(table.bin_of)
+    slopes, number = _entries(surface, table.low, table.step, bins)
+    # Empty bins that read the filled one are among these; no slope was entered into them.
+    reading = np.flatnonzero(table.bin_of.ravel() == filled)
+    return slopes[np.isin(number, reading)]
 
 
 def _entries(
@@ -150,17 +159,6 @@ def _dense_slopes(surface: ReflectanceSurface) -> tuple[Float64Array, Float64Arr
     p, q = np.meshgrid(axis, axis)
     inside = p * p + q * q <= surface.reach**2
     return np.stack([p[inside], q[inside]], axis=-1), surface.on_grid(axis)[inside]
-
-
-def _nearest_filled(filled: NDArray[np.intp], step: Float32Array, bins: int) -> NDArray[np.int32]:
-    """For every bin the index of the filled bin with the closest colour, itself when filled."""
-    index = np.full(bins**3, -1, np.int32)
-    index[filled] = np.arange(len(filled), dtype=np.int32)
-    cube = index.reshape(bins, bins, bins)
-    nearest = distance_transform_edt(
-        cube < 0, sampling=step.astype(np.float64), return_distances=False, return_indices=True
-    )
-    return np.ascontiguousarray(cube[tuple(nearest)])
 
 
 def _packed(surface: ReflectanceSurface, slopes: Float64Array) -> Float32Array:

@@ -8,9 +8,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from host_sync.calibration.ambiguity_figure import ambiguity_figure
 from host_sync.calibration.balls_figure import balls_figure, residuals_figure
-from host_sync.calibration.figures import ambiguity_figure, reflectance_figure
 from host_sync.calibration.full_calibration import Calibration
+from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.reflectance_figure import reflectance_figure
 from host_sync.reconstruction.whole_directory import whole_directory
 
 SCHEMA = "retrograph.calibration-report/1"
@@ -38,10 +40,21 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
     """What `report.json` says; angles in degrees, positions in pixels, unknown figures null."""
     inverse = calibration.inverse
     paper = calibration.paper
+    assessment = calibration.assessment
     return {
         "schema": SCHEMA,
         "calibration_id": calibration.calibration_id,
+        "passed": assessment.passed,
+        "checks": [
+            {"name": c.name, "value": c.value, "limit": c.limit, "kind": c.kind, "passed": c.passed}
+            for c in assessment.checks
+        ],
+        "notes": assessment.notes,
+        "next_presses": assessment.coverage.next_presses(),
+        "coverage": assessment.coverage,
         "pixel_pitch_um": calibration.pitch_um,
+        "scale_uncertainty": assessment.scale,
+        "measured_pixel_pitch": _pitch_record(assessment.pitch),
         "reference": "frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
         "ball_centres": calibration.centres,
         "preferred_method": calibration.preferred,
@@ -62,6 +75,8 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
         "presses": [
             {
                 "name": press.name,
+                "image": press.source or None,
+                "fault": press.fault or None,
                 "balls": [
                     {"x": ball.column, "y": ball.row, "r": ball.contact_radius_px, "radius_px": ball.radius_px}
                     for ball in press.balls
@@ -69,6 +84,35 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
                 "rejected": [{"x": ball.column, "y": ball.row, "reason": ball.reason} for ball in press.rejected],
             }
             for press in calibration.presses
+        ],
+    }
+
+
+def _pitch_record(pitch: PixelPitch | None) -> dict[str, Any] | None:
+    """What ball grids measured; lengths in µm per pixel where the name says nothing else."""
+    if pitch is None:
+        return None
+    return {
+        "stated_um": pitch.stated_um,
+        "pitch_um": pitch.pitch_um,
+        "sigma_um": pitch.sigma_um,
+        "readings": [
+            {
+                "press": reading.press,
+                "grid_pitch_mm": reading.grid.pitch_mm,
+                "grid_pitch_tolerance_mm": reading.grid.tolerance_mm,
+                "pitch_um": reading.pitch_um,
+                "sigma_um": reading.sigma_um,
+                "scatter_um": reading.scatter_um,
+                "bias_um": reading.bias_um,
+                "least_um": reading.least_um,
+                "most_um": reading.most_um,
+                "balls": reading.balls,
+                "pose": reading.pose.model.name,
+                "fitted_px": reading.pose.fitted_px,
+                "held_out_px": reading.pose.held_out_px,
+            }
+            for reading in pitch.readings
         ],
     }
 

@@ -1,15 +1,20 @@
-"""How wrong the slopes are, in four parts that bend a height map over ever longer distances.
+"""How wrong slopes are, by how steep the surface is, in parts that bend a height map over ever longer distances.
 
 * from pixel to pixel: noise and pigment, which average out
-* over a patch: what the map gets wrong of a ball it did not see
+* over a patch: what the map gets wrong of a ball it did not see. Its reach is measured by what it does: slope errors
+  added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
 * over the whole press: a ball shows each slope at one elevation only. Raised skin stands closer to the lights and is
   brighter at the same slope; an object that shows that slope at another elevation is read wrong, everywhere alike.
 * over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it
+
+Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import cv2
@@ -24,84 +29,164 @@ from device.surface import Float64Array, MaskArray
 SPLIT_SHARE: Final = 0.1
 """Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
 
+TILT_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
+"""Borders of the bands of steepness that have figures of their own."""
+
+ONE_SIGMA_PERCENT: Final = 68.27
 APEX_SLOPE: Final = 0.1
 INNER_SHARE: Final = 0.9
 FEWEST_PIXELS: Final = 50
-MOST_SAMPLES: Final = 20_000
+RAYS: Final = 24
+STEPS: Final = 40
+SHORTEST_REACH_PX: Final = 1.0
 
 Pressed = Sequence[tuple[IntensityImage, Sequence[Ball]]]
 
 
 class SlopeError(msgspec.Struct, frozen=True):
-    """Standard deviations of one slope component on a flat, as angles; both grow as 1 + p² + q².
+    """Standard deviations of one slope component by tilt of the surface, as angles of the normal.
 
+    In slope they are (1 + p² + q²) times as large.
+
+    tilt_deg : tilt of the surface for which the next two are given; between them they run straight
     pixel_deg : the part that is independent from pixel to pixel
     patch_deg : the part that is the same over a patch
     patch_px : size of such a patch, the standard deviation of a Gaussian
     raised_shade : by what share the balls' apexes are brighter than untouched skin, in R, G, B
-    scale_share : by what share a ball's slopes are read too steep or too flat, root mean square over balls
+    scale_share : by what share all slopes are read too steep or too flat, root mean square over balls
     """
 
-    pixel_deg: float
-    patch_deg: float
+    tilt_deg: tuple[float, ...]
+    pixel_deg: tuple[float, ...]
+    patch_deg: tuple[float, ...]
     patch_px: float
     raised_shade: tuple[float, float, float]
     scale_share: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _BallError:
+    """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there."""
+
+    slope: Float64Array
+    inside: MaskArray
+    truth: Float64Array
+    ball: Ball
+
+
 def measure_slope_error(presses: Pressed, inverse_map: InverseMap, inflation: float) -> SlopeError:
     """The slope error on the balls of a calibration.
 
-    inflation : held-out error over fitted error, by which the patch part is scaled
+    inflation : held-out error over fitted error, by which what the map gets wrong is scaled
     """
-    pixel: list[Float64Array] = []
-    patch: list[Float64Array] = []
-    widths: list[float] = []
-    for ball, error, inside in _ball_errors(presses, inverse_map):
-        sigma_px = max(SPLIT_SHARE * ball.contact_radius_px, 1.0)
-        smooth = _masked_blur(error, inside, sigma_px)
-        pixel.append((error - smooth)[inside] ** 2)
-        patch.append(smooth[inside] ** 2)
-        widths.append(3.0 * sigma_px)
-    pixel_deg, patch_deg = (float(np.degrees(np.sqrt(np.concatenate(part).mean()))) for part in (pixel, patch))
-    samples = gather_samples(presses)
+    errors = list(_ball_errors(presses, inverse_map))
+    bands = _by_band(errors)
+    sums = [_height_errors(error) for error in errors]
     return SlopeError(
-        pixel_deg=pixel_deg,
-        patch_deg=patch_deg * inflation,
-        patch_px=float(np.median(widths)),
-        raised_shade=_raised_shade(samples),
-        scale_share=_scale_share(samples, inverse_map),
+        tilt_deg=tuple(tilt for tilt, _, _ in bands),
+        pixel_deg=tuple(pixel for _, pixel, _ in bands),
+        patch_deg=tuple(inflation * patch for _, _, patch in bands),
+        patch_px=_reach_px(sums),
+        raised_shade=_raised_shade(gather_samples(presses)),
+        scale_share=inflation * float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0,
     )
 
 
-def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[tuple[Ball, Float64Array, MaskArray]]:
-    """For each ball and slope component: its error as an angle (radians) in a window, and the pixels that count."""
+def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
+    """Middle tilt of each band that balls show, and its pixel and patch part, degrees."""
+    tilts, pixels, patches = [np.zeros(0)], [np.zeros((2, 0))], [np.zeros((2, 0))]
+    for error in errors:
+        sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+        square = (error.truth**2).sum(axis=0)
+        angle = error.slope / (1.0 + square)
+        smooth = np.stack([_masked_blur(part, error.inside, sigma_px) for part in angle])
+        tilts.append(np.degrees(np.arctan(np.sqrt(square[error.inside]))))
+        pixels.append((angle - smooth)[:, error.inside])
+        patches.append(smooth[:, error.inside])
+    tilt, pixel, patch = (np.concatenate(parts, axis=-1) for parts in (tilts, pixels, patches))
+    bands = []
+    for low, high in pairwise(TILT_EDGES_DEG):
+        rows = (tilt >= low) & (tilt < high)
+        if rows.sum() >= FEWEST_PIXELS:
+            bands.append((float(tilt[rows].mean()), _spread_deg(pixel[:, rows]), _spread_deg(patch[:, rows])))
+    return bands or [(0.0, 0.0, 0.0)]
+
+
+def _spread_deg(angle: Float64Array) -> float:
+    return float(np.degrees(np.percentile(np.abs(angle), ONE_SIGMA_PERCENT)))
+
+
+@dataclass(frozen=True, slots=True)
+class _HeightErrors:
+    """Slope errors of one ball added up from apex to rim, along rays.
+
+    scale : what all rays share, as a share of the ball's height over its rim
+    variance_px2 : mean square of what rays do not share
+    slope_variance : mean square of the radial slope error of a patch
+    length_px : of a ray
+    """
+
+    scale: float
+    variance_px2: float
+    slope_variance: float
+    length_px: float
+
+
+def _height_errors(error: _BallError) -> _HeightErrors:
+    rows, columns = error.inside.shape
+    length = INNER_SHARE * error.ball.contact_radius_px
+    radius = (np.arange(STEPS) + 0.5) * length / STEPS
+    angle = np.arange(RAYS)[:, None] * (2.0 * np.pi / RAYS)
+    column = np.rint(error.ball.column + radius * np.cos(angle)).astype(np.intp)
+    row = np.rint(error.ball.row + radius * np.sin(angle)).astype(np.intp)
+    seen = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+    seen &= error.inside[row, column]
+    sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+    smooth = [_masked_blur(part, error.inside, sigma_px)[row, column] for part in error.slope]
+    radial = np.where(seen, smooth[0] * np.cos(angle) + smooth[1] * np.sin(angle), 0.0)
+    heights = radial.sum(axis=1) * length / STEPS
+    ball_height = error.ball.radius_px - float(np.sqrt(error.ball.radius_px**2 - length**2))
+    return _HeightErrors(
+        scale=float(heights.mean()) / ball_height,
+        variance_px2=float(heights.var()),
+        slope_variance=float((radial**2).sum() / max(seen.sum(), 1)),
+        length_px=length,
+    )
+
+
+def _reach_px(sums: Sequence[_HeightErrors]) -> float:
+    """Standard deviation of the Gaussian patches that add up to the same error of height along a ray.
+
+    Noise blurred by a Gaussian σ is alike over 2 sqrt(π) σ: a sum over a length l has so many times l its variance.
+    """
+    if not sums:
+        return SHORTEST_REACH_PX
+    variance = sum(part.variance_px2 for part in sums)
+    per_reach = sum(part.slope_variance * part.length_px for part in sums) * 2.0 * np.sqrt(np.pi)
+    longest = max(part.length_px for part in sums)
+    return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
+
+
+def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallError]:
+    """The slope error of each ball that shows enough faithful pixels."""
     for image, balls in presses:
-        gradients = inverse_map.gradients(image)
         for ball in balls:
-            rows, columns = _window(ball, image.shape)
-            row, column = np.mgrid[rows, columns].astype(np.float32)
+            window = _window(ball, image.shape)
+            row, column = np.mgrid[window].astype(np.float32)
             reach = INNER_SHARE * ball.contact_radius_px
             inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < reach**2
-            inside &= image.faithful[rows, columns] & gradients.valid[rows, columns]
+            inside &= image.faithful[window]
             if inside.sum() < FEWEST_PIXELS:
                 continue
-            truth = sphere_slopes(ball, column, row)
-            tilt = 1.0 + truth[0] ** 2 + truth[1] ** 2
-            for slope, true in zip((gradients.p, gradients.q), truth, strict=True):
-                yield ball, np.where(inside, (slope[rows, columns] - true) / tilt, 0.0).astype(np.float64), inside
-
-
-def _scale_share(samples: BallSamples, inverse_map: InverseMap) -> float:
-    """Root mean square over balls of the factor that fits read to true slopes, less 1."""
-    step = max(1, len(samples.p) // MOST_SAMPLES)
-    true = np.stack([samples.p[::step], samples.q[::step]], axis=-1).astype(np.float64)
-    read = inverse_map.predict(samples.intensity[::step], samples.column[::step], samples.row[::step])
-    ball = samples.ball[::step]
-    agreement = np.bincount(ball, (read * true).sum(axis=-1))
-    square = np.bincount(ball, (true**2).sum(axis=-1))
-    known = square > 0.0
-    return float(np.sqrt(np.mean((agreement[known] / square[known] - 1.0) ** 2)))
+            read = inverse_map.predict(image.values[window][inside], column[inside], row[inside])
+            truth = np.stack(sphere_slopes(ball, column, row)).astype(np.float64)
+            slope = np.zeros((2, *inside.shape))
+            slope[:, inside] = read.T - truth[:, inside]
+            here = Ball(
+                ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
+            )
+            yield _BallError(slope, inside, truth, here)
 
 
 def _raised_shade(samples: BallSamples) -> tuple[float, float, float]:

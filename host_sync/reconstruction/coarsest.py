@@ -28,6 +28,12 @@ def pseudo_inverse(level: GridLevel) -> NDArray[np.float64]:
     return np.asarray(scale[:, None] * inverse * scale, np.float64)
 
 
+def write_divergence(level: GridLevel) -> None:
+    """Write a small level's right-hand side: what its edges' weighted slopes bring in less what they take out."""
+    across, down = edge_weights(level)
+    level.rhs[:] = -np.diff(across * level.slope_across, axis=1) - np.diff(down * level.slope_down, axis=0)
+
+
 def solve_coarsest(level: GridLevel, inverse: NDArray[np.float64]) -> None:
     """Write the level's heights from its right-hand side."""
     z: Float32Array = (inverse @ level.rhs.ravel().astype(np.float64)).astype(np.float32)

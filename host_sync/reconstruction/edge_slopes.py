@@ -1,4 +1,4 @@
-"""Right-hand side of the least squares: slopes averaged onto the edges between neighbouring pixels.
+"""Weights and slopes of the edges between neighbouring pixels, row by row from slopes and confidences of the pixels.
 
 An edge joins pixels a and b in line. The two-point mean (g_a + g_b) / 2 has variance (v_a + v_b) / 4, so that with
 weights w = 1 / v an edge deserves the harmonic mean w_e = 2 w_a w_b / (w_a + w_b) (up to a factor common to all).
@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import Any, Final, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array
 from host_sync.reconstruction.smoother import CONTRACT
@@ -26,6 +26,9 @@ EdgeRule = Literal["fourth-order", "two-point", "printed"]
 
 LEAST_OUTER: Final = np.float32(0.01)
 """Weight of an outer pixel, relative to its edge, under which it takes no part: it adds at most 1/3 to the variance."""
+
+LEAST: Final = np.float32(1e-30)
+"""Keeps divisions of nought by nought finite."""
 
 _COEFFICIENTS: Final = {
     "fourth-order": (0.5, 0.5, 1.0 / 24.0),
@@ -39,100 +42,102 @@ def edge_coefficients(rule: EdgeRule) -> Float32Array:
     return np.asarray(_COEFFICIENTS[rule], np.float32)
 
 
-@njit(cache=True, fastmath=CONTRACT)
-def _edge_row(
-    g_o: Any, g_a: Any, g_b: Any, g_p: Any, w_o: Any, w_a: Any, w_b: Any, w_p: Any, rule: Any, weight: Any, flux: Any
-) -> None:
-    """Write weight and weighted slope of a row of edges."""
+@njit(cache=True)
+def edge_weights(w_a: Any, w_b: Any, weight: Any) -> None:
+    """Write the harmonic means of neighbours' weights, nought where either is a hole."""
     two, nought = np.float32(2.0), np.float32(0.0)
     for i in range(weight.size):
-        joined = w_a[i] > nought and w_b[i] > nought
-        w = two * w_a[i] * w_b[i] / (w_a[i] + w_b[i]) if joined else nought
-        both = g_a[i] + g_b[i]
-        outer = g_o[i] + g_p[i]
-        trusted = joined and w_o[i] > LEAST_OUTER * w and w_p[i] > LEAST_OUTER * w
-        bend = rule[2] * (both - outer) if trusted else nought
-        slope = rule[0] * g_a[i] + rule[1] * g_b[i] + bend
-        weight[i] = w
-        flux[i] = w * slope if joined else nought
+        harmonic = two * w_a[i] * (w_b[i] / max(w_a[i] + w_b[i], LEAST))
+        weight[i] = harmonic if min(w_a[i], w_b[i]) > nought else nought
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def edge_slopes(
+    g_o: Any, g_a: Any, g_b: Any, g_p: Any, w_o: Any, w_p: Any, weight: Any, rule: Any, slope: Any
+) -> None:  # fmt: skip
+    """Write the slopes of a row of edges, nought where the edge weighs nothing."""
+    alpha, beta, gamma, nought = rule[0], rule[1], rule[2], np.float32(0.0)
+    for i in range(slope.size):
+        w = weight[i]
+        bend = gamma * ((g_a[i] + g_b[i]) - (g_o[i] + g_p[i]))
+        bent = bend if min(w_o[i], w_p[i]) > LEAST_OUTER * w else nought
+        slope[i] = alpha * g_a[i] + beta * g_b[i] + bent if w > nought else nought
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_edge_slopes(g_o: Any, g_a: Any, g_b: Any, g_p: Any, rule: Any, slope: Any) -> None:
+    """Write the slopes of a row of edges where every pixel weighs 1."""
+    alpha, beta, gamma = rule[0], rule[1], rule[2]
+    for i in range(slope.size):
+        bend = gamma * ((g_a[i] + g_b[i]) - (g_o[i] + g_p[i]))
+        slope[i] = alpha * g_a[i] + beta * g_b[i] + bend
 
 
 @njit(cache=True)
-def _padded(values: Any, row: int, out: Any) -> None:
-    """Copy a row between two pixels of padding at each end."""
-    out[2 : out.size - 2] = values[row]
+def weight_row(weight: Any, scale: Any, row: int, out: Any) -> None:
+    """Write a row of pixel weights times `scale` between two pixels of padding, nought there and outside the field.
 
-
-@njit(cache=True)
-def _weight_row(weight: Any, valid: Any, row: int, out: Any) -> None:
-    """Write a row of pixel weights between two pixels of padding: nought at holes and outside; 1 without `weight`."""
-    rows, columns = valid.shape
-    nought = np.float32(0.0)
-    if 0 <= row < rows:
-        for c in range(columns):
-            if weight is None:
-                out[c + 2] = np.float32(1.0)
-            else:
-                out[c + 2] = weight[row, c] if valid[row, c] else nought
-    else:
-        out[:] = nought
-
-
-@njit(cache=True)
-def _band(
-    p: Any, q: Any, weight: Any, valid: Any, rule: Any, across: Any, down: Any, rhs: Any, first: int, last: int
-) -> None:
-    """Write edge weights and right-hand side of rows `first` to `last` - 1."""
-    rows, columns = p.shape
-    w = np.zeros((4, columns + 4), np.float32)
-    p_row = np.zeros(columns + 4, np.float32)
-    edge, flux = np.zeros(columns + 1, np.float32), np.zeros(columns + 1, np.float32)
-    edges_down, flux_down = np.zeros(columns, np.float32), np.zeros((2, columns), np.float32)
-    for row in range(first - 2, first + 1):
-        _weight_row(weight, valid, row, w[row % 4])
-    for r in range(first, last + 1):
-        _weight_row(weight, valid, r + 1, w[(r + 1) % 4])
-        o, a, b, e = max(r - 2, 0), max(r - 1, 0), min(r, rows - 1), min(r + 1, rows - 1)
-        inner = slice(2, columns + 2)
-        _edge_row(
-            q[o], q[a], q[b], q[e], w[(r - 2) % 4][inner], w[(r - 1) % 4][inner], w[r % 4][inner],
-            w[(r + 1) % 4][inner], rule, edges_down, flux_down[r % 2],
-        )  # fmt: skip
-        if down is not None and (r < last or r == rows):
-            down[r] = edges_down
-        if r > first:
-            above, below = flux_down[(r - 1) % 2], flux_down[r % 2]
-            for c in range(columns):
-                rhs[r - 1, c] += above[c] - below[c]
-        if r == last:
-            break
-        p_row[2 : columns + 2] = p[r]
-        mid = w[r % 4]
-        n = columns + 1
-        _edge_row(
-            p_row[0:n], p_row[1 : n + 1], p_row[2 : n + 2], p_row[3 : n + 3],
-            mid[0:n], mid[1 : n + 1], mid[2 : n + 2], mid[3 : n + 3], rule, edge, flux,
-        )  # fmt: skip
-        if across is not None:
-            across[r] = edge
-        for c in range(columns):
-            rhs[r, c] = flux[c] - flux[c + 1]
-
-
-@njit(cache=True, parallel=True)
-def edge_system(
-    p: Any, q: Any, weight: Any, valid: Any, rule: Any, across: Any, down: Any, rhs: Any, bands: int
-) -> None:
-    """Write the edge weights and right-hand side of the finest level.
-
-    p, q : float32 arrays of shape (H, W); whatever stands at holes is not read into a result
-    weight : float32 array of shape (H, W), or None where every pixel weighs 1
-    valid : bool array of shape (H, W)
-    rule : `edge_coefficients`
-    across : float32 array of shape (H, W + 1), or None: weights of the edges left of each pixel, nought at both ends
-    down : float32 array of shape (H + 1, W), or None: weights of the edges above each pixel, nought at both ends
-    rhs : float32 array of shape (H, W), divergence of the weighted edge slopes, pixels
+    weight : float32 array of shape (H, W), nought or NaN at holes
     """
-    rows = p.shape[0]
-    for band in prange(bands):
-        _band(p, q, weight, valid, rule, across, down, rhs, band * rows // bands, (band + 1) * rows // bands)
+    nought = np.float32(0.0)
+    if 0 <= row < weight.shape[0]:
+        source = weight[row]
+        for c in range(source.size):
+            out[c + 2] = source[c] * scale if source[c] > nought else nought
+    else:
+        for c in range(out.size):
+            out[c] = nought
+
+
+@njit(cache=True)
+def across_edges(p: Any, rule: Any, pixels: Any, weight: Any, slope: Any, padded: Any) -> None:
+    """Write weights and slopes of the edges left of a row's pixels, nought at both ends.
+
+    p : the row of slopes, float32 array of shape (W,)
+    pixels : padded row of pixel weights; None where every pixel weighs 1
+    weight, slope : float32 arrays of shape (W + 1,); `weight` is None where every pixel weighs 1
+    padded : float32 array of shape (W + 4,) to work in
+    """
+    last, nought = p.size, np.float32(0.0)
+    if pixels is None:
+        unit_edge_slopes(p[0 : last - 3], p[1 : last - 2], p[2 : last - 1], p[3:last], rule, slope[2 : last - 1])
+        for c in (1, last - 1):
+            slope[c] = rule[0] * p[c - 1] + rule[1] * p[c]
+        slope[0], slope[last] = nought, nought
+    else:
+        for c in range(last):
+            padded[c + 2] = p[c]
+        n = last + 1
+        edge_weights(pixels[1 : n + 1], pixels[2 : n + 2], weight)
+        edge_slopes(
+            padded[0:n], padded[1 : n + 1], padded[2 : n + 2], padded[3 : n + 3], pixels[0:n], pixels[3 : n + 3],
+            weight, rule, slope,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def down_edges(q: Any, rule: Any, row: int, pixels: Any, weight: Any, slope: Any) -> None:
+    """Write weights and slopes of the edges above the pixels of `row`, nought above the first and below the last row.
+
+    q : float32 array of shape (H, W)
+    pixels : padded rows of pixel weights, that of row r at r mod 4; None where every pixel weighs 1
+    weight, slope : float32 arrays of shape (W,); `weight` is None where every pixel weighs 1
+    """
+    rows, nought = q.shape[0], np.float32(0.0)
+    if row == 0 or row == rows:
+        for c in range(slope.size):
+            slope[c] = nought
+        if weight is not None:
+            for c in range(slope.size):
+                weight[c] = nought
+        return
+    o, a, b, e = max(row - 2, 0), row - 1, row, min(row + 1, rows - 1)
+    if pixels is None:
+        if o == a or e == b:
+            rule = np.array([rule[0], rule[1], nought], np.float32)
+        unit_edge_slopes(q[o], q[a], q[b], q[e], rule, slope)
+    else:
+        inner = slice(2, slope.size + 2)
+        beyond, far = pixels[(row - 2) % 4][inner], pixels[(row + 1) % 4][inner]
+        edge_weights(pixels[(row - 1) % 4][inner], pixels[row % 4][inner], weight)
+        edge_slopes(q[o], q[a], q[b], q[e], beyond, far, weight, rule, slope)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from device.errors import DeviceError
-from host_sync.calibration.ball_location import PressFrame
-from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.ball_location import GridSpacing, PressFrame
+from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
-from host_sync.frame_set import FrameSet, ScanSpec
+from host_sync.frame_set import FrameSet, PressSpec, ScanSpec
+from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.results import write_result
 
@@ -38,19 +40,37 @@ def calibrate_frame_set(frame_set: FrameSet, tell: Callable[[str], None] = lambd
         A frame is unreadable, or the presses do not carry a calibration.
     """
     tell("reading frames")
-    presses = [
-        PressFrame(
-            name=f"{press.name} ({press.frame.name})",
-            frame=read_frame(press.frame),
-            radius_px=press.radius_px,
-            balls=press.balls,
-            labelled_by_hand=press.balls is not None,
-        )
-        for press in frame_set.presses
-    ]
+    return calibrate_frames(frames_of_set(frame_set), tell)
+
+
+def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
+    """The frames that a frame set's calibration is made from.
+
+    Raises
+    ------
+    FrameSetError
+        A frame is unreadable.
+    """
+    presses = tuple(_press_frame(press, frame_set.path.parent) for press in frame_set.presses)
     reference = read_frame(frame_set.reference) if frame_set.reference else None
-    others = [] if reference else [read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
-    return calibrate(presses, reference, frame_set.pixel_pitch_um, others=others, tell=tell)
+    others = () if reference else tuple(read_frame(scan.frame) for scan in frame_set.scans[:NO_REFERENCE_FRAMES])
+    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others)
+
+
+def _press_frame(press: PressSpec, folder: Path) -> PressFrame:
+    """The press as calibration takes it; its file is named as seen from the frame set's folder."""
+    image = press.frame.images[0]
+    tolerance = press.radius_tolerance_mm
+    return PressFrame(
+        name=press.name,
+        frame=read_frame(press.frame),
+        radius_px=press.radius_px,
+        balls=press.balls,
+        labelled_by_hand=press.balls is not None,
+        source=str(image.relative_to(folder)) if image.is_relative_to(folder) else image.name,
+        grid=GridSpacing(press.grid_pitch_mm, press.grid_tolerance_mm) if press.grid_pitch_mm else None,
+        radius_tolerance=tolerance / press.ball_radius_mm if tolerance is not None else None,
+    )
 
 
 def chosen_scans(frame_set: FrameSet, names: Sequence[str]) -> list[ScanSpec]:
@@ -76,8 +96,14 @@ def reconstruct_frame_set(
     method: Method | None = None,
     names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
+    band: DetailBand | None = None,
+    *,
+    force: bool = False,
 ) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
     """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
+
+    band : of the detail that is written beside each height map, if any
+    force : reconstruct frames too that the calibration cannot explain
 
     Raises
     ------
@@ -94,8 +120,8 @@ def reconstruct_frame_set(
     for scan in scans:
         tell(f"{scan.name}: slopes and height")
         try:
-            reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method)
-            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name})
+            reconstruction = reconstruct(read_frame(scan.frame), calibration, scan.frame.name, method, force=force)
+            write_result(out / scan.name, reconstruction, calibration, scan.name, {"frame_set": frame_set.name}, band)
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))
         else:

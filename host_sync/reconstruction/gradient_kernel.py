@@ -147,7 +147,7 @@ def _look_up(tile: Any, count: int, low: Any, step: Any, bin_of: Any, filled: An
 
 @njit(cache=True, error_model="numpy")
 def _choose(tile: Any, c: int, first: int, end: int, candidates: Any, settings: Any) -> None:
-    """Write the results of the candidate of least cost (paper: ε chooses among ambiguous slopes)."""
+    """Write the results of the candidate of least ε² (paper, under eq. 8: it selects among ambiguous slopes)."""
     least = np.float32(np.inf)
     for index in range(first, end):
         a = candidates[index]

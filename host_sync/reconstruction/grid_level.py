@@ -1,107 +1,112 @@
-"""One level of the grid: its edge weights and working arrays, and how the next coarser level follows from it."""
+"""One level of the grid: its edges and working arrays."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numba import get_num_threads, njit, prange
 
 from device.surface import Float32Array
 
-SMALL_PX: Final = 1 << 16
-"""Levels of fewer pixels are worked on by one thread: waking a second one takes longer."""
-
-COARSEST_PX: Final = 64
+COARSEST_PX: Final = 16
 """A level of no more pixels is solved directly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PixelField:
+    """What the edges of the finest level are made from, pass by pass.
+
+    p, q : float32 arrays of shape (H, W), slopes
+    weight : float32 array of shape (H, W), nought at holes; None where every pixel weighs 1
+    scale : factor of the weights that brings the largest to 1
+    rule : `edge_coefficients`
+    """
+
+    p: Float32Array
+    q: Float32Array
+    weight: Float32Array | None
+    scale: np.float32
+    rule: Float32Array
+
+
+@dataclass(slots=True, eq=False)
 class GridLevel:
-    """One level.
+    """One level, coarser than the pixels or with the pixels' edges written out.
 
     shape : (H, W) of the level
-    across : float32 array of shape (H, W + 1), weights of the edges left of each pixel; None where every edge weighs 1
-    down : float32 array of shape (H + 1, W), weights of the edges above each pixel; None where every edge weighs 1
-    z, spare : float32 arrays of shape (H, W), heights before and after a sweep, pixels
+    across, down : float32 arrays of shapes (H, W + 1) and (H + 1, W), weights of the edges left of and above each
+        pixel, nought at both ends; None where every edge weighs 1
+    slope_across, slope_down : float32 arrays of the same shapes, slopes of those edges, pixels of the level
+    z : float32 array of shape (H, W), heights, pixels (before they are known, the shapes of the cells)
+    spare : float32 array of shape (H, W), receives the heights of the next sweep
     rhs : float32 array of shape (H, W), right-hand side, pixels
     """
 
     shape: tuple[int, int]
     across: Float32Array | None
     down: Float32Array | None
-    z: Float32Array = field(init=False)
-    spare: Float32Array = field(init=False)
-    rhs: Float32Array = field(init=False)
+    slope_across: Float32Array
+    slope_down: Float32Array
+    z: Float32Array
+    spare: Float32Array
+    rhs: Float32Array
 
-    def __post_init__(self) -> None:
-        for name in ("z", "spare", "rhs"):
-            object.__setattr__(self, name, np.empty(self.shape, np.float32))
-
-    @property
-    def bands(self) -> int:
-        """Number of bands of rows that are worked on side by side; results do not depend on it."""
-        rows, columns = self.shape
-        return 1 if rows * columns < SMALL_PX else max(1, min(4 * get_num_threads(), rows // 32))
+    def swap(self) -> None:
+        """Take what a sweep wrote to `spare` for the heights."""
+        self.z, self.spare = self.spare, self.z
 
 
-def finest_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
-    """The level of a field's own pixels; its weights are yet to be written."""
+def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
+    """A level with its arrays yet to be written."""
     rows, columns = shape
-    if not weighted:
-        return GridLevel(shape, None, None)
-    return GridLevel(shape, np.empty((rows, columns + 1), np.float32), np.empty((rows + 1, columns), np.float32))
+    across, down = (rows, columns + 1), (rows + 1, columns)
+    return GridLevel(
+        shape,
+        np.empty(across, np.float32) if weighted else None,
+        np.empty(down, np.float32) if weighted else None,
+        *(np.empty(size, np.float32) for size in (across, down, shape, shape, shape)),
+    )
 
 
-def coarser_levels(finest: GridLevel) -> list[GridLevel]:
-    """All levels, the finest first, down to one that is small enough to be solved directly."""
-    levels = [finest]
-    while levels[-1].shape[0] * levels[-1].shape[1] > COARSEST_PX:
-        levels.append(_coarser(levels[-1]))
+def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
+    """All levels below one of this shape, 2:1 with sizes rounded up, down to one small enough to be solved directly.
+
+    Without weights, cells at an odd end hold half as many edges: from there on levels have weights.
+    """
+    levels: list[GridLevel] = []
+    while shape[0] * shape[1] > COARSEST_PX:
+        rows, columns = shape
+        odd = rows % 2 == 1 or columns % 2 == 1
+        shape = (rows + 1) // 2, (columns + 1) // 2
+        level = new_level(shape, weighted)
+        if odd and not weighted:
+            _write_odd_weights(level, rows, columns)
+        levels.append(level)
+        weighted = weighted or odd
     return levels
 
 
-def _coarser(fine: GridLevel) -> GridLevel:
-    """The next level: 2:1 with sizes rounded up; its edges weigh half the sum of the fine edges that they cross."""
-    rows, columns = fine.shape
-    shape = (rows + 1) // 2, (columns + 1) // 2
-    even = rows % 2 == 0 and columns % 2 == 0
-    if fine.across is None and even and shape[0] * shape[1] >= SMALL_PX:
-        return GridLevel(shape, None, None)
-    across, down = edge_weights(fine)
-    coarse = finest_level(shape, weighted=True)
-    bands = max(1, min(fine.bands, shape[0]))
-    _coarsen(across, down, coarse.across, coarse.down, bands)
-    return coarse
+def _write_odd_weights(level: GridLevel, rows: int, columns: int) -> None:
+    """Give the level below one of (rows, columns) pixels without weights those of its cells."""
+    level.across, level.down = unit_weights(level.shape)
+    if rows % 2:
+        level.across[-1] *= 0.5
+    if columns % 2:
+        level.down[:, -1] *= 0.5
 
 
 def edge_weights(level: GridLevel) -> tuple[Float32Array, Float32Array]:
     """Weights of the edges left of and above each pixel, ones written out where the level stores none."""
     if level.across is not None and level.down is not None:
         return level.across, level.down
-    rows, columns = level.shape
+    return unit_weights(level.shape)
+
+
+def unit_weights(shape: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
+    """Weights of a full rectangle's edges: 1 between pixels, nought at the ends."""
+    rows, columns = shape
     across, down = np.ones((rows, columns + 1), np.float32), np.ones((rows + 1, columns), np.float32)
     across[:, 0] = across[:, -1] = 0.0
     down[0] = down[-1] = 0.0
     return across, down
-
-
-@njit(cache=True, parallel=True)
-def _coarsen(across: Any, down: Any, coarse_across: Any, coarse_down: Any, bands: int) -> None:
-    """Write the edge weights of the next level."""
-    half, nought = np.float32(0.5), np.float32(0.0)
-    rows, columns = across.shape[0], down.shape[1]
-    coarse_rows, coarse_columns = coarse_across.shape[0], coarse_down.shape[1]
-    for band in prange(bands):
-        for r in range(band * coarse_rows // bands, (band + 1) * coarse_rows // bands):
-            upper, lower, top = across[2 * r], across[min(2 * r + 1, rows - 1)], down[2 * r]
-            share = half if 2 * r + 1 < rows else nought
-            for c in range(coarse_columns):
-                coarse_across[r, c] = half * upper[2 * c] + share * lower[2 * c]
-            for c in range(columns // 2):
-                coarse_down[r, c] = half * (top[2 * c] + top[2 * c + 1])
-            if columns % 2:
-                coarse_down[r, coarse_columns - 1] = half * top[columns - 1]
-            coarse_across[r, coarse_columns] = nought
-    coarse_down[coarse_rows] = nought

@@ -1,16 +1,23 @@
-"""Islands: parts of a field that no edge joins. Slopes say nothing of their relative level, so each has its own."""
+"""Islands: parts of a field that no edge joins. Slopes say nothing of their relative level, so each has its own.
+
+A field is told apart by runs, the unbroken stretches of pixels of a row: a few hundred thousand at most where pixels
+are millions. Runs of neighbouring rows that share a column are joined (union-find).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-import cv2
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
-from device.surface import Float32Array, Float64Array, GradientField
+from device.surface import Float32Array, Float64Array
+from host_sync.reconstruction.row_bands import in_bands
+
+STRIDE: Final = 32
+"""Pixels that are looked at together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,89 +25,158 @@ class Islands:
     """Connected parts.
 
     count : number of islands
-    labels : int32 array of shape (H, W), 1 to `count`, 0 at holes; of shape (0, 0) where one island fills the field
+    first : int64 array of shape (H + 1,), number of the first run of each row
+    start, stop : int32 arrays of shape (runs,), first column of a run and the one after its last
+    label : int32 array of shape (runs,), island of each run, 0 to `count` - 1
     """
 
     count: int
-    labels: NDArray[np.int32]
+    first: NDArray[np.int64]
+    start: NDArray[np.int32]
+    stop: NDArray[np.int32]
+    label: NDArray[np.int32]
 
     def balance(self, rhs: Float64Array) -> None:
         """Subtract each island's mean from a right-hand side in place: rounding must not leave it unsolvable."""
-        if self.labels.size == 0:
-            rhs -= rhs.mean()
-            return
-        flat = self.labels.ravel()
-        pixels = np.bincount(flat, minlength=self.count + 1)
-        sums = np.bincount(flat, weights=rhs.ravel(), minlength=self.count + 1)
-        mean = sums / np.maximum(pixels, 1)
-        rhs -= mean[self.labels]
+        means = self._means(rhs, np.ones(rhs.shape, np.float32))
+        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means[self.label], 1.0, 0.0)
+
+    def level(self, z: Float32Array, weight: Float32Array, scale: float) -> None:
+        """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN."""
+        means = self._means(z, weight).astype(np.float32)[self.label]
+        factor, hole = np.float32(scale), np.float32(np.nan)
+        in_bands(_shift, z.shape, z, self.first, self.start, self.stop, means, factor, hole)
+
+    def _means(self, z: Float32Array | Float64Array, weight: Float32Array) -> Float64Array:
+        """Weighted mean of each island, from the moments of its runs."""
+        moments = np.empty((self.start.size, 2))
+        in_bands(_moments, z.shape, z, weight, self.first, self.start, self.stop, moments)
+        moment, total = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
+        return np.asarray(moment / total, np.float64)
 
 
-def find_islands(gradients: GradientField, holes: int) -> Islands:
-    """Parts of the field that are connected through neighbouring pixels; `holes` counts the pixels without a height."""
-    if holes == 0:
-        return Islands(1, np.empty((0, 0), np.int32))
-    used = gradients.valid & (gradients.weight > 0.0)
-    count, labels = cv2.connectedComponents(used.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
-    return Islands(count - 1, np.asarray(labels, np.int32))
+def find_islands(weight: Float32Array) -> Islands:
+    """Parts of the field that are connected through neighbouring pixels; `weight` is nought at holes."""
+    counts = np.zeros(weight.shape[0] + 1, np.int64)
+    in_bands(_count_runs, weight.shape, weight, counts)
+    first = np.cumsum(counts)
+    start, stop = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
+    in_bands(_write_runs, weight.shape, weight, first, start, stop)
+    label, count = _join_runs(first, start, stop)
+    return Islands(count, first, start, stop, label)
 
 
-def level_islands(z: Float32Array, gradients: GradientField, islands: Islands, scale: float) -> None:
-    """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN.
-
-    scale : factor from the unit of z to the one wanted
-    """
-    weight = np.ascontiguousarray(gradients.weight, np.float32)
-    if islands.count == 1:
-        moments, totals = _row_moments(z, weight, gradients.valid)
-        mean = np.array([np.nan, moments.sum() / totals.sum()])
-    else:
-        moments, totals = _island_moments(z, weight, islands.labels, islands.count + 1)
-        mean = np.append(np.nan, moments[1:] / totals[1:])
-    _shift(z, islands.labels, mean.astype(np.float32), np.float32(scale))
-
-
-@njit(cache=True, parallel=True)
-def _row_moments(z: Any, weight: Any, valid: Any) -> tuple[Any, Any]:
-    """Per row Σ w z and Σ w over valid pixels, for a field of one island."""
-    rows = z.shape[0]
-    moments, totals = np.zeros(rows), np.zeros(rows)
-    for r in prange(rows):
-        moments[r], totals[r] = _row_moment(z[r], weight[r], valid[r])
-    return moments, totals
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _row_moment(z: Any, weight: Any, valid: Any) -> tuple[Any, Any]:
-    """Σ w z and Σ w of one row, summed in lanes."""
-    moment, total = 0.0, 0.0
-    for c in range(z.size):
-        w = np.float64(weight[c]) * valid[c]
-        moment += w * z[c]
-        total += w
-    return moment, total
+@njit(cache=True, nogil=True)
+def _count_runs(weight: Any, counts: Any, begin: int, end: int) -> None:
+    """Write the number of runs of each row, behind that of the row before."""
+    for r in range(begin, end):
+        counts[r + 1] = _row_runs(weight[r])
 
 
 @njit(cache=True)
-def _island_moments(z: Any, weight: Any, labels: Any, count: int) -> tuple[Any, Any]:
-    """Per label Σ w z and Σ w."""
-    moments, totals = np.zeros(count), np.zeros(count)
-    for r in range(z.shape[0]):
-        for c in range(z.shape[1]):
-            w = np.float64(weight[r, c])
-            if labels[r, c] > 0:
-                moments[labels[r, c]] += w * z[r, c]
-                totals[labels[r, c]] += w
-    return moments, totals
+def _row_runs(row: Any) -> Any:
+    """Number of pixels with a weight that have none before them."""
+    nought = np.float32(0.0)
+    count = np.int32(row[0] > nought)
+    for c in range(1, row.size):
+        count += np.int32((row[c] > nought) & (not row[c - 1] > nought))
+    return count
 
 
-@njit(cache=True, parallel=True)
-def _shift(z: Any, labels: Any, mean: Any, scale: Any) -> None:
-    """Write (z - mean) · scale, with the mean of each pixel's label."""
-    for r in prange(z.shape[0]):
-        if labels.size > 0:
-            for c in range(z.shape[1]):
-                z[r, c] = (z[r, c] - mean[labels[r, c]]) * scale
+@njit(cache=True, nogil=True)
+def _write_runs(weight: Any, first: Any, start: Any, stop: Any, begin: int, end: int) -> None:
+    """Write where each run begins and ends."""
+    for r in range(begin, end):
+        _write_row_runs(weight[r], start[first[r] : first[r + 1]], stop[first[r] : first[r + 1]])
+
+
+@njit(cache=True)
+def _write_row_runs(row: Any, start: Any, stop: Any) -> None:
+    """Write where the runs of a row begin and end; strides that are all alike are passed over."""
+    nought, at, inside = np.float32(0.0), 0, False
+    for begin in range(0, row.size, STRIDE):
+        part = row[begin : begin + STRIDE]
+        used = 0
+        for c in range(part.size):
+            used += int(part[c] > nought)
+        if used == (part.size if inside else 0):
+            continue
+        for c in range(part.size):
+            if (part[c] > nought) != inside:
+                inside = not inside
+                if inside:
+                    start[at] = begin + c
+                else:
+                    stop[at] = begin + c
+                    at += 1
+    if inside:
+        stop[at] = row.size
+
+
+@njit(cache=True)
+def _root(parent: Any, run: int) -> int:
+    """The run that stands for this one's island; paths are halved on the way."""
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@njit(cache=True)
+def _join_runs(first: Any, start: Any, stop: Any) -> tuple[Any, int]:
+    """Island of each run, in the order of their first runs, and how many islands there are."""
+    parent = np.arange(start.size)
+    for r in range(1, first.size - 1):
+        above, here = first[r - 1], first[r]
+        while above < first[r] and here < first[r + 1]:
+            if start[above] < stop[here] and start[here] < stop[above]:
+                a, b = _root(parent, above), _root(parent, here)
+                parent[max(a, b)] = min(a, b)
+            if stop[above] < stop[here]:
+                above += 1
+            else:
+                here += 1
+    label, count = np.empty(start.size, np.int32), 0
+    for run in range(start.size):
+        root = _root(parent, run)
+        if root == run:
+            label[run] = count
+            count += 1
         else:
-            for c in range(z.shape[1]):
-                z[r, c] = (z[r, c] - mean[1]) * scale
+            label[run] = label[root]
+    return label, count
+
+
+@njit(cache=True, nogil=True)
+def _moments(z: Any, weight: Any, first: Any, start: Any, stop: Any, moments: Any, begin: int, end: int) -> None:
+    """Write per run Σ w z and Σ w."""
+    for r in range(begin, end):
+        for run in range(first[r], first[r + 1]):
+            _moment(z[r, start[run] : stop[run]], weight[r, start[run] : stop[run]], moments[run])
+
+
+@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _moment(z: Any, weight: Any, out: Any) -> None:
+    """Write Σ w z and Σ w of one run, summed in lanes."""
+    moment, total = 0.0, 0.0
+    for c in range(z.size):
+        moment += np.float64(weight[c]) * z[c]
+        total += weight[c]
+    out[0], out[1] = moment, total
+
+
+@njit(cache=True, nogil=True)
+def _shift(
+    z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hole: Any, begin: int, end: int
+) -> None:  # fmt: skip
+    """Write (z - mean) · scale with the mean of each run, `hole` between runs."""
+    for r in range(begin, end):
+        done = 0
+        for run in range(first[r], first[r + 1]):
+            for c in range(done, start[run]):
+                z[r, c] = hole
+            for c in range(start[run], stop[run]):
+                z[r, c] = (z[r, c] - mean[run]) * scale
+            done = stop[run]
+        for c in range(done, z.shape[1]):
+            z[r, c] = hole

@@ -1,18 +1,20 @@
 """Where a height map has its zero: skin that nothing touches.
 
 It is flat over a patch, not only at a pixel, and reaches the frame's border; the plateau of an object is flat too, and
-the skin that sinks towards rest around it is nearly so.
+the skin that sinks towards rest around it is nearly so. As only patches count, the search works on cells of several
+pixels.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import cv2
 import numpy as np
-from scipy import ndimage
+from numba import njit, prange
 
-from device.surface import GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 
 FLAT_SLOPES: Final = (0.01, 0.05)
 """Slopes under which a patch of skin counts as flat; the second is tried when the first finds too little."""
@@ -20,36 +22,84 @@ FLAT_SLOPES: Final = (0.01, 0.05)
 PATCH_SHARE: Final = 1.0 / 64.0
 """Size of a patch as a share of the frame's columns."""
 
+PATCH_CELLS: Final = 5
+"""Cells along a patch; where a patch has fewer pixels, they are the cells."""
+
 LEAST_SHARE: Final = 0.02
 """Share of the valid pixels that untouched skin must make up."""
+
+MOST_SAMPLES: Final = 200_000
+"""So many heights give a median to less than a thousandth of their spread."""
 
 
 def untouched_skin(gradients: GradientField) -> MaskArray:
     """True where the skin is at rest: bool array of shape (H, W); every valid pixel when no such place is found."""
-    valid = gradients.valid
-    patch = max(3, round(PATCH_SHARE * valid.shape[1]) | 1)
-    share = np.maximum(cv2.blur(valid.astype(np.float32), (patch, patch)), np.float32(1e-3))
-    mean = [
-        cv2.blur(np.where(valid, slope, np.float32(0.0)), (patch, patch)) / share
-        for slope in (gradients.p, gradients.q)
-    ]
-    steepness = np.hypot(*mean)
+    rows, columns = gradients.valid.shape
+    cell = max(1, round(PATCH_SHARE * columns) // PATCH_CELLS)
+    patch = max(3, round(PATCH_SHARE * columns / cell) | 1)
+    p_sum, q_sum, count = _cell_sums(gradients.p, gradients.q, gradients.valid, cell)
+    known = np.maximum(cv2.blur(count, (patch, patch)), np.float32(1e-3))
+    steepness = np.hypot(*(cv2.blur(total, (patch, patch)) / known for total in (p_sum, q_sum)))
     for limit in FLAT_SLOPES:
-        flat = _reaching_the_border(valid & (steepness < limit))
-        if flat.sum() >= LEAST_SHARE * valid.sum():
-            return flat
-    return valid
+        flat = _reaching_the_border((count > 0) & (steepness < limit))
+        if count[flat].sum(dtype=np.float64) >= LEAST_SHARE * count.sum(dtype=np.float64):
+            size = (flat.shape[1] * cell, flat.shape[0] * cell)
+            pixels = cv2.resize(flat.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+            return gradients.valid & pixels[:rows, :columns].view(np.bool_)
+    return gradients.valid
+
+
+def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
+    """Median height of the skin at rest, µm; 0 when none has a height."""
+    step = max(1, int(np.sqrt(at_rest.size / MOST_SAMPLES)))
+    sample = height.z_um[::step, ::step]
+    heights = sample[at_rest[::step, ::step] & np.isfinite(sample)]
+    return float(np.median(heights)) if heights.size else 0.0
 
 
 def levelled(height: HeightMap, at_rest: MaskArray) -> HeightMap:
     """The height map with zero at the median of the skin at rest."""
-    heights = height.z_um[at_rest & np.isfinite(height.z_um)]
-    zero = np.median(heights) if heights.size else np.float32(0.0)
-    return HeightMap(height.z_um - zero, height.pitch_um)
+    return HeightMap(height.z_um - np.float32(height_of_rest_um(height, at_rest)), height.pitch_um)
+
+
+def cache_directory() -> Path:
+    """Where the compiled kernels of this package are kept."""
+    return Path(str(_cell_sums.stats.cache_path))
+
+
+@njit(cache=True, parallel=True)
+def _cell_sums(p: Any, q: Any, valid: Any, cell: int) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Sums of p and q, and number of valid pixels, in cells of `cell` x `cell` pixels: float32 arrays."""
+    rows, columns = valid.shape
+    shape = ((rows + cell - 1) // cell, (columns + cell - 1) // cell)
+    p_sum, q_sum = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    count = np.zeros(shape, np.float32)
+    for i in prange(shape[0]):
+        column = np.zeros((3, columns), np.float32)
+        for r in range(i * cell, min((i + 1) * cell, rows)):
+            _add_row(p[r], q[r], valid[r], column[0], column[1], column[2])
+        for c in range(columns):
+            j = c // cell
+            p_sum[i, j] += column[0, c]
+            q_sum[i, j] += column[1, c]
+            count[i, j] += column[2, c]
+    return p_sum, q_sum, count
+
+
+@njit(cache=True)
+def _add_row(p: Any, q: Any, valid: Any, p_sum: Any, q_sum: Any, count: Any) -> None:
+    """Add a row's valid slopes and their number, column by column."""
+    for c in range(p.size):
+        p_sum[c] += p[c] if valid[c] else np.float32(0.0)
+        q_sum[c] += q[c] if valid[c] else np.float32(0.0)
+        count[c] += np.float32(valid[c])
 
 
 def _reaching_the_border(mask: MaskArray) -> MaskArray:
     """The connected parts of a mask that touch the frame's border."""
-    labels, _ = ndimage.label(mask)
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    return np.asarray(np.isin(labels, np.unique(border[border > 0])))
+    reaching = np.zeros(labels.max() + 1, np.bool_)
+    reaching[border] = True
+    reaching[0] = False
+    return np.asarray(reaching[labels])

@@ -11,10 +11,12 @@ from device.errors import CalibrationMismatch
 from device.photometry import demosaic
 from device.scan_bundle import ScanBundle
 from host_sync.calibration.ball_location import PressFrame
-from host_sync.calibration.full_calibration import Calibration, Method, calibrate
+from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
 from host_sync.library import Library
-from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.detail_filter import DetailBand
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
 from host_sync.reconstruction.results import write_result
 
 
@@ -26,14 +28,24 @@ class LibraryJob:
     library : where scans, calibrations and results lie
     method : the method for every scan; None takes the one that each calibration's held-out balls prefer
     tell : is given a few words as each step begins
+    band : of the detail that is written beside each height map, if any
+    force : reconstruct scans too that their calibration cannot explain
     """
 
     def __init__(
-        self, library: Library, method: Method | None = None, tell: Callable[[str], None] = lambda _: None
+        self,
+        library: Library,
+        method: Method | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+        band: DetailBand | None = None,
+        *,
+        force: bool = False,
     ) -> None:
         self._library = library
         self._method = method
         self._tell = tell
+        self._band = band
+        self._force = force
         self._calibrations: dict[str, Calibration] = {}
 
     def run(
@@ -58,12 +70,11 @@ class LibraryJob:
         calibration = self._calibration(bundle)
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
-        frame = demosaic(scan.raw_frame())
-        reconstruction = reconstruct(frame, calibration, name, method or self._method)
+        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, method or self._method, force=self._force)
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}
-        write_result(folder, reconstruction, calibration, name, facts)
+        write_result(folder, reconstruction, calibration, name, facts, self._band)
         return reconstruction, folder
 
     def _calibration(self, bundle: CalibrationBundle) -> Calibration:
@@ -85,8 +96,19 @@ def calibration_of(bundle: CalibrationBundle, tell: Callable[[str], None] = lamb
     CalibrationError
         The frames do not carry a calibration.
     """
+    return calibrate_frames(frames_of_bundle(bundle), tell)
+
+
+def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
+    """The frames of a calibration bundle, with the balls that the device found in them.
+
+    Raises
+    ------
+    RecordError
+        A frame is damaged.
+    """
     record = bundle.record
-    presses = [
+    presses = tuple(
         PressFrame(
             name=press.file,
             frame=demosaic(bundle.press_frame(press)),
@@ -95,8 +117,8 @@ def calibration_of(bundle: CalibrationBundle, tell: Callable[[str], None] = lamb
         )
         for press in record.presses
         if press.balls
-    ]
-    return calibrate(presses, demosaic(bundle.reference()), record.pixel_pitch_um, tell=tell)
+    )
+    return CalibrationFrames(presses, demosaic(bundle.reference()), record.pixel_pitch_um)
 
 
 def _check_fingerprints(scan: ScanBundle, calibration: CalibrationBundle) -> None:

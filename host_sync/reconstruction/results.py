@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,19 @@ import msgspec
 import numpy as np
 import tifffile
 
-from device.surface import Float32Array
+from device.surface import Float32Array, HeightMap
 from host_sync.calibration.full_calibration import Calibration
+from host_sync.reconstruction.detail_filter import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.reconstruction.whole_directory import whole_directory
-from host_sync.render.relief import write_relief
+from host_sync.render.detail_picture import write_detail
+from host_sync.render.relief_sheet import write_relief
 
 SCHEMA = "retrograph.result/1"
 RECORD_FILE = "result.json"
+DRAWS_FILE = "height_draws_um.tif"
+WRITERS = 2
+"""Files written at a time: the relief takes about as long as the fields together."""
 
 
 def write_result(
@@ -27,10 +33,12 @@ def write_result(
     calibration: Calibration,
     name: str,
     facts: dict[str, Any] | None = None,
+    band: DetailBand | None = None,
 ) -> None:
     """Write height, slopes, σ, relief and `result.json` to the directory `target`, replacing what stood there.
 
     facts : more entries for `result.json`
+    band : nesting indices of the detail that is written beside the height map, if any
 
     Raises
     ------
@@ -38,16 +46,39 @@ def write_result(
         The place cannot be written; what stood there stands.
     """
     with whole_directory(target, RECORD_FILE) as folder:
-        pitch_um = calibration.pitch_um
-        write_field(folder / "height_um.tif", reconstruction.height.z_um, pitch_um, "height, um")
-        write_field(folder / "slope_p.tif", reconstruction.p, pitch_um, "dz/dcolumn, um/um")
-        write_field(folder / "slope_q.tif", reconstruction.q, pitch_um, "dz/drow, um/um")
-        write_field(
-            folder / "height_sigma_um.tif", reconstruction.sigma_um, pitch_um, "standard uncertainty of height, um"
-        )
-        write_relief(folder / "relief.png", reconstruction.height, name)
+        fields = {
+            "height_um.tif": (reconstruction.height.z_um, "height, um"),
+            "slope_p.tif": (reconstruction.p, "dz/dcolumn, um/um"),
+            "slope_q.tif": (reconstruction.q, "dz/drow, um/um"),
+            "height_sigma_um.tif": (reconstruction.sigma_um, "standard uncertainty of height, um"),
+            "slope_sigma.tif": (reconstruction.slope_sigma, "standard uncertainty of either slope, um/um"),
+        }
+        with ThreadPoolExecutor(WRITERS) as writers:
+            jobs = [writers.submit(write_relief, folder / "relief.png", reconstruction.height, name)]
+            for file, (values, what) in fields.items():
+                jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
+            jobs.append(writers.submit(write_draws, folder / DRAWS_FILE, reconstruction, calibration.pitch_um))
+            for job in jobs:
+                job.result()
         record = result_record(name, reconstruction, calibration) | (facts or {})
+        if band is not None:
+            record |= {"detail": _write_detail(folder, reconstruction.height, band, name)}
         (folder / RECORD_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
+
+
+def _write_detail(folder: Path, height: HeightMap, band: DetailBand, name: str) -> dict[str, Any]:
+    """Write the detail's height map and picture; returns its entry of `result.json`."""
+    fine = detail(height, band)
+    indices = ", ".join(f"{n} {v:g} um" for n, v in (("S", band.s_um), ("L", band.l_um)) if v is not None)
+    write_field(folder / "detail_um.tif", fine.z_um, fine.pitch_um, f"height between Gaussian filters {indices}, um")
+    write_detail(folder / "detail.png", fine, f"{name}: {indices.replace('um', 'µm')}")
+    seen = np.isfinite(fine.z_um)
+    return {
+        "filter": "areal Gaussian, ISO 16610-61",
+        "s_nesting_index_um": band.s_um,
+        "l_nesting_index_um": band.l_um,
+        "rms_um": float(fine.z_um[seen].std()) if seen.any() else None,
+    }
 
 
 def write_field(path: Path, values: Float32Array, pitch_um: float, description: str) -> None:
@@ -60,6 +91,21 @@ def write_field(path: Path, values: Float32Array, pitch_um: float, description: 
         resolution=(per_cm, per_cm),
         resolutionunit="CENTIMETER",
         description=f"{description}; pixel pitch {pitch_um:g} um; NaN is invalid",
+        metadata=None,
+    )
+
+
+def write_draws(path: Path, reconstruction: Reconstruction, pitch_um: float) -> None:
+    """Write the height errors that the data allow, float32 TIFF of one page a draw, µm, over the field reduced."""
+    draws_um = reconstruction.draws_um
+    reduced_um = pitch_um * reconstruction.p.shape[1] / draws_um.shape[2]
+    tifffile.imwrite(
+        path,
+        draws_um,
+        photometric="minisblack",
+        compression="zlib",
+        predictor=True,
+        description=f"height errors that the data allow, um, one page a draw; pixel pitch {reduced_um:g} um",
         metadata=None,
     )
 
@@ -86,6 +132,11 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         "height_zero": "median of untouched skin",
         "masked_share": reconstruction.masked_share,
         "clipped_share": reconstruction.clipped_share,
+        "warnings": list(reconstruction.warnings),
+        "calibration_passed": calibration.assessment.passed,
+        "calibration_notes": list(calibration.assessment.notes),
+        "height_scale": calibration.assessment.scale,
+        "slope_sigma_median": float(np.nanmedian(reconstruction.slope_sigma)) if finite else None,
         "held_out_error_deg": _number(calibration.held_out_deg[reconstruction.method]),
         "integration": {
             "cycles": reconstruction.integration.cycles,

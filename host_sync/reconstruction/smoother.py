@@ -23,7 +23,7 @@ CONTRACT: Final = {"contract"}
 
 def chebyshev_steps(sweeps: int) -> Float32Array:
     """Relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST, HIGHEST]."""
-    angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * max(sweeps, 1))
+    angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * sweeps)
     return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
 
 
@@ -79,3 +79,21 @@ def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, vertical: int, step: A
         z = mid[c + 1]
         flow = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
         out[c + 1] = (z + scale * flow) + border * flow
+
+
+@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def square_sum(row: Any) -> Any:
+    """Sum of a row's squares; only figures for the report may be summed in lanes."""
+    total = np.float32(0.0)
+    for c in range(row.size):
+        total += row[c] * row[c]
+    return total
+
+
+@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def square_difference(a: Any, b: Any) -> Any:
+    """Sum of the squares of two padded rows' difference."""
+    total = np.float32(0.0)
+    for c in range(1, a.size - 1):
+        total += (a[c] - b[c]) * (a[c] - b[c])
+    return total

@@ -1,38 +1,43 @@
-"""Checks a gradient field once, before it is integrated, and tells which kernels it needs."""
+"""Looks at a gradient field's weights before it is integrated, and tells which kernels it needs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from device.surface import GradientField
+from device.surface import Float32Array, GradientField
 from host_sync.errors import IntegrationError
+from host_sync.reconstruction.row_bands import in_bands
 
-LEAST_SIDE_PX = 3
+LEAST_SIDE_PX: Final = 3
+
+INFINITE: Final = np.int32(0x7F800000)
+MINUS_NOUGHT: Final = np.int32(-0x80000000)
+"""Bits of the float32 values that they are named after; those of numbers that are not finite are larger or negative."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldSurvey:
     """What a gradient field holds.
 
-    holes : number of pixels without a height
-    weighted : whether edges differ in weight; a full rectangle of equal weights does not need any
+    weight : float32 array of shape (H, W), nought at holes; None for a full rectangle of equal weights
+    largest : largest weight
     """
 
-    holes: int
-    weighted: bool
+    weight: Float32Array | None
+    largest: float
 
 
 def survey(gradients: GradientField) -> FieldSurvey:
-    """What the field holds.
+    """What the field holds; slopes are not looked at (see `refuse_slopes`).
 
     Raises
     ------
     IntegrationError
-        Shapes differ or are too small, a valid pixel has no finite slope or weight, or no pixel is valid.
+        Shapes differ or are too small, a valid pixel has no finite weight, or no pixel is valid.
     """
     shape = gradients.valid.shape
     if any(part.shape != shape for part in (gradients.p, gradients.q, gradients.weight)):
@@ -40,47 +45,63 @@ def survey(gradients: GradientField) -> FieldSurvey:
         raise IntegrationError(f"the parts of the gradient field differ in shape ({shapes}): give arrays of one (H, W)")
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
-    weight = np.asarray(gradients.weight, np.float32)
-    first = np.float32(weight.flat[np.argmax(gradients.valid)])
-    used, faulty, odd, others = _survey_rows(gradients.p, gradients.q, gradients.valid, weight, first)
-    if odd.any():
-        raise IntegrationError(f"{odd.sum()} valid pixels have a negative or no finite weight: mark them as not valid")
-    if faulty.any():
-        raise IntegrationError(
-            f"{faulty.sum()} valid pixels have no finite slope, the first in row {np.flatnonzero(faulty)[0]}: "
-            "mark them as not valid"
-        )
-    count = int(used.sum())
-    if count == 0:
+    weight = np.ascontiguousarray(gradients.weight, np.float32)
+    counts, extremes = np.zeros((shape[0], 3), np.int32), np.zeros((shape[0], 2), np.int32)
+    in_bands(_survey_rows, shape, gradients.valid, weight.view(np.int32), counts, extremes)
+    used, odd, stray = (int(count) for count in counts.sum(axis=0))
+    if odd:
+        raise IntegrationError(f"{odd} valid pixels have a negative or no finite weight: mark them as not valid")
+    if used == 0:
         raise IntegrationError(
             "no pixel of the gradient field is valid: nothing can be integrated, take the scan again"
         )
-    holes = gradients.valid.size - count
-    return FieldSurvey(holes, holes > 0 or bool(others.any()))
+    smallest, largest = (float(w.view(np.float32)) for w in (extremes[:, 0].min(), extremes[:, 1].max()))
+    if used == weight.size and smallest == largest:
+        return FieldSurvey(None, largest)
+    return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, largest)
 
 
-@njit(cache=True, parallel=True)
-def _survey_rows(p: Any, q: Any, valid: Any, weight: Any, first: Any) -> Any:
-    """Per row: pixels used, those without a slope, without a proper weight, and that weigh other than `first`."""
-    rows = valid.shape[0]
-    counts = np.zeros((4, rows), np.int32)
-    for r in prange(rows):
-        counts[0, r], counts[1, r], counts[2, r], counts[3, r] = _survey_row(p[r], q[r], valid[r], weight[r], first)
-    return counts
+def refuse_slopes(gradients: GradientField) -> None:
+    """Raise the error that says why heights came out that are not finite.
+
+    Raises
+    ------
+    IntegrationError
+        A valid pixel has no finite slope, or slopes are too large.
+    """
+    finite = np.isfinite(gradients.p) & np.isfinite(gradients.q)
+    faulty = gradients.valid & (gradients.weight > 0.0) & ~finite
+    if faulty.any():
+        raise IntegrationError(
+            f"{faulty.sum()} valid pixels have no finite slope, the first in row {np.nonzero(faulty)[0][0]}: "
+            "mark them as not valid"
+        )
+    raise IntegrationError("the slopes are too large to be integrated in single precision: check their unit")
+
+
+@njit(cache=True, nogil=True)
+def _survey_rows(valid: Any, bits: Any, counts: Any, extremes: Any, first: int, last: int) -> None:
+    """Write per row: pixels used, valid ones without a proper weight, others with one; least and largest weight used.
+
+    bits : int32 array of shape (H, W), the weights' bits: positive floats are ordered as these are
+    """
+    for r in range(first, last):
+        _survey_row(valid[r], bits[r], counts[r], extremes[r])
 
 
 @njit(cache=True)
-def _survey_row(p: Any, q: Any, valid: Any, weight: Any, first: Any) -> tuple[Any, Any, Any, Any]:
-    """The figures of one row; x - x is nought for finite x alone."""
-    nought = np.float32(0.0)
-    used, faulty, odd, others = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
-    for c in range(p.size):
-        w, counts = weight[c], valid[c]
-        usable = counts & (w > nought)
-        finite = ((p[c] - p[c]) == nought) & ((q[c] - q[c]) == nought)
-        proper = (w >= nought) & ((w - w) == nought)
-        used += np.int32(usable)
-        faulty += np.int32(usable & (not finite))
-        odd += np.int32(counts & (not proper))
-        others += np.int32(usable & (w != first))
-    return used, faulty, odd, others
+def _survey_row(valid: Any, bits: Any, counts: Any, extremes: Any) -> None:
+    """Write the figures of one row; whole numbers, which are counted many at a time."""
+    used, odd, stray = np.int32(0), np.int32(0), np.int32(0)
+    least, largest = INFINITE, np.int32(0)
+    for c in range(valid.size):
+        w, counted = bits[c], np.int32(valid[c])
+        positive = np.int32(w > 0)
+        usable = counted & positive
+        used += usable
+        odd += counted & (np.int32(w >= INFINITE) | (np.int32(w < 0) & np.int32(w != MINUS_NOUGHT)))
+        stray += (1 - counted) & np.int32(w != 0)
+        least = min(least, w | ((usable - 1) & INFINITE))
+        largest = max(largest, w & -usable)
+    counts[0], counts[1], counts[2] = used, odd, stray
+    extremes[0], extremes[1] = least, largest

@@ -1,158 +1,190 @@
-"""One pass over a level: prolong, smooth, residual and restrict, row after row while the rows are in cache.
+"""One pass over a level: interpolate, smooth, residual and restrict, row after row while the rows are in cache.
 
 Stage s of a row needs stage s - 1 of the rows above and below it, so the stages follow each other down the image, one
-row apart. A level is read and written once, however many sweeps are made. Bands of rows work side by side; each
-repeats the few rows beyond its borders that it needs, with the same arithmetic, so that the result is the same for
-any number of bands and threads.
+row apart. A level is read and written once, however many sweeps are made; the finest level's edges are made on the way
+(`level_rows`). Bands of rows work side by side; each repeats the few rows beyond its borders that it needs, with the
+same arithmetic, so that the result is the same for any number of bands and threads.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array
-from host_sync.reconstruction.grid_level import GridLevel
+from host_sync.reconstruction.grid_level import GridLevel, PixelField
+from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
+from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.smoother import (
     inverse_diagonal,
     relax_row,
     residual_row,
+    square_difference,
+    square_sum,
     unit_relax_row,
     unit_residual_row,
 )
-from host_sync.reconstruction.transfer import copy_row, prolong_row, prolong_weighted_row, restrict_row
+from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row, restrict_row
+
+
+@dataclass(frozen=True, slots=True)
+class SweepFigures:
+    """Root mean squares over the level, pixels.
+
+    residual : of the residual that was restricted; nought where none was
+    change : of what smoothing changed
+    """
+
+    residual: float
+    change: float
 
 
 def sweep(
-    level: GridLevel,
+    level: GridLevel | PixelField,
     steps: Float32Array,
     z_in: Float32Array | None,
     z_out: Float32Array,
+    *,
     coarse: Float32Array | None = None,
+    nested: bool = False,
     coarse_rhs: Float32Array | None = None,
-) -> float:
-    """Root mean square, in pixels, of the residual where it is restricted, else of the heights written.
+) -> SweepFigures:
+    """What a pass over the level found.
 
     steps : float32 array of shape (sweeps,), relaxation factors
-    z_in : heights to start from; None for nought
+    z_in : heights to start from, or the cells' shapes; None for nought (and for shapes that the pass makes itself)
     z_out : receives the smoothed heights; another array than `z_in`
-    coarse : heights of the next level, interpolated and added before smoothing; None for nothing
+    coarse : heights of the next level, added before smoothing; None for nothing
+    nested : the coarse heights are those of whole cells, to which shapes are added, instead of a correction
     coarse_rhs : receives the restricted residual; None where it is not wanted
     """
     nothing = np.empty((0, 0), np.float32)
-    squares = np.zeros(level.shape[0])
+    squares = np.zeros((2, z_out.shape[0]))
+    source: tuple[Any, ...]
+    if isinstance(level, PixelField):
+        source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
+    else:
+        source = (None, None, None, None, None, level.rhs, level.across, level.down)
     arguments = (
+        *source,
+        steps,
         nothing if z_in is None else z_in,
         nothing if coarse is None else coarse,
-        level.rhs,
-        level.across,
-        level.down,
-        steps,
+        nested,
         z_out,
         nothing if coarse_rhs is None else coarse_rhs,
         squares,
     )
-    bands = level.bands
-    if bands == 1:
-        _band(*arguments, 0, level.shape[0])
-    else:
-        _bands(*arguments, bands)
-    return float(np.sqrt(squares.sum() / z_out.size))
+    in_bands(_band, z_out.shape, *arguments)
+    residual, change = np.sqrt(squares.sum(axis=1) / z_out.size)
+    return SweepFigures(float(residual), float(change))
 
 
-@njit(cache=True, parallel=True)
-def _bands(
-    z_in: Any, coarse: Any, rhs: Any, across: Any, down: Any, steps: Any, z_out: Any, coarse_rhs: Any, squares: Any,
-    bands: int,
-) -> None:  # fmt: skip
-    """Work on bands of rows side by side; they begin at even rows, so that each coarse row has one writer."""
-    pairs = (z_out.shape[0] + 1) // 2
-    for band in prange(bands):
-        first, last = 2 * (band * pairs // bands), min(2 * ((band + 1) * pairs // bands), z_out.shape[0])
-        _band(z_in, coarse, rhs, across, down, steps, z_out, coarse_rhs, squares, first, last)
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _band(
-    z_in: Any, coarse: Any, rhs: Any, across: Any, down: Any, steps: Any, z_out: Any, coarse_rhs: Any, squares: Any,
-    first: int, last: int,
+    p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, steps: Any, z_in: Any,
+    coarse: Any, nested: bool, z_out: Any, coarse_rhs: Any, squares: Any, first: int, last: int,
 ) -> None:  # fmt: skip
     """Pass over the rows `first` to `last` - 1."""
     rows, columns = z_out.shape
-    sweeps = steps.size
-    restricts = coarse_rhs.size > 0
+    sweeps, restricts = steps.size, coarse_rhs.size > 0
     halo = sweeps + (1 if restricts else 0)
-    stages = np.zeros((sweeps + 1, 4, columns + 2), np.float32)
-    inverse = np.zeros((sweeps + 1, columns), np.float32)
-    residual = np.zeros(columns, np.float32)
-    for t in range(max(first - halo, 0), last + halo + sweeps + 1):
-        if t < min(last + halo, rows):
-            _start_row(z_in, coarse, across, down, t, stages[0, t % 4])
-            if across is not None:
-                inverse_diagonal(across[t], down[t], down[t + 1], inverse[t % (sweeps + 1)])
+    height = sweeps + 5
+    stages = np.zeros((sweeps + 1, height, columns + 2), np.float32)
+    nothing, padded, residual = ring(1, columns + 1)[0], ring(1, columns + 4)[0], ring(1, columns)[0]
+    begin, end = max(first - halo, 0) // 2 * 2, min((last + halo + 1) // 2 * 2, rows)
+    pixels = None if weight is None else ring(4, columns + 4)
+    inverse = ring(height, columns)
+    if p is not None:
+        rhs, slope_across, slope_down = ring(height, columns), ring(height, columns + 1), ring(height, columns)
+        if weight is not None:
+            across, down = ring(height, columns + 1), ring(height, columns)
+        first_edges(q, weight, scale, rule, begin, pixels, down, slope_down)
+    for t in range(begin, last + halo + sweeps + 1):
+        if t < end and t % 2 == 0:
+            for r in range(t, min(t + 2, end)):
+                if p is not None:
+                    next_edges(
+                        p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down, padded
+                    )  # fmt: skip
+                    system_row(r, across, slope_across, down, slope_down, rhs, inverse)
+                elif across is not None:
+                    inverse_diagonal(across[r], down[r], down[r + 1], inverse[r % height])
+            upper, lower = stages[0, t % height], stages[0, (t + 1) % height]
+            if p is not None and nested:
+                inner = slice(1, columns + 1)
+                shape_rows(
+                    t, rows, across, slope_across, down, slope_down, nothing, coarse[t // 2], upper[inner], lower[inner]
+                )  # fmt: skip
+            _start_rows(t, rows, z_in, p is not None and nested, coarse, nested, across, down, upper, lower)
         for s in range(1, sweeps + 1):
             r, margin = t - s, halo - s
             if max(first - margin, 0) <= r < min(last + margin, rows):
-                _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, stages[s, r % 4])
-                if s == sweeps and first <= r < last:
-                    copy_row(stages[s, r % 4], 1, z_out[r], 0, columns)
-                    if not restricts:
-                        squares[r] = _square_sum(z_out[r])
+                _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, stages[s, r % height])
+        r = t - sweeps
+        if first <= r < last:
+            done = stages[sweeps, r % height]
+            copy_row(done, 1, z_out[r], 0, columns)
+            squares[1, r] = square_difference(done, stages[0, r % height])
         r = t - sweeps - 1
         if restricts and first <= r < last:
-            _residual(stages[sweeps], rhs, across, down, r, residual)
+            _residual(stages[sweeps], rhs, across, down, r, rows, residual)
             restrict_row(residual, r % 2 == 1, coarse_rhs[r // 2])
-            squares[r] = _square_sum(residual)
+            squares[0, r] = square_sum(residual)
 
 
 @njit(cache=True)
-def _start_row(z_in: Any, coarse: Any, across: Any, down: Any, r: int, out: Any) -> None:
-    """Write row `r` before smoothing, padding included."""
-    columns = out.size - 2
-    if z_in.size > 0:
-        copy_row(z_in[r], 0, out, 1, columns)
-    else:
-        for c in range(out.size):
-            out[c] = np.float32(0.0)
-    if coarse.size > 0:
-        near = r // 2
-        far = min(max(near + 2 * (r % 2) - 1, 0), coarse.shape[0] - 1)
-        if across is None:
-            prolong_row(coarse[near], coarse[far], out)
-        else:
-            prolong_weighted_row(coarse[near], coarse[far], across[r], down[r + r % 2], out)
-    out[0], out[columns + 1] = out[1], out[columns]
+def _start_rows(
+    row: int, rows: int, z_in: Any, begun: bool, coarse: Any, nested: bool, across: Any, down: Any, upper: Any,
+    lower: Any,
+) -> None:  # fmt: skip
+    """Write two rows before smoothing, padding included; `begun` where they are written already."""
+    columns = upper.size - 2
+    for r in range(row, min(row + 2, rows)):
+        out = upper if r == row else lower
+        if z_in.size > 0:
+            copy_row(z_in[r], 0, out, 1, columns)
+        elif not begun:
+            for c in range(out.size):
+                out[c] = np.float32(0.0)
+        if coarse.size > 0 and not begun:
+            near = r // 2
+            far = min(max(near + 2 * (r % 2) - 1, 0), coarse.shape[0] - 1)
+            if nested:
+                add_cells(coarse[near], out)
+            elif across is None:
+                prolong_row(coarse[near], coarse[far], out)
+            else:
+                a, d = r % across.shape[0], (r + r % 2) % down.shape[0]
+                prolong_weighted_row(coarse[near], coarse[far], across[a], down[d], out)
+        out[0], out[columns + 1] = out[1], out[columns]
 
 
 @njit(cache=True)
-def _relax(z: Any, rhs: Any, across: Any, down: Any, inverse: Any, step: Any, r: int, out: Any) -> None:
+def _relax(z: Any, rhs: Any, across: Any, down: Any, inverse: Any, step: Any, r: int, rows: int, out: Any) -> None:
     """Write row `r` of the next stage from the rows of ring `z`, padding included."""
-    rows, columns = rhs.shape
+    n, columns = z.shape[0], out.size - 2
     up, low = max(r - 1, 0), min(r + 1, rows - 1)
+    b = rhs[r % rhs.shape[0]]
     if across is None:
-        unit_relax_row(z[up % 4], z[r % 4], z[low % 4], rhs[r], low - up, step, out)
+        unit_relax_row(z[up % n], z[r % n], z[low % n], b, low - up, step, out)
     else:
-        weight = inverse[r % inverse.shape[0]]
-        relax_row(z[up % 4], z[r % 4], z[low % 4], rhs[r], across[r], down[r], down[r + 1], weight, step, out)
+        a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
+        relax_row(z[up % n], z[r % n], z[low % n], b, a, u, d, inverse[r % n], step, out)
     out[0], out[columns + 1] = out[1], out[columns]
 
 
 @njit(cache=True)
-def _residual(z: Any, rhs: Any, across: Any, down: Any, r: int, out: Any) -> None:
+def _residual(z: Any, rhs: Any, across: Any, down: Any, r: int, rows: int, out: Any) -> None:
     """Write row `r` of the residual from the rows of ring `z`."""
-    up, low = max(r - 1, 0), min(r + 1, rhs.shape[0] - 1)
+    n = z.shape[0]
+    up, low = max(r - 1, 0), min(r + 1, rows - 1)
+    b = rhs[r % rhs.shape[0]]
     if across is None:
-        unit_residual_row(z[up % 4], z[r % 4], z[low % 4], rhs[r], out)
+        unit_residual_row(z[up % n], z[r % n], z[low % n], b, out)
     else:
-        residual_row(z[up % 4], z[r % 4], z[low % 4], rhs[r], across[r], down[r], down[r + 1], out)
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _square_sum(row: Any) -> Any:
-    """Sum of a row's squares; only this figure for the report may be summed in lanes."""
-    total = np.float32(0.0)
-    for value in row:
-        total += value * value
-    return total
+        a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
+        residual_row(z[up % n], z[r % n], z[low % n], b, a, u, d, out)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from host_sync.reconstruction.smoother import CONTRACT
 
@@ -68,11 +68,11 @@ def prolong_weighted_row(near: Any, far: Any, across: Any, over: Any, out: Any) 
     width, last = out.size - 2, near.size - 1
     for c in range(1, last):
         z = near[c]
-        step = quarter * (far[c] - z)
-        first = z + (step if over[2 * c] > nought else nought)
-        second = z + (step if over[2 * c + 1] > nought else nought)
-        out[2 * c + 1] += first + (quarter * (near[c - 1] - z) if across[2 * c] > nought else nought)
-        out[2 * c + 2] += second + (quarter * (near[c + 1] - z) if across[2 * c + 2] > nought else nought)
+        up, left, right = quarter * (far[c] - z), quarter * (near[c - 1] - z), quarter * (near[c + 1] - z)
+        first = z + (up if over[2 * c] > nought else nought)
+        second = z + (up if over[2 * c + 1] > nought else nought)
+        out[2 * c + 1] += first + (left if across[2 * c] > nought else nought)
+        out[2 * c + 2] += second + (right if across[2 * c + 2] > nought else nought)
     for end in (0, last):
         for c in range(2 * end, min(2 * end + 2, width)):
             z, odd = near[end], c % 2
@@ -83,10 +83,12 @@ def prolong_weighted_row(near: Any, far: Any, across: Any, over: Any, out: Any) 
             break
 
 
-@njit(cache=True, parallel=True)
-def restrict_field(fine: Any, coarse: Any) -> None:
-    """Write the sums of 2x2 pixels of a field, float32 arrays of shapes (H, W) and (⌈H/2⌉, ⌈W/2⌉)."""
-    for r in prange(coarse.shape[0]):
-        restrict_row(fine[2 * r], False, coarse[r])
-        if 2 * r + 1 < fine.shape[0]:
-            restrict_row(fine[2 * r + 1], True, coarse[r])
+@njit(cache=True)
+def add_cells(coarse: Any, out: Any) -> None:
+    """Add a coarse row to both fine pixels of each cell of a padded row."""
+    width = out.size - 2
+    for c in range(width // 2):
+        out[2 * c + 1] += coarse[c]
+        out[2 * c + 2] += coarse[c]
+    if width % 2:
+        out[width] += coarse[width // 2]

@@ -1,12 +1,13 @@
-"""Height uncertainty by drawing slope errors and integrating each draw.
+"""Uncertainty of slopes by their tilt, and of heights by drawing slope errors and integrating each draw.
 
 Slope errors are correlated over the field, so that no formula per pixel can give the height's. The draws are levelled
-as the height map is: σ is that of the height above untouched skin, which is what the user sees.
+as the height map is: σ is that of the height above untouched skin, which is what the user sees. They are kept, for a
+number that is later taken from the height map (a roughness, a step) has an uncertainty only through them.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -23,11 +24,18 @@ WIDEST_PX: Final = 512
 """Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
 
 LEAST_WEIGHT: Final = 0.01
-RAISED_SPREAD: Final = 0.5
+
+NOISE_KEPT: Final = 0.54
+"""What integration leaves of a pixel's slope noise: the rest belongs to no surface."""
+
+RAISED_SPREAD: Final = 0.3
 """Standard deviation of how much higher or lower than the balls' an object's slopes lie, in apex elevations."""
 
 CONTRADICTION_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
+
+CONTRADICTION_CELL_PX: Final = 4
+"""The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
 
 SlopePair = tuple[Float32Array, Float32Array]
 
@@ -38,76 +46,136 @@ def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Arra
     Slopes that belong to no surface cannot be right. Of an error without preference integration removes half the power
     and keeps the other half, so that twice of what it removed is the error (p and q are the integrated slopes).
     """
-    total = np.zeros(gradients.p.shape, np.float32)
+    rows, columns = gradients.p.shape
+    size = (max(columns // CONTRADICTION_CELL_PX, 1), max(rows // CONTRADICTION_CELL_PX, 1))
+    sigma = CONTRADICTION_PX / CONTRADICTION_CELL_PX
+    total = np.zeros(size[::-1], np.float32)
     for estimated, integrated in ((gradients.p, p), (gradients.q, q)):
         removed = np.where(gradients.valid & np.isfinite(integrated), estimated - integrated, np.float32(0.0))
-        total += cv2.GaussianBlur(removed, (0, 0), CONTRADICTION_PX) ** 2
-    return np.asarray(np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * CONTRADICTION_PX)), np.float32)
+        total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
+    patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
+    return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def raised_slopes(
-    gradients: GradientField, intensity: IntensityImage, inverse: InverseMap, error: SlopeError
-) -> SlopePair:
-    """By how much the slopes (p, q) would change were the skin one ball's apex higher than the balls taught."""
-    darker = intensity.values / (1.0 + np.asarray(error.raised_shade, np.float32))
-    moved = inverse.gradients(replace(intensity, values=darker))
-    return moved.p - gradients.p, moved.q - gradients.q
+def raised_slopes(intensity: IntensityImage, inverse: InverseMap, error: SlopeError) -> SlopePair:
+    """By how much slopes (p, q) change were the skin one ball's apex higher than the balls taught; arrays (h, w).
+
+    It is asked on every few pixels only: the draws are no finer.
+    """
+    step = max(1, int(np.ceil(intensity.shape[1] / WIDEST_PX)))
+    row, column = (np.arange(step // 2, size, step) for size in intensity.shape)
+    place = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
+    values = intensity.values[np.ix_(row, column)].reshape(-1, 3)
+    shade = np.float32(1.0) + np.asarray(error.raised_shade, np.float32)
+    before, after = (inverse.predict(seen, place[0].ravel(), place[1].ravel()) for seen in (values, values / shade))
+    change = (after - before).astype(np.float32).reshape(len(row), len(column), 2)
+    return change[..., 0], change[..., 1]
 
 
-def height_sigma_um(
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightUncertainty:
+    """What is known of a height map's errors.
+
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
+    draws_um : float32 array of shape (DRAWS, h, w), height errors that the data allow, µm, over the same field reduced;
+        each levelled as the height map is, scale included
+    """
+
+    sigma_um: Float32Array
+    draws_um: Float32Array
+
+
+def slope_sigma(
+    gradients: GradientField, p: Float32Array, q: Float32Array, contradiction: Float32Array, error: SlopeError
+) -> Float32Array:
+    """Standard uncertainty of either slope of the surface: float32 array of shape (H, W), NaN where invalid.
+
+    p, q : slopes of the height map
+    contradiction : as `contradicted_slope` returns it
+    """
+    square = p * p + q * q
+    pixel, patch = _by_tilt(square, error)
+    own = np.hypot(np.float32(NOISE_KEPT) * pixel, patch) * (np.float32(1.0) + np.minimum(square, np.float32(9.0)))
+    own /= np.sqrt(np.maximum(gradients.weight, np.float32(LEAST_WEIGHT)))
+    return np.where(gradients.valid, np.hypot(own, contradiction), np.float32(np.nan))
+
+
+def height_uncertainty(
     height: HeightMap,
     gradients: GradientField,
     raised: SlopePair,
     contradiction: Float32Array,
     error: SlopeError,
     at_rest: MaskArray,
+    scale_share: float = 0.0,
     seed: int = 0,
-) -> Float32Array:
-    """Standard uncertainty of the height: float32 array of shape (H, W), µm, NaN where invalid.
+) -> HeightUncertainty:
+    """Standard uncertainty of the height, and the draws it comes from.
 
     height : levelled, zero at untouched skin
     raised : as `raised_slopes` returns it
     contradiction : as `contradicted_slope` returns it
     at_rest : where the height map's zero was taken
+    scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     """
     rows, columns = gradients.p.shape
     factor = max(1, int(np.ceil(columns / WIDEST_PX)))
     size = (max(columns // factor, 3), max(rows // factor, 3))
-    scale = _shrunk(_error_scale(gradients), size)
-    raised_small = [_shrunk(np.where(gradients.valid, slope, 0.0), size) for slope in raised]
-    zero = _shrunk(at_rest, size)
-    betrayed = _shrunk(contradiction, size)
-    zero /= max(float(zero.sum()), 1e-6)
-    rng = np.random.default_rng(seed)
-    total = np.zeros(scale.shape)
     reduction = columns / size[0]
-    for _ in range(DRAWS):
+    spread = _drawn_spread(gradients, contradiction, error, size)
+    shown = _shrunk(gradients.valid, size)
+    raised_small = [_shrunk(slope, size) * shown for slope in raised]
+    z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
+    zero = _shrunk(at_rest, size)
+    zero /= max(float(zero.sum()), 1e-6)
+    share = float(np.hypot(error.scale_share, scale_share))
+    rng = np.random.default_rng(seed)
+    draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
+    for draw_um in draws_um:
         lift = np.float32(RAISED_SPREAD * rng.standard_normal())
-        p, q = (_slope_draw(rng, scale, betrayed, error, reduction) + lift * slope for slope in raised_small)
-        z_um = integrate_dct(p, q, height.pitch_um * reduction)
-        total += (z_um - float((z_um * zero).sum())) ** 2
-    sigma = cv2.resize(np.sqrt(total / DRAWS).astype(np.float32), (columns, rows), interpolation=cv2.INTER_LINEAR)
-    scaled = error.scale_share * np.abs(height.z_um)
-    return np.where(gradients.valid, np.hypot(sigma, scaled), np.nan).astype(np.float32)
+        p, q = (_slope_draw(rng, spread, error.patch_px / reduction) + lift * slope for slope in raised_small)
+        draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
+        draw_um -= np.float32((draw_um * zero).sum())
+    sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
+    total = np.hypot(sigma, np.float32(share) * height.z_um)
+    return HeightUncertainty(np.where(gradients.valid, total, np.float32(np.nan)).astype(np.float32), draws_um)
 
 
-def _error_scale(gradients: GradientField) -> Float32Array:
-    """Factor by which the slope error of a flat, trusted pixel grows: with slope, and as confidence falls."""
-    confidence = np.maximum(gradients.weight, LEAST_WEIGHT)
-    slope = np.where(gradients.valid, gradients.p**2 + gradients.q**2, 0.0)
-    return np.asarray((1.0 + np.minimum(slope, 9.0)) / np.sqrt(confidence), np.float32)
+def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:
+    """Pixel and patch part (radians) of the error where p² + q² is `square`."""
+    # Looked up by the cosine of the tilt: no arc tangent a pixel.
+    cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
+    known = np.cos(np.radians(error.tilt_deg))[::-1]
+
+    def at_tilt(part_deg: tuple[float, ...]) -> Float32Array:
+        return np.asarray(np.interp(cosine, known, np.radians(part_deg)[::-1]), np.float32)
+
+    return at_tilt(error.pixel_deg), at_tilt(error.patch_deg)
+
+
+def _drawn_spread(
+    gradients: GradientField, contradiction: Float32Array, error: SlopeError, size: tuple[int, int]
+) -> SlopePair:
+    """Standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average out."""
+    valid = gradients.valid
+    p, q = (np.where(valid, slope, np.float32(0.0)) for slope in (gradients.p, gradients.q))
+    square = _shrunk(np.minimum(p * p + q * q, np.float32(9.0)), size)
+    confidence = _shrunk(np.maximum(gradients.weight, np.float32(LEAST_WEIGHT)), size)
+    pixel, patch = _by_tilt(square, error)
+    growth = (np.float32(1.0) + square) / np.sqrt(confidence)
+    reduction = np.float32(gradients.p.shape[1] / size[0])
+    patches = np.hypot(patch * growth, _shrunk(contradiction, size))
+    return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
 
 
 def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:
     return np.asarray(cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _slope_draw(
-    rng: np.random.Generator, scale: Float32Array, betrayed: Float32Array, error: SlopeError, reduction: float
-) -> Float32Array:
-    """One slope component's error; independent pixels average out under reduction, patches do not."""
-    pixel = rng.standard_normal(scale.shape).astype(np.float32) * np.float32(np.radians(error.pixel_deg) / reduction)
-    sigma_px = max(error.patch_px / reduction, 0.5)
-    patch = cv2.GaussianBlur(rng.standard_normal(scale.shape).astype(np.float32), (0, 0), sigma_px)
-    amplitude = np.hypot(np.radians(error.patch_deg) * scale, betrayed) / max(float(patch.std()), 1e-6)
-    return np.asarray(pixel * scale + patch * amplitude, np.float32)
+def _slope_draw(rng: np.random.Generator, spread: SlopePair, patch_px: float) -> Float32Array:
+    """One slope component's error on the reduced field."""
+    pixel, patch = spread
+    noise = rng.standard_normal(pixel.shape, dtype=np.float32)
+    smooth = cv2.GaussianBlur(rng.standard_normal(pixel.shape, dtype=np.float32), (0, 0), max(patch_px, 0.5))
+    return np.asarray(noise * pixel + smooth * (patch / max(float(smooth.std()), 1e-6)), np.float32)

@@ -12,28 +12,50 @@ from host_sync.reconstruction.grid_level import GridLevel
 from host_sync.reconstruction.smoother import chebyshev_steps
 from host_sync.reconstruction.sweep import sweep
 
-UNIT_SWEEPS: Final = 2
-WEIGHTED_SWEEPS: Final = 3
-"""Sweeps before and after the correction; weights and holes leave more that only smoothing removes."""
+SWEEPS: Final = 2
+"""Sweeps before and after the correction."""
 
 
-def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> float:
-    """Root mean square, px, of the heights that one cycle from nought finds for the first level's right-hand side.
+def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
+    """Leave in the first level's `z` the heights that one cycle from nought finds for its right-hand side.
 
-    They stand in that level's `z`; the right-hand sides of the levels below are overwritten.
+    The right-hand sides of the levels below are overwritten.
 
     inverse : `pseudo_inverse` of the last level
     """
     level, *rest = levels
     if not rest:
         solve_coarsest(level, inverse)
-        return float(np.sqrt(np.mean(np.square(level.z, dtype=np.float64))))
-    coarse, steps = rest[0], smoothing(level)
+        return
+    coarse, steps = rest[0], smoothing()
     sweep(level, steps, None, level.spare, coarse_rhs=coarse.rhs)
+    level.swap()
     v_cycle(rest, inverse)
-    return sweep(level, steps, level.spare, level.z, coarse=coarse.z)
+    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    level.swap()
 
 
-def smoothing(level: GridLevel) -> Float32Array:
-    """Relaxation factors for a level, float32 array of shape (sweeps,)."""
-    return chebyshev_steps(UNIT_SWEEPS if level.across is None else WEIGHTED_SWEEPS)
+def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -> None:
+    """Solve the first level from the heights of the next one: add shapes, smooth, then improve by V-cycles.
+
+    A cycle's last sweeps and the next one's first are one pass over memory.
+    """
+    level, coarse = levels[:2]
+    steps = smoothing()
+    rhs = coarse.rhs if cycles else None
+    sweep(level, steps, level.z, level.spare, coarse=coarse.z, nested=True, coarse_rhs=rhs)
+    level.swap()
+    if not cycles:
+        return
+    for _ in range(cycles - 1):
+        v_cycle(levels[1:], inverse)
+        sweep(level, smoothing(2), level.z, level.spare, coarse=coarse.z, coarse_rhs=coarse.rhs)
+        level.swap()
+    v_cycle(levels[1:], inverse)
+    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    level.swap()
+
+
+def smoothing(times: int = 1, sweeps: int = SWEEPS) -> Float32Array:
+    """Relaxation factors, float32 array: before or after a correction, or (2) after one and before the next."""
+    return np.tile(chebyshev_steps(sweeps), times)

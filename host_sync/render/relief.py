@@ -1,63 +1,77 @@
-"""The relief picture of a height map: diffuse shading, tinted by height, with a scale in µm."""
+"""The relief of a height map: diffuse shading in the colours of its heights."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from numba import njit
 from numpy.typing import NDArray
 
-from device.surface import HeightMap
-from host_sync.render.shading import reduced, shade
+from device.surface import Float32Array, HeightMap
+from host_sync.render.shading import flat_brightness, shade
 
-WIDEST_PX: Final = 1600
-TINT: Final = "cividis"
-"""Readable without colour vision, and dark to light as low to high."""
+Picture = NDArray[np.uint8]
+
+TINTS: Final = ((48, 68, 112), (66, 108, 138), (108, 148, 148), (168, 181, 150), (214, 199, 152), (241, 226, 194))
+"""R, G, B from low to high: dark blue to light sand, readable without colour vision, pale enough to be shaded."""
+
+HIGHLIGHT: Final = 0.55
+"""How far the brightest slope goes from its tint towards white."""
+
+INVALID: Final = 255
 
 
-def relief_rgb(height: HeightMap, low_um: float, high_um: float) -> NDArray[np.float32]:
-    """Picture of shape (H, W, 3), 0 to 1: shading times the tint of the height; invalid pixels are white."""
-    share = (height.z_um - low_um) / max(high_um - low_um, 1e-9)
-    tint: NDArray[Any] = colormaps[TINT](0.25 + 0.75 * np.clip(share, 0.0, 1.0))[..., :3]
-    rgb = tint * (0.35 + 0.9 * shade(height))[..., None]
-    return np.asarray(np.where(np.isfinite(rgb), np.clip(rgb, 0.0, 1.0), 1.0), np.float32)
+def tint_table(entries: int = 256) -> Float32Array:
+    """Colours of equally spaced heights from low to high: float32 array of shape (entries, 3), 0 to 255."""
+    at = np.linspace(0.0, len(TINTS) - 1.0, entries)
+    columns = [np.interp(at, np.arange(len(TINTS)), [tint[k] for tint in TINTS]) for k in range(3)]
+    return np.stack(columns, axis=-1).astype(np.float32)
+
+
+def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: float = 1.0) -> Picture:
+    """Picture of shape (H, W, 3): the tint of the height, darker or lighter than a flat's by its shading.
+
+    Pixels that are invalid, or have an invalid neighbour, are white.
+
+    low_um, high_um : heights of the first and the last tint, µm
+    exaggeration : factor on the slopes that are shaded
+    """
+    picture = np.empty((*height.z_um.shape, 3), np.uint8)
+    share = np.float32(1.0 / max(high_um - low_um, 1e-9))
+    brightness = shade(height, exaggeration=exaggeration)
+    flat = np.float32(flat_brightness())
+    _tint(np.ascontiguousarray(height.z_um), brightness, np.float32(low_um), share, flat, tint_table(), picture)
+    return picture
 
 
 def height_range_um(height: HeightMap) -> tuple[float, float]:
     """Heights (µm) between which nearly all valid pixels lie; (0, 1) when none is valid."""
-    finite = height.z_um[np.isfinite(height.z_um)]
+    step = max(1, height.z_um.shape[1] // 300)
+    sample = height.z_um[::step, ::step]
+    finite = sample[np.isfinite(sample)]
     if not finite.size:
         return 0.0, 1.0
     low, high = np.percentile(finite, [0.1, 99.9])
     return float(low), float(max(high, low + 1e-3))
 
 
-def draw_relief(axes: Axes, height: HeightMap, title: str) -> None:
-    """The relief in `axes`, in millimetres on the skin, with its height scale beside it."""
-    small = reduced(height, WIDEST_PX)
-    low_um, high_um = height_range_um(small)
-    rows, columns = small.z_um.shape
-    mm = small.pitch_um / 1000.0
-    axes.imshow(relief_rgb(small, low_um, high_um), extent=(0.0, columns * mm, rows * mm, 0.0), interpolation="nearest")
-    axes.set_title(title)
-    axes.set_xlabel("column, mm")
-    axes.set_ylabel("row, mm")
-    figure = axes.get_figure()
-    if isinstance(figure, Figure):
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
-        scale = ScalarMappable(Normalize(low_um, high_um), colormaps[TINT])
-        figure.colorbar(scale, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label="height, µm")
-
-
-def write_relief(path: Path, height: HeightMap, title: str) -> None:
-    """Write the relief as a PNG."""
-    rows, columns = height.z_um.shape
-    figure = Figure(figsize=(10.0, 10.0 * rows / columns + 0.6), layout="constrained")
-    draw_relief(figure.add_subplot(), height, title)
-    figure.savefig(path, dpi=150)
+@njit(cache=True, nogil=True)
+def _tint(z_um: Any, brightness: Any, low: Any, share: Any, flat: Any, table: Any, picture: Any) -> None:
+    """Write the picture. Holds no interpreter lock."""
+    rows, columns = z_um.shape
+    nought, one, last = np.float32(0.0), np.float32(1.0), np.float32(table.shape[0] - 1)
+    white, highlight = np.float32(255.0), np.float32(HIGHLIGHT)
+    for r in range(rows):
+        for c in range(columns):
+            light = brightness[r, c]
+            at = (z_um[r, c] - low) * share
+            if not (np.isfinite(light) and np.isfinite(at)):
+                picture[r, c, :] = INVALID
+                continue
+            entry = np.int64(min(max(at, nought), one) * last + np.float32(0.5))
+            darker = min(light / flat, one)
+            lighter = highlight * max(light - flat, nought) / (one - flat)
+            for k in range(3):
+                shaded = table[entry, k] * darker
+                picture[r, c, k] = np.uint8(shaded + (white - shaded) * lighter)

@@ -2,32 +2,64 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numba import njit
 
-from device.surface import Float32Array, HeightMap, surface_slopes
+from device.surface import Float32Array, HeightMap
 
 LIGHT_AZIMUTH_DEG: Final = 135.0
 LIGHT_ELEVATION_DEG: Final = 40.0
 AMBIENT: Final = 0.15
 
+PLEASANT_SLOPE: Final = 0.35
+"""Slope that shades well; a relief whose steep parts are flatter is shaded as if they had it."""
+
+MOST_EXAGGERATION: Final = 20.0
+STEEP_PERCENTILE: Final = 97.0
+
 
 def shade(
-    height: HeightMap, azimuth_deg: float = LIGHT_AZIMUTH_DEG, elevation_deg: float = LIGHT_ELEVATION_DEG
+    height: HeightMap,
+    azimuth_deg: float = LIGHT_AZIMUTH_DEG,
+    elevation_deg: float = LIGHT_ELEVATION_DEG,
+    exaggeration: float = 1.0,
 ) -> Float32Array:
-    """Brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN where invalid.
+    """Brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside the invalid.
 
     azimuth_deg : where the light stands, counter-clockwise from the right edge of the picture; 135 is the upper left
     elevation_deg : of the light above the plane
+    exaggeration : factor on the slopes
     """
-    p, q = surface_slopes(height)
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     # Rows grow downwards, so that a light at the top of the picture has a negative row component.
     light = np.array([np.cos(azimuth), -np.sin(azimuth), np.tan(elevation)]) * np.cos(elevation)
-    cosine = (-p * light[0] - q * light[1] + light[2]) / np.sqrt(1.0 + p * p + q * q)
-    return np.asarray(AMBIENT + (1.0 - AMBIENT) * np.maximum(cosine, 0.0), np.float32)
+    brightness = np.empty(height.z_um.shape, np.float32)
+    per_pixel = np.float32(exaggeration / height.pitch_um)
+    _shade(np.ascontiguousarray(height.z_um), per_pixel, light.astype(np.float32), brightness)
+    return brightness
+
+
+def flat_brightness(elevation_deg: float = LIGHT_ELEVATION_DEG) -> float:
+    """Brightness of a flat."""
+    return float(AMBIENT + (1.0 - AMBIENT) * np.sin(np.radians(elevation_deg)))
+
+
+def steep_slope(height: HeightMap) -> float:
+    """Slope that few pixels exceed; 0 when none is valid."""
+    step = max(1, height.z_um.shape[1] // 250)
+    here = height.z_um[:-1:step, :-1:step]
+    across, down = height.z_um[:-1:step, 1::step], height.z_um[1::step, :-1:step]
+    steepness = np.hypot(across - here, down - here) / height.pitch_um
+    finite = steepness[np.isfinite(steepness)]
+    return float(np.percentile(finite, STEEP_PERCENTILE)) if finite.size else 0.0
+
+
+def exaggeration_for(steep: float) -> float:
+    """Factor on slopes that makes a relief readable: a whole number, 1 for slopes as steep as a ball's."""
+    return float(np.clip(np.round(PLEASANT_SLOPE / max(steep, 1e-6)), 1.0, MOST_EXAGGERATION))
 
 
 def reduced(height: HeightMap, widest_px: int) -> HeightMap:
@@ -40,3 +72,19 @@ def reduced(height: HeightMap, widest_px: int) -> HeightMap:
     size = (columns // factor, rows // factor)
     small = cv2.resize(height.z_um[:rows, :columns], size, interpolation=cv2.INTER_AREA)
     return HeightMap(np.asarray(small, np.float32), height.pitch_um * factor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shade(z_um: Any, per_pixel: Any, light: Any, brightness: Any) -> None:
+    """Write the brightness; slopes are central differences, one-sided at the borders. Holds no interpreter lock."""
+    rows, columns = z_um.shape
+    ambient, one, nought = np.float32(AMBIENT), np.float32(1.0), np.float32(0.0)
+    for r in range(rows):
+        above, below = max(r - 1, 0), min(r + 1, rows - 1)
+        down = per_pixel / np.float32(max(below - above, 1))
+        for c in range(columns):
+            before, after = max(c - 1, 0), min(c + 1, columns - 1)
+            p = (z_um[r, after] - z_um[r, before]) * per_pixel / np.float32(max(after - before, 1))
+            q = (z_um[below, c] - z_um[above, c]) * down
+            cosine = (light[2] - p * light[0] - q * light[1]) / np.sqrt(one + p * p + q * q)
+            brightness[r, c] = ambient + (one - ambient) * max(nought, cosine)

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from device.ball_finder import BallSearch, find_balls
+from device.errors import CalibrationError
 from device.photometry import IntensityImage, LinearFrame, blurred_reference, divide, pseudo_reference
 
 RADIUS_PX = 60.0
@@ -124,6 +125,25 @@ def test_a_ball_of_another_radius_is_refused() -> None:
 def test_a_ball_whose_middle_is_outside_the_frame_is_never_found(column: float) -> None:
     for row in (-10.0, 0.0, 200.0, 405.0):
         assert find_balls(pressed((column, row)), RADIUS_PX).found == ()
+
+
+@pytest.mark.parametrize("radius_px", [1e-9, 0.3, 3.9])
+def test_a_radius_of_a_few_pixels_is_refused(radius_px: float) -> None:
+    with pytest.raises(CalibrationError, match=r"the press: .* too small to be seen, 4 px are needed"):
+        find_balls(pressed((262.3, 189.7)), radius_px)
+
+
+@pytest.mark.parametrize("radius_px", [600.0, 1e9, np.inf])
+def test_a_radius_beyond_the_frame_is_refused_before_memory_is_taken(radius_px: float) -> None:
+    with pytest.raises(CalibrationError, match=r"no useful contact .* fits into 520x400 pixels"):
+        find_balls(pressed((262.3, 189.7)), radius_px)
+
+
+def test_a_look_at_expected_places_adds_the_balls_there_and_no_others() -> None:
+    centres = [(90.2, 100.4), (300.7, 95.1)]
+    image = pressed(*centres)
+    found = find_balls(image, RADIUS_PX, expected=[*centres, (420.0, 300.0)]).found
+    assert found == find_balls(image, RADIUS_PX).found
 
 
 def test_a_hair_over_a_ball_moves_it_little() -> None:

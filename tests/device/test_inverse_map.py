@@ -9,15 +9,10 @@ from device.ball import Ball, BallSamples, gather_samples, sphere_slopes
 from device.errors import CalibrationError, CalibrationMismatch, RecordError
 from device.held_out_ridge import angle_between_deg
 from device.inverse_fit import InverseFit, fit_inverse_map
-from device.inverse_map import (
-    InverseMap,
-    colour_exponents,
-    monomials,
-    position_exponents,
-    slope_from_stereographic,
-    stereographic_from_slope,
-)
+from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
+from device.polynomials import colour_exponents, monomials, position_exponents
+from device.stereographic import slope_from_stereographic, stereographic_from_slope
 
 SHAPE = (240, 320)
 RADIUS_PX = 50.0
@@ -202,7 +197,7 @@ def test_arrays_that_are_no_map_are_refused_by_name() -> None:
     with pytest.raises(RecordError, match="model\\.npz"):
         InverseMap.from_arrays({"shape": arrays["shape"]}, "model.npz")
     with pytest.raises(RecordError, match="coefficients of shape"):
-        InverseMap.from_arrays(arrays | {"coefficients": arrays["coefficients"][1:]}, "model.npz")
+        InverseMap.from_arrays(arrays | {"member0_coefficients": arrays["member0_coefficients"][1:]}, "model.npz")
 
 
 def test_enlarged_samples_lie_where_their_pixels_lie() -> None:

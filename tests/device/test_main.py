@@ -1,6 +1,8 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
+import os
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -96,3 +98,43 @@ def test_what_was_pushed_is_taken_and_put_in_force(
     said = capsys.readouterr().out
     assert f"Calibration {bundle.calibration_id} is active." in said
     assert "empty: " in said
+
+
+def test_the_selftest_walks_the_twin(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "twin", "selftest", "--push"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0].split()[0] for line in lines] == ["ok"] * 10
+    assert lines[0].startswith("ok       power: ")
+
+
+def test_the_selftest_of_a_board_that_is_not_there_blames_its_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "zero2w-imx708", "selftest"]) == 3
+    told = capsys.readouterr().out
+    assert "failed   light driver: I2C bus 1" in told
+    assert "failed   camera: " in told
+    assert "skipped  light green: not tested, since the light driver failed" in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_ends_through_every_exit(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended: list[str] = []
+
+    class Dark:
+        def __enter__(self) -> "Dark":
+            return self
+
+        def __exit__(self, *exc: object) -> None:
+            ended.append("dark")
+
+        def dark(self) -> None:
+            os.kill(os.getpid(), number)
+
+    class Board:
+        lights = Dark()
+
+    monkeypatch.setattr("device.__main__.open_hardware", lambda _profile: Board())
+    assert main(["--board", "twin", "lights-off"]) == 130
+    assert ended == ["dark"]
+    assert "stopped" in capsys.readouterr().err

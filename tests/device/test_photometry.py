@@ -48,6 +48,20 @@ def test_binning_leaves_out_what_does_not_fill_a_bin() -> None:
     assert bin_bayer(uniform("RGGB", (18, 22)), 4).shape == (4, 5)
 
 
+@pytest.mark.parametrize("highest", [4095, 65535])
+@pytest.mark.parametrize("factor", [2, 4, 8])
+def test_a_bin_is_the_mean_of_its_own_pixels(factor: int, highest: int) -> None:
+    mosaic = np.random.default_rng(0).integers(0, highest + 1, (32, 48), dtype=np.uint16)
+    frame = bin_bayer(raw_of(mosaic, "GBRG"), factor)
+    counts = mosaic.reshape(32 // factor, factor, 48 // factor, factor).astype(np.float64)
+    red = counts[:, 1::2, :, 0::2].mean(axis=(1, 3))
+    green = (counts[:, 0::2, :, 0::2] + counts[:, 1::2, :, 1::2]).mean(axis=(1, 3)) / 2.0
+    for channel, expected in ((0, red), (1, green)):
+        np.testing.assert_allclose(frame.rgb[..., channel], (expected - BLACK_DN) / (WHITE_DN - BLACK_DN), rtol=1e-5)
+    limit = BLACK_DN + 0.98 * (WHITE_DN - BLACK_DN)
+    np.testing.assert_array_equal(frame.clipped, counts.max(axis=(1, 3)) >= limit)
+
+
 @pytest.mark.parametrize("factor", [0, 1, 3])
 def test_an_odd_binning_is_refused(factor: int) -> None:
     with pytest.raises(ValueError, match="even"):

@@ -7,9 +7,9 @@ from hal.board_profile import load_board_profile, profile_names
 from hal.errors import BoardProfileError
 
 
-def rewritten(folder: Path, old: str, new: str) -> Path:
-    """The twin's profile with one text replaced, as a file."""
-    board = Path(__file__).parents[2] / "board" / "twin.toml"
+def rewritten(folder: Path, old: str, new: str, name: str = "twin") -> Path:
+    """A profile with one text replaced, as a file."""
+    board = Path(__file__).parents[2] / "board" / f"{name}.toml"
     text = board.read_text()
     assert old in text
     path = folder / "changed.toml"
@@ -45,14 +45,18 @@ def test_unknown_name_lists_the_known_ones() -> None:
     ("old", "new", "message"),
     [
         ("retrograph.board/1", "retrograph.board/9", r"schema: .*accepted: retrograph\.board/1"),
-        ('driver = "twin"', 'driver = "webcam"', r"driver: .*accepted: twin, picamera2"),
-        ('"RGGB"', '"RGBG"', r"sensor\.bayer_order: .*accepted: RGGB, BGGR, GRBG, GBRG"),
+        ('driver = "twin"', 'driver = "webcam"', r"driver: \'webcam\' is not accepted; accepted: picamera2, twin"),
+        ('"RGGB"', '"RGBG"', r"sensor\.bayer_order: \'RGBG\'.*accepted: BGGR, GBRG, GRBG, RGGB"),
         ("rows = 1088", "rows = 1087", r"sensor\.rows: .*multiple of 2"),
-        ("read_noise_e = 3.0", 'read_noise_e = "low"', r"sensor\.read_noise_e: .*float"),
-        ("full_well_e = 10000.0\n", "", r"sensor: .*full_well_e"),
+        (
+            "read_noise_e = 3.0",
+            'read_noise_e = "low"',
+            r"sensor\.read_noise_e: 'low' is.*: a number from 0",
+        ),
+        ("full_well_e = 10000.0\n", "", r"sensor\.full_well_e: is missing; accepted: a number above 0"),
         ("seed = 1", "sead = 1", r"twin: .*sead.*accepted: skin, seed"),
         ('skin = "diffuse"', 'skin = "chrome"', r"twin\.skin: .*accepted: diffuse, flake, sharp-flake"),
-        ('colour = "G"', 'colour = "Y"', r"lights\[1\]\.colour: .*accepted: R, G, B"),
+        ('colour = "G"', 'colour = "Y"', r"lights\[1\]\.colour: \'Y\' is not accepted; accepted: B, G, R"),
         ('colour = "G"', 'kolour = "G"', r"lights\[1\]: .*kolour.*accepted: name, colour"),
         ('colour = "G"', 'colour = "R"', r"lights: colours are R, R, B; accepted is the order R, G, B"),
         ('name = "green"', 'name = "red"', r"lights: two of them"),
@@ -64,6 +68,17 @@ def test_unknown_name_lists_the_known_ones() -> None:
             r"twin: .*\[twin\] table",
         ),
         ("[gel]", "[gel", r"is not TOML"),
+        ("exposure_us = 2000.0", "exposure_us = inf", r"camera\.exposure_us: inf is not accepted; accepted: a number"),
+        ("exposure_us = 2000.0", "exposure_us = nan", r"camera\.exposure_us: .*accepted: a (finite )?number"),
+        ("current_ma = 6.4", "current_ma = inf", r"lights\[0\]\.current_ma: is not finite"),
+        ("12.500]", "inf]", r"lights\[0\]\.position_mm\[2\]: is not finite"),
+        (
+            "0.000, -21.651, 12.500]",
+            "0.000, 12.500]",
+            r"position_mm: a list of 2 .*a list of 3, each a n",
+        ),
+        ("seed = 1", "seed = -1", r"twin\.seed: -1 is not accepted; accepted: a whole number from 0"),
+        ('name = "twin"', "name = 7", r"name: 7 is not accepted; accepted: a text"),
     ],
 )
 def test_wrong_profile_names_file_key_and_what_is_accepted(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -85,3 +100,49 @@ def test_text_in_another_encoding_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b'name = "\xb5"\n')
     with pytest.raises(BoardProfileError, match="is not TOML"):
         load_board_profile(path)
+
+
+REAL_BOARDS = ("pi4-imx477", "pi5-imx296", "zero2w-imx708")
+
+
+@pytest.mark.parametrize("name", REAL_BOARDS)
+def test_real_boards_are_complete(name: str) -> None:
+    profile = load_board_profile(name)
+    assert profile.name == name
+    assert profile.driver == "picamera2"
+    assert profile.libcamera is not None
+    assert profile.sensor.model.lower() in profile.libcamera.camera_id
+    assert profile.libcamera.frame_period_us <= 100_000.0
+    assert "under-voltage" in profile.capabilities
+
+
+def test_capabilities_follow_from_the_tables() -> None:
+    assert load_board_profile("twin").capabilities == frozenset()
+    assert load_board_profile("pi5-imx296").capabilities == {"indicator", "under-voltage", "battery", "light-current"}
+    assert load_board_profile("zero2w-imx708").capabilities == {"under-voltage", "focus"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("address = 0x15", "address = 0x99", r"light_driver\.address: 153 .*accepted: a whole number from 8 to 119"),
+        ('chip = "PCA9955B"', 'chip = "PCA9685"', r"light_driver\.chip: .*accepted: PCA9955B, TLC59116"),
+        ("channels = [4, 5]", "channels = [4, 1]", r"lights: channel 1 is named twice"),
+        ("channels = [4, 5]", "channels = [4, 16]", r"lights\[1\]\.channels\[1\]: 16 .*from 0 to 15"),
+        ("channels = [4, 5]\n", "", r"lights: green has no channels"),
+        ("channel = 15", "channel = 9", r"lights: channel 9 is named twice"),
+        ("channel = 15", "channel = 15\nline = 3", r"indicator: accepted: exactly one"),
+        ("channel = 15 ", "line = 17 ", r"indicator\.line: 17 is the button's line"),
+        ("raw_bits = 16", "raw_bits = 12", r"sensor\.white_level_dn: accepted is less than 2\^raw_bits, 4096"),
+        ("raw_bits = 16", "raw_bits = 11", r"libcamera\.raw_bits: 11 .*accepted: 8, 10, 12, 14, 16"),
+        ("frame_period_us = 16667.0", "frame_period_us = 1000.0", r"camera\.exposure_us: accepted is at most"),
+        ('[button]\nchip_label = "pinctrl-rp1"\nline = 17\n', "", r"button: .*needs a \[button\] table"),
+        ('camera_id = "imx296@1a"\n', "", r"libcamera\.camera_id: is missing; accepted: a text of 3 letters"),
+        ('throttled = "vcgencmd"', 'throttled = "guess"', r"power\.throttled: .*accepted: sysfs, vcgencmd"),
+    ],
+)
+def test_wrong_wiring_names_file_key_and_what_is_accepted(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = rewritten(tmp_path, old, new, "pi5-imx296")
+    with pytest.raises(BoardProfileError, match=message) as caught:
+        load_board_profile(path)
+    assert str(caught.value).startswith(str(path))

@@ -263,3 +263,24 @@ def test_real_sets_are_read(name: str, presses: int, scans: int) -> None:
     frame = read_frame(frame_set.scans[0].frame)
     assert frame.shape == frame_set.shape
     assert 0.02 < float(frame.rgb.mean()) < 0.9
+
+
+GRID = "ball_radius_mm = 0.1\nball_radius_tolerance_mm = 0.001\ngrid_pitch_mm = 0.3\ngrid_pitch_tolerance_mm = 0.002"
+
+
+def test_a_grids_spacing_and_tolerances_are_read(write: Write) -> None:
+    (press,) = load_frame_set(write(GOOD.replace("ball_radius_mm = 0.1", GRID))).presses
+    assert (press.grid_pitch_mm, press.grid_tolerance_mm, press.radius_tolerance_mm) == (0.3, 0.002, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("_mm = 0.001", "_mm = 0.1", "press[0].ball_radius_tolerance_mm: 0.1 is not smaller"),
+        ("_mm = 0.001", "_mm = -1", "press[0].ball_radius_tolerance_mm"),
+        ("_mm = 0.002", "_mm = 0.3", "press[0].grid_pitch_tolerance_mm: 0.3 is not smaller"),
+        ("grid_pitch_mm = 0.3\n", "", "press[0].grid_pitch_tolerance_mm: there is no grid_pitch_mm"),
+    ],
+)
+def test_tolerances_that_cannot_be_are_refused(write: Write, old: str, new: str, sentence: str) -> None:
+    assert sentence in refused(write(GOOD.replace("ball_radius_mm = 0.1", GRID.replace(old, new))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -170,6 +171,10 @@ def test_the_calibration_report_names_every_ball(results: Path) -> None:
     report = json.loads((results / "calibration" / "report.json").read_text())
     assert sum(len(press["balls"]) for press in report["presses"]) == len(PLACES)
     assert report["calibration_id"] == json.loads((results / "sphere" / "result.json").read_text())["calibration_id"]
+    assert report["passed"] is True
+    assert report["presses"][3]["image"] == "press3.png"
+    assert report["next_presses"] == []
+    assert report["scale_uncertainty"]["pixel_pitch_sigma_um"] is None
     pictures = {path.name for path in (results / "calibration").glob("*.png")}
     assert {"reflectance-maps.png", "ambiguous-bins.png", "residuals.png", "balls.png"} <= pictures
 
@@ -191,9 +196,17 @@ def test_bad_scans_are_named_and_leave_nothing(
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["calibration"]
 
 
-def test_the_papers_method_can_be_asked_for(frames: Frames, tmp_path: Path) -> None:
+def test_the_papers_method_and_its_detail_filter_can_be_asked_for(frames: Frames, tmp_path: Path) -> None:
     path = frames.copy(tmp_path / "set")
-    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out"), "--method", "paper"]) == 0
+    asked = ["--method", "paper", "--s-filter-um", "100", "--l-filter-um", "1500"]
+    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out"), *asked]) == 0
+    folder = tmp_path / "out" / "sphere"
+    assert {path.name for path in folder.iterdir()} == RESULT_FILES | {"detail_um.tif", "detail.png"}
+    detail = json.loads((folder / "result.json").read_text())["detail"]
+    assert (detail["s_nesting_index_um"], detail["l_nesting_index_um"]) == (100.0, 1500.0)
+    fine = tifffile.imread(folder / "detail_um.tif")
+    assert 0.0 < detail["rms_um"] == pytest.approx(float(np.nanstd(fine)), rel=1e-3)
+    assert detail["rms_um"] < 0.2 * frames.truth.z_um.max()
     record = json.loads((tmp_path / "out" / "sphere" / "result.json").read_text())
     assert record["method"] == "paper"
     height = tifffile.imread(tmp_path / "out" / "sphere" / "height_um.tif")
@@ -201,15 +214,36 @@ def test_the_papers_method_can_be_asked_for(frames: Frames, tmp_path: Path) -> N
     assert np.median(error) < 0.2 * frames.truth.z_um.max()  # near lights are not what the paper assumes
 
 
-def test_a_press_without_a_ball_is_refused_by_name(
+def test_a_press_without_a_ball_is_left_out_and_named_in_the_report(frames: Frames, tmp_path: Path) -> None:
+    path = frames.copy(tmp_path / "set")
+    path.write_text(path.read_text().replace("press4.png", "flat.png"))
+    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "calibration" / "report.json").read_text())
+    empty = report["presses"][4]
+    assert (empty["name"], empty["image"], empty["balls"]) == ("press-04", "flat.png", [])
+    assert empty["fault"].startswith("shows no ball of radius")
+    assert any(note.startswith("press-04 (flat.png) shows no ball") for note in report["notes"])
+
+
+def test_presses_that_all_lack_a_ball_are_refused(
     frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = frames.copy(tmp_path / "set")
-    path.write_text(path.read_text().replace("press4.png", "flat.png"))
+    path.write_text(re.sub(r"press\d.png", "flat.png", path.read_text()))
     sentence = refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
-    assert "press-04" in sentence
-    assert "shows no ball of radius" in sentence
+    assert "0 usable balls in 9 calibration presses (press-00 (flat.png) shows no ball of radius" in sentence
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("radius", ["1e-6", "1e6"])
+def test_a_ball_of_an_impossible_radius_is_refused(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str], radius: str
+) -> None:
+    path = frames.copy(tmp_path / "set")
+    path.write_text(path.read_text().replace("ball_radius_mm = 3.0", f"ball_radius_mm = {radius}"))
+    sentence = refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
+    assert "press-00 (press0.png): " in sentence
+    assert "check the ball's radius and the pixel pitch" in sentence
 
 
 def test_bad_arguments_and_files_are_refused_in_one_sentence(

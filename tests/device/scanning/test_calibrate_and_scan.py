@@ -14,10 +14,12 @@ from device.model_file import read_model
 from device.quick_look_files import HEIGHT_FILE, PICTURE_FILE
 from device.scan_bundle import Annotations
 from device.scanning.calibrate import calibrate, press_places
+from device.scanning.capture import CapturePlan
 from device.scanning.scanner import Scanner
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.twin.bench import Bench
+from hal.twin.wired.hardware import GAUGE_AT, wired_hardware
 
 BALL_RADIUS_MM = 3.0
 
@@ -42,7 +44,10 @@ def press(hardware: Hardware, name: str) -> None:
 def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, store: BundleStore) -> None:
     told: list[str] = []
     with hardware:
-        outcome = calibrate(hardware, store, BALL_RADIUS_MM, told.append)
+        board = CapturePlan.of_board(hardware)
+        currents_ma = {name: 0.9 * current for name, current in board.currents_ma.items()}
+        plan = CapturePlan(board.settings, currents_ma)
+        outcome = calibrate(hardware, store, BALL_RADIUS_MM, told.append, plan)
     assert outcome.fit.kept.all()
     assert len(outcome.fit.balls) == len(press_places())
     assert outcome.fit.held_out_deg is not None
@@ -52,8 +57,12 @@ def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, sto
     bundle.verify()
     assert bundle.calibration_id == outcome.bundle.calibration_id
     assert len(bundle.record.presses) == len(press_places())
+    assert {light.name: light.current_ma for light in bundle.record.fingerprint.lights} == currents_ma
+    for colour in ("red", "green", "blue"):
+        flat, peak = (bundle.record.figures[f"{what}_level_{colour}"] for what in ("flat", "brightest"))
+        assert 0.1 < (flat or 0.0) < (peak or 0.0) < 1.0
     stored = read_model(bundle.path(bundle.record.model_files[0]))
-    np.testing.assert_array_equal(stored.coefficients, outcome.fit.map.coefficients)
+    np.testing.assert_array_equal(stored.members[0].coefficients, outcome.fit.map.members[0].coefficients)
 
 
 def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(
@@ -77,6 +86,33 @@ def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(
     binned = truth.z_um.reshape(136, 2, 182, 2).mean(axis=(1, 3))
     error = (height - height[:10].mean()) - (binned - binned[:10].mean())
     assert np.sqrt((error**2).mean()) < 0.04 * np.ptp(binned)
+
+
+def test_a_scan_is_taken_with_the_settings_of_its_calibration_and_notes_the_supply(
+    hardware: Hardware, calibrated: BundleStore, bench: Bench
+) -> None:
+    lights = tuple(msgspec.structs.replace(light, current_ma=0.5) for light in hardware.profile.lights)
+    weaker = msgspec.structs.replace(hardware.profile, lights=lights)
+    bench.faults.under_voltage = True
+    with dataclasses.replace(hardware, profile=weaker) as board:
+        record = Scanner(board, calibrated).scan(Annotations()).bundle.record
+    assert record.currents_ma == {"red": 6.4, "green": 4.9, "blue": 4.9}
+    assert record.power.under_voltage is True
+    assert record.power.battery_share is None
+
+
+def test_granted_currents_are_recorded_and_a_dead_gauge_costs_no_scan(bench: Bench, calibrated: BundleStore) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    with wired.hardware as board:
+        scanner = Scanner(board, calibrated)
+        full = scanner.scan(Annotations()).bundle.record
+        wired.wire.faults.unplugged.add(GAUGE_AT)
+        unmeasured = scanner.scan(Annotations()).bundle.record
+    steps = [current / 0.225 for current in full.currents_ma.values()]
+    assert steps == pytest.approx([round(step) for step in steps])
+    assert full.currents_ma == pytest.approx({"red": 6.4, "green": 4.9, "blue": 4.9}, rel=0.02)
+    assert full.power.battery_share == 0.5
+    assert unmeasured.power.battery_share is None
 
 
 def test_nothing_pressed_is_doubted_and_no_light_is_a_retake(

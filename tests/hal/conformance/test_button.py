@@ -27,3 +27,21 @@ def test_a_short_wait_does_not_swallow_the_press(driver: Hardware) -> None:
         driver.operator.ask(LiftOff())
         assert driver.button.wait_for_press(0.01) is None
         assert driver.button.wait_for_press(10.0) is not None
+
+
+def test_presses_while_busy_are_forgotten_and_counted(driver: Hardware) -> None:
+    with driver:
+        assert driver.button.forget_presses() == 0
+        driver.operator.ask(LiftOff())
+        driver.clock.sleep(5.0)
+        assert driver.button.forget_presses() == 1
+        assert driver.button.wait_for_press(1.0) is None
+
+
+def test_a_button_is_down_only_while_it_is_pushed(driver: Hardware) -> None:
+    with driver:
+        assert not driver.button.is_down()
+        driver.operator.ask(LiftOff())
+        assert driver.button.wait_for_press(None) is not None
+        driver.clock.sleep(0.1)
+        assert not driver.button.is_down()

@@ -65,3 +65,15 @@ def test_a_frame_of_a_closed_camera_is_refused(driver: Hardware) -> None:
         pass
     with pytest.raises(CameraError):
         driver.camera.next_frame(1.0)
+
+
+def test_aiming_views_are_small_grey_and_live(driver: Hardware) -> None:
+    with driver:
+        asked_ns = driver.clock.monotonic_ns()
+        views = [driver.camera.aiming_view(2.0) for _ in range(3)]
+        assert driver.clock.monotonic_ns() > asked_ns
+    rows, columns = driver.camera.shape
+    assert {(view.dtype, view.ndim) for view in views} == {(np.dtype(np.uint8), 2)}
+    assert len({view.shape for view in views}) == 1
+    assert views[0].shape[0] < rows
+    assert views[0].shape[1] < columns

@@ -52,3 +52,26 @@ def test_unknown_light_and_impossible_current_change_nothing(driver: Hardware) -
 def test_healthy_lights_report_no_faults(driver: Hardware) -> None:
     with driver:
         assert driver.lights.faults() == ()
+
+
+def test_what_is_granted_is_near_what_is_asked_and_within_reach(driver: Hardware) -> None:
+    lights = driver.lights
+    granted = lights.granted_ma(driver.profile.currents_ma)
+    assert tuple(granted) == lights.names
+    for name, asked_ma in driver.profile.currents_ma.items():
+        assert abs(granted[name] - asked_ma) <= 0.02 * lights.highest_ma
+        assert 0.0 < granted[name] <= lights.highest_ma
+    assert lights.granted_ma(granted) == granted
+    with pytest.raises(LightError):
+        lights.granted_ma({lights.names[0]: 1.01 * lights.highest_ma})
+
+
+def test_light_follows_current(driver: Hardware) -> None:
+    name = driver.lights.names[1]
+    with driver:
+        levels = []
+        for current_ma in (2.0, 4.0, 8.0):
+            granted = driver.lights.granted_ma({name: current_ma})
+            driver.lights.switch_on(granted)
+            levels.append(brightness(driver) / granted[name])
+    assert np.ptp(levels) < 0.05 * levels[0]

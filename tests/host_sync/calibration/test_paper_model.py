@@ -7,8 +7,11 @@ from device.ball import Ball, BallSamples, gather_samples
 from device.errors import CalibrationError, RecordError
 from device.held_out_ridge import angle_between_deg
 from device.photometry import IntensityImage
-from host_sync.calibration.figures import ambiguity_figure, reflectance_figure
+from host_sync.calibration.ambiguity_figure import ambiguity_figure, most_ambiguous
+from host_sync.calibration.lookup_table import slopes_of_bin
 from host_sync.calibration.paper_model import estimate_gradients, fit_paper_model, load_paper_model
+from host_sync.calibration.reflectance_figure import reflectance_figure
+from host_sync.calibration.reflectance_surface import reflectance_surface
 
 SIZE = 220
 NOISE = 0.01
@@ -159,13 +162,29 @@ def test_too_few_slopes_are_refused():
         fit_paper_model(gather_samples([(rendered(small), [small])]))
 
 
-def test_figures_show_three_by_three_maps_and_two_panels(model, tmp_path):
-    maps = reflectance_figure(model)
-    assert sum("red" in axes.get_title() for axes in maps.axes) == 3
-    maps.savefig(tmp_path / "maps.png", dpi=40)
-    ambiguity = ambiguity_figure(model)
-    assert [axes.get_xlabel()[0] for axes in ambiguity.axes] == ["a", "p"]
-    ambiguity.savefig(tmp_path / "ambiguity.png", dpi=40)
+def test_reflectance_is_drawn_beside_both_fits_and_what_they_leave(model, tmp_path):
+    figure = reflectance_figure(model)
+    panels = [
+        axes for axes in figure.axes if axes.get_subplotspec() and axes.get_subplotspec().get_gridspec().ncols == 5
+    ]
+    assert len(panels) == 15
+    assert [axes.get_title().split("\n")[0] for axes in panels[:5]] == [
+        "observed", "order 2", "order 5", "residual of order 2", "residual of order 5",
+    ]  # fmt: skip
+    residuals = [float(axes.get_title().split("rms ")[1]) for axes in panels if "rms" in axes.get_title()]
+    assert residuals == pytest.approx(
+        [r for pair in zip(model.residual_order_2, model.residual_order_5, strict=True) for r in pair], abs=1e-4
+    )
+    figure.savefig(tmp_path / "maps.png", dpi=40)
+
+
+def test_ambiguity_is_drawn_in_colour_and_slope_and_counted(model, tmp_path):
+    figure = ambiguity_figure(model)
+    assert [axes.get_xlabel()[0] for axes in figure.axes] == ["a", "p", "s"]
+    shares = [bar.get_height() for bar in figure.axes[2].patches]
+    assert sum(shares) == pytest.approx(1.0)
+    assert 1.0 - shares[0] == pytest.approx(model.table.ambiguous_share)
+    figure.savefig(tmp_path / "ambiguity.png", dpi=40)
 
 
 def folded(p, q):
@@ -187,5 +206,8 @@ def test_the_gate_picks_the_right_slope_where_three_make_one_colour():
     assert model.table.ambiguous_share > 0.5
     wrong = np.hypot(gradients.p - p, gradients.q - q)[judged] > 0.2
     assert wrong.mean() < 0.02
-    figure = ambiguity_figure(model)
-    assert len(figure.legends) == 1
+    chosen = most_ambiguous(model)
+    members = slopes_of_bin(reflectance_surface(model.maps, model.harmonics), model.table, chosen)
+    centres = model.table.candidates[model.table.first[chosen] : model.table.first[chosen + 1], :2]
+    assert np.hypot(*(members[:, None] - centres).transpose(2, 0, 1)).min(axis=1).max() < 0.3
+    assert len(ambiguity_figure(model).axes[1].get_legend().get_texts()) == 3

@@ -7,7 +7,7 @@ from device.surface import GradientField, HeightMap, surface_slopes
 from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import integrate
-from host_sync.reconstruction.uncertainty import contradicted_slope, height_sigma_um
+from host_sync.reconstruction.uncertainty import HeightUncertainty, contradicted_slope, height_uncertainty, slope_sigma
 
 SHAPE = (200, 256)
 PITCH_UM = 10.0
@@ -28,10 +28,19 @@ def gradients_of(z_um: np.ndarray, noise: float, seed: int = 0) -> GradientField
     return GradientField(p.astype(np.float32), q.astype(np.float32), ones > 0, ones)
 
 
-def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
+def error_of(pixel_deg: float, patch_deg: float, patch_px: float, scale_share: float = 0.0) -> SlopeError:
+    """An error that is the same at every tilt."""
+    return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, (0.0, 0.0, 0.0), scale_share)
+
+
+def known_of(gradients: GradientField, error: SlopeError, scale_share: float = 0.0) -> HeightUncertainty:
     none = (np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32))
     height = HeightMap(bump().astype(np.float32), PITCH_UM)
-    return height_sigma_um(height, gradients, none, none[0], error, untouched_skin(gradients))
+    return height_uncertainty(height, gradients, none, none[0], error, untouched_skin(gradients), scale_share)
+
+
+def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
+    return known_of(gradients, error).sigma_um
 
 
 def test_the_level_is_the_untouched_skin_not_the_plateau() -> None:
@@ -56,16 +65,14 @@ def test_sigma_is_the_spread_of_heights_under_pixel_noise() -> None:
         height, _ = integrate(gradients, PITCH_UM)
         heights.append(levelled(height, gradients.valid).z_um)
     spread = float(np.std(heights, axis=0).mean())
-    stated = float(
-        sigma_of(gradients_of(0.0 * bump(), 0.0), SlopeError(np.degrees(noise), 0.0, 5.0, (0, 0, 0), 0.0)).mean()
-    )
+    stated = float(sigma_of(gradients_of(0.0 * bump(), 0.0), error_of(np.degrees(noise), 0.0, 5.0, 0.0)).mean())
     assert stated == pytest.approx(spread, rel=0.35)
 
 
 def test_errors_of_a_patch_bend_the_height_more_than_errors_of_a_pixel() -> None:
     gradients = gradients_of(bump(), 0.0)
-    pixel = sigma_of(gradients, SlopeError(2.0, 0.0, 8.0, (0, 0, 0), 0.0))
-    patch = sigma_of(gradients, SlopeError(0.0, 2.0, 8.0, (0, 0, 0), 0.0))
+    pixel = sigma_of(gradients, error_of(2.0, 0.0, 8.0, 0.0))
+    patch = sigma_of(gradients, error_of(0.0, 2.0, 8.0, 0.0))
     assert patch.mean() > 4.0 * pixel.mean()
 
 
@@ -90,11 +97,34 @@ def test_slopes_that_belong_to_no_surface_betray_themselves() -> None:
 def test_an_invalid_pixel_has_no_sigma() -> None:
     gradients = gradients_of(bump(), 0.0)
     gradients.valid[3, 4] = False
-    sigma = sigma_of(gradients, SlopeError(1.0, 0.5, 8.0, (0, 0, 0), 0.0))
+    sigma = sigma_of(gradients, error_of(1.0, 0.5, 8.0, 0.0))
     assert np.isnan(sigma[3, 4])
     assert np.isfinite(sigma[10, 10])
 
 
 def test_an_error_of_scale_grows_with_the_height() -> None:
-    sigma = sigma_of(gradients_of(bump(), 0.0), SlopeError(0.0, 0.0, 8.0, (0, 0, 0), 0.02))
+    sigma = sigma_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0, 0.02))
     np.testing.assert_allclose(sigma, 0.02 * np.abs(bump()), rtol=1e-3, atol=1e-3)
+
+
+def test_an_unsure_scale_of_the_pixel_pitch_counts_as_well() -> None:
+    known = known_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0, 0.03), scale_share=0.04)
+    np.testing.assert_allclose(known.sigma_um, 0.05 * np.abs(bump()), rtol=1e-3, atol=1e-3)
+
+
+def test_the_draws_spread_as_sigma_says() -> None:
+    known = known_of(gradients_of(bump(), 0.0), error_of(1.0, 0.5, 6.0, 0.02))
+    spread = np.sqrt((known.draws_um**2).mean(axis=0))
+    assert known.draws_um.shape[1:] == SHAPE
+    assert np.median(spread / known.sigma_um) == pytest.approx(1.0, abs=0.15)
+
+
+def test_slopes_are_less_sure_where_the_skin_is_steep_or_the_colour_strange() -> None:
+    p = np.full(SHAPE, 1.0, np.float32)
+    weight = np.ones(SHAPE, np.float32)
+    weight[:, :100] = 0.04
+    gradients = GradientField(p, 0.0 * p, weight > 0, weight)
+    error = SlopeError((0.0, 45.0), (0.0, 0.0), (0.5, 1.0), 8.0, (0.0, 0.0, 0.0), 0.0)
+    sigma = slope_sigma(gradients, p, 0.0 * p, 0.0 * p, error)
+    assert sigma[50, 200] == pytest.approx(2.0 * np.radians(1.0), rel=1e-3)
+    assert sigma[50, 50] == pytest.approx(5.0 * sigma[50, 200], rel=1e-3)

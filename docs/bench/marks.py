@@ -1,0 +1,150 @@
+"""The marks: what each is computed from, and when it is met. A mark without its figures is neither met nor missed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Figures = Mapping[str, Any]
+IDLE_SCALING = 1.8
+"""Two processes that only count must reach this against one, or there are no two idle cores to be judged on."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One mark and its rule.
+
+    value : of the figures; raises KeyError, or returns None, when a figure or a peer is missing
+    requires : whether it may count at all, such as an error that must not be traded for speed
+    """
+
+    name: str
+    item: int
+    words: str
+    sense: Literal["at least", "at most"]
+    limit: float
+    value: Callable[[Figures], float | None]
+    requires: Callable[[Figures], bool] = lambda _: True
+
+    def judged(self, figures: Figures) -> dict[str, Any]:
+        """Its value, limit and whether it is met: True, False, or None where it cannot be told."""
+        try:
+            value = self.value(figures)
+            countable = value is not None and self.requires(figures)
+        except KeyError:
+            value, countable = None, True
+        met = None
+        if value is not None:
+            enough = value >= self.limit if self.sense == "at least" else value <= self.limit
+            met = enough and countable
+        return {
+            "value": value,
+            "mark": self.limit,
+            "met": met,
+            "sense": self.sense,
+            "item": self.item,
+            "words": self.words,
+        }
+
+
+def judge(figures: Figures) -> dict[str, dict[str, Any]]:
+    """Every mark by name."""
+    return {mark.name: mark.judged(figures) for mark in MARKS}
+
+
+def _ms(figures: Figures, *path: str) -> float:
+    return float(_at(figures, *path)["min_ms"])
+
+
+def _at(figures: Figures, *path: str) -> Any:
+    for name in path:
+        figures = figures[name]
+    return figures
+
+
+def _over_exact(figures: Figures, part: str) -> float:
+    """Our error over that of the exact least-squares solution."""
+    return float(
+        _at(figures, "integration", part, "ours", "rmse_px") / _at(figures, "integration", part, "exact", "rmse_px")
+    )
+
+
+def _faster(part: str, peer: str) -> Callable[[Figures], float]:
+    return lambda f: _ms(f, "integration", part, peer) / _ms(f, "integration", part, "ours")
+
+
+def _beside_pyamg(figures: Figures) -> float:
+    """Against the quicker of pyamg's two solvers."""
+    part: Figures = _at(figures, "integration", "beside pyamg")
+    quicker_ms = min(part[f"pyamg {kind}"]["min_ms"] for kind in ("ruge-stuben", "smoothed aggregation"))
+    return float(quicker_ms / part["ours"]["min_ms"])
+
+
+def _largest_scan(figures: Figures) -> Any:
+    return max(_at(figures, "pipeline").values(), key=lambda scan: scan["megapixels"])
+
+
+def _workers(figures: Figures) -> float | None:
+    """None while other work keeps the cores busy."""
+    part = _at(figures, "two workers")
+    return part["scaling"] if part["scaling_of_counting"] >= IDLE_SCALING else None
+
+
+def _first(figures: Mapping[str, Any]) -> Any:
+    return next(iter(figures.values()))
+
+
+def _per_pixel(large: tuple[str, ...], small: tuple[str, ...]) -> Callable[[Figures], float]:
+    return lambda f: _ms(f, *large) / _ms(f, *small) / _at(f, "sizes", "large_over_small")
+
+
+def _pipeline_per_pixel(figures: Figures) -> float | None:
+    """Of the largest scan against the one nearest to 1.5 MP."""
+    scans = list(_at(figures, "pipeline").values())
+    small = min(scans, key=lambda scan: abs(scan["megapixels"] - 1.5))
+    large = _largest_scan(figures)
+    if small is large:
+        return None
+    return float(large["min_ms"] / large["megapixels"] / (small["min_ms"] / small["megapixels"]))
+
+
+MARKS = (
+    Mark("unweighted_over_dctn", 1, "full rectangle: times as fast as scipy dctn with 2 workers", "at least", 3.0,
+         _faster("unweighted", "scipy dctn, 2 workers"), lambda f: _over_exact(f, "unweighted") <= 1.01),
+    Mark("unweighted_over_floor", 1, "full rectangle: times the time of reading p, q and writing z", "at most", 10.0,
+         lambda f: 1.0 / _faster("unweighted", "floor")(f), lambda f: _over_exact(f, "unweighted") <= 1.01),
+    Mark("unweighted_error", 1, "full rectangle: error over the exact solution's", "at most", 1.01,
+         lambda f: _over_exact(f, "unweighted")),
+    Mark("weighted_over_dctn", 2, "weights and holes: times as fast as dctn, which has neither", "at least", 1.0,
+         _faster("weighted", "scipy dctn, 2 workers"), lambda f: _over_exact(f, "weighted") <= 1.01),
+    Mark("weighted_error", 2, "weights and holes: error over the exact solution's", "at most", 1.01,
+         lambda f: _over_exact(f, "weighted")),
+    Mark("weighted_over_pyamg", 2, "weights and holes, 1456x1088: times as fast as the quicker of pyamg's", "at least",
+         100.0, _beside_pyamg),
+    Mark("agreement_with_direct_px", 2, "weights and holes: largest difference to the sparse direct solution, px",
+         "at most", 1e-4, lambda f: _at(f, "integration", "beside direct", "difference", "largest_px")),
+    Mark("gradients_over_network", 3, "slopes per pixel: share of the peer network's time", "at most", 0.07,
+         lambda f: _ms(f, "gradients", "ours") / _ms(f, "gradients", "torch network")),
+    Mark("pipeline_s", 4, "raw file to results on disk, largest frame, without the sigma map, s", "at most", 1.5,
+         lambda f: 1e-3 * (_largest_scan(f)["min_ms"] - _largest_scan(f)["stages_ms"]["sigma map"])),
+    Mark("sigma_map_s", 4, "the sigma map of the same frame, s", "at most", 2.0,
+         lambda f: 1e-3 * _largest_scan(f)["stages_ms"]["sigma map"]),
+    Mark("pipeline_peak_gb", 4, "peak memory of the same, all included, GB", "at most", 2.5,
+         lambda f: 1e-3 * _largest_scan(f)["peak_mb"]),
+    Mark("video_weighted_fps", 5, "video with weights, frames a second", "at least", 25.0,
+         lambda f: _at(f, "video", "weighted", "best_fps")),
+    Mark("video_unweighted_fps", 5, "video without weights, frames a second", "at least", 60.0,
+         lambda f: _at(f, "video", "unweighted", "best_fps")),
+    Mark("two_workers", 6, "two single-thread workers over one, where two cores are idle", "at least", 1.6, _workers),
+    Mark("handheld_ms", 7, "handheld: 2028x1520 counts to the quick look's heights on one core, ms", "at most", 12.0,
+         lambda f: _first(_at(f, "handheld"))["total"]["min_ms"]),
+    Mark("cost_unweighted", 8, "time per pixel at 12 MP over that at 1.6 MP: full rectangle", "at most", 1.3,
+         _per_pixel(("integration", "unweighted", "ours"), ("integration", "unweighted, small", "ours"))),
+    Mark("cost_weighted", 8, "the same: weights and holes", "at most", 1.3,
+         _per_pixel(("integration", "weighted", "ours"), ("integration", "beside pyamg", "ours"))),
+    Mark("cost_gradients", 8, "the same: slopes per pixel", "at most", 1.3,
+         _per_pixel(("gradients", "ours"), ("gradients", "small", "ours"))),
+    Mark("cost_pipeline", 8, "the same: raw file to results on disk", "at most", 1.3, _pipeline_per_pixel),
+)  # fmt: skip
+"""Every mark, in the order of issue and note."""

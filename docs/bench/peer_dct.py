@@ -1,0 +1,66 @@
+"""Peer: least squares on a full rectangle by scipy's discrete cosine transform. It has neither weights nor holes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+
+from device.surface import Float32Array
+
+
+def integrate_scipy(p: Float32Array, q: Float32Array, workers: int) -> Float32Array:
+    """Heights (px) of shape (H, W) by `scipy.fft.dctn` on so many threads."""
+    return _solve(
+        divergence(p, q),
+        lambda a: dctn(a, type=2, norm="ortho", overwrite_x=True, workers=workers),
+        lambda a: idctn(a, type=2, norm="ortho", overwrite_x=True, workers=workers),
+    )
+
+
+def exact(p: Float32Array, q: Float32Array, *, fourth_order: bool) -> NDArray[np.float64]:
+    """The converged solution in double precision, heights in px."""
+    slopes = (slope.astype(np.float64) for slope in (p, q))
+    return _solve(
+        divergence(*slopes, fourth_order=fourth_order),
+        lambda a: dctn(a, type=2, norm="ortho", overwrite_x=True),
+        lambda a: idctn(a, type=2, norm="ortho", overwrite_x=True),
+    )
+
+
+def divergence(p: NDArray[Any], q: NDArray[Any], *, fourth_order: bool = False) -> NDArray[Any]:
+    """Right-hand side of the least squares, of the slopes' shape and precision."""
+    out = np.zeros_like(p)
+    across, down = edge_slopes(p, fourth_order=fourth_order), edge_slopes(q.T, fourth_order=fourth_order).T
+    out[:, :-1] -= across
+    out[:, 1:] += across
+    out[:-1] -= down
+    out[1:] += down
+    return out
+
+
+def edge_slopes(slope: NDArray[Any], *, fourth_order: bool) -> NDArray[Any]:
+    """Height differences of neighbours along rows: mean of both slopes, or of fourth order where there are four."""
+    both = slope[:, 1:] + slope[:, :-1]
+    edges = slope.dtype.type(0.5) * both
+    if fourth_order:
+        edges[:, 1:-1] += (both[:, 1:-1] - slope[:, 3:] - slope[:, :-3]) / slope.dtype.type(24.0)
+    return np.asarray(edges)
+
+
+def divide_by_eigenvalues(spectrum: NDArray[Any]) -> None:
+    """Turn the spectrum of the right-hand side into that of the heights, in place."""
+    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in spectrum.shape)
+    eigenvalue = rows.astype(spectrum.dtype)[:, None] + columns.astype(spectrum.dtype)[None, :]
+    eigenvalue[0, 0] = 1.0
+    spectrum /= eigenvalue
+    spectrum[0, 0] = 0.0
+
+
+def _solve(rhs: NDArray[Any], forward: Callable[[Any], Any], backward: Callable[[Any], Any]) -> NDArray[Any]:
+    spectrum = forward(rhs)
+    divide_by_eigenvalues(spectrum)
+    return np.asarray(backward(spectrum))

@@ -1,0 +1,79 @@
+"""What is scanned: a calibration of the twin, and raw frames of the same field at any resolution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+from plan import Shape, named
+
+from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationBundle
+from device.inverse_map import InverseMap
+from device.photometry import LinearFrame, blurred_reference
+from device.raw_file import write_raw
+from device.scanning.calibrate import calibrate
+from device.scanning.capture import CapturePlan, capture
+from hal.board_profile import BoardProfile, load_board_profile
+from hal.clock import VirtualClock
+from hal.interfaces import PressObject
+from hal.twin.bench import build
+from hal.twin.hardware import twin_hardware
+from host_sync.calibration.full_calibration import Calibration
+from host_sync.reconstruction.library_job import calibration_of
+
+BALL_RADIUS_MM = 3.0
+
+
+def field_calibration(shape: Shape, presses: int, folder: Path) -> Calibration:
+    """The workstation's calibration from so many presses of a guided one on a twin of (H, W) pixels."""
+    bundle = twin_calibration(shape, folder)
+    chosen = bundle.record.presses[:: max(1, len(bundle.record.presses) // presses)]
+    return calibration_of(CalibrationBundle(bundle.directory, msgspec.structs.replace(bundle.record, presses=chosen)))
+
+
+def twin_calibration(shape: Shape, folder: Path) -> CalibrationBundle:
+    """A guided calibration on a twin of (H, W) pixels, published to a store in `folder`."""
+    clock = VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)
+    with twin_hardware(build(twin_of(shape), clock)) as hardware:
+        return calibrate(
+            hardware, BundleStore(folder, clock, boot_id="b0075e1f"), BALL_RADIUS_MM, lambda _: None
+        ).bundle
+
+
+def render(shape: Shape, folder: Path) -> None:
+    """Write `reference-CxR.tif` and `coin-CxR.tif`: raw frames of the skin at rest and of a coin."""
+    with twin_hardware(build(twin_of(shape), VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))) as hardware:
+        plan = CapturePlan.of_board(hardware)
+        write_raw(folder / f"reference-{named(shape)}.tif", capture(hardware, plan))
+        hardware.operator.ask(PressObject("coin"))
+        hardware.button.wait_for_press(None)
+        write_raw(folder / f"coin-{named(shape)}.tif", capture(hardware, plan))
+
+
+def twin_of(shape: Shape) -> BoardProfile:
+    """The reference twin with its field sampled by (H, W) pixels."""
+    profile = load_board_profile("twin")
+    finer = profile.sensor.columns / shape[1]
+    pitch_um = profile.sensor.pixel_pitch_um * finer
+    sensor = msgspec.structs.replace(profile.sensor, rows=shape[0], columns=shape[1], pixel_pitch_um=pitch_um)
+    return msgspec.structs.replace(profile, sensor=sensor)
+
+
+def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
+    """The calibration of the same field for frames of the reference's size: places are shares of the field."""
+    finer = reference.shape[1] / calibration.divisor.shape[1]
+    inverse = replace(calibration.inverse, map=at_size(calibration.inverse.map, reference.shape))
+    return replace(
+        calibration,
+        divisor=blurred_reference(reference),
+        pitch_um=calibration.pitch_um / finer,
+        inverse=inverse,
+        slope_error=msgspec.structs.replace(calibration.slope_error, patch_px=calibration.slope_error.patch_px * finer),
+    )
+
+
+def at_size(inverse_map: InverseMap, shape: Shape) -> InverseMap:
+    """The inverse map of the same field seen by (H, W) pixels."""
+    return replace(inverse_map, shape=shape)

@@ -1,0 +1,160 @@
+"""A libcamera camera through picamera2: everything locked, every frame read with its own metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.board_parts import LibcameraFacts
+from hal.board_profile import SensorFacts
+from hal.camera_pipeline import CameraPipeline
+from hal.errors import CameraError, FrameTimeout
+from hal.frame import CameraSettings, RawFrame
+from hal.interfaces import Clock
+from hal.picamera_stack import CameraStack, OpenCamera, Request
+
+MOST_RESTARTS: Final = 2
+OLDEST_S: Final = 30.0
+"""A frame that seems older than this, or not yet taken, was stamped by another clock."""
+
+Result = TypeVar("Result")
+
+
+class PicameraCamera:
+    """See `hal.interfaces.Camera`.
+
+    Parameters
+    ----------
+    settings : exposure and gain that it starts with
+    load_stack : the class `Picamera2`, or what behaves like it
+    """
+
+    def __init__(
+        self,
+        sensor: SensorFacts,
+        facts: LibcameraFacts,
+        settings: CameraSettings,
+        load_stack: Callable[[], CameraStack],
+        clock: Clock,
+    ) -> None:
+        self._sensor = sensor
+        self._facts = facts
+        self._asked = settings
+        self._pipeline = CameraPipeline(sensor, facts, load_stack)
+        self._clock = clock
+        self._entered = False
+
+    @property
+    def camera_id(self) -> str:
+        """libcamera's name of the camera; the profile's part of it before it was ever opened."""
+        return self._pipeline.camera_id
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of every raw frame, in sensor pixels."""
+        return self._sensor.rows, self._sensor.columns
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Ask for exposure and gain; they act some frames later, or from the first frame when it is opened anew."""
+        self._asked = settings
+        if self._pipeline.is_open:
+            self._pipeline.set_controls(settings)
+
+    def next_frame(self, timeout_s: float) -> RawFrame:
+        """The next raw frame whose read-out ends after now.
+
+        A pipeline that delivers nothing is reopened, `MOST_RESTARTS` times, and given `timeout_s` each time.
+
+        Raises
+        ------
+        FrameTimeout
+            It stalls however often it is restarted.
+        CameraError
+            The camera is gone, not started, or delivers another format than it granted.
+        """
+        return self._next(timeout_s, self._raw_frame)
+
+    def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
+        """The next small grey picture, uint8 array of shape (h, w): the luma of the small stream."""
+        rows, columns = self._facts.aiming_rows, self._facts.aiming_columns
+
+        def luma(request: Request, _metadata: Mapping[str, Any]) -> NDArray[np.uint8]:
+            return np.ascontiguousarray(request.make_array("main")[:rows, :columns])
+
+        return self._next(timeout_s, luma)
+
+    def __enter__(self) -> Self:
+        self._pipeline.open(self._asked)
+        self._entered = True
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._entered = False
+        self._pipeline.close()
+
+    def _next(self, timeout_s: float, read: Callable[[Request, Mapping[str, Any]], Result]) -> Result:
+        """What `read` makes of the next frame that ends after now."""
+        if self._entered and not self._pipeline.is_open:
+            self._pipeline.open(self._asked)
+        asked_ns = self._clock.monotonic_ns()
+        for restart in range(MOST_RESTARTS + 1):
+            if restart:
+                self._pipeline.close()
+                self._pipeline.open(self._asked)
+            end_ns = self._clock.monotonic_ns() + round(timeout_s * 1e9)
+            while (left_ns := end_ns - self._clock.monotonic_ns()) > 0:
+                request = self._pipeline.request(left_ns * 1e-9)
+                if request is None:
+                    break
+                if (result := self._read(request, asked_ns, read)) is not None:
+                    return result
+        raise FrameTimeout(
+            f"camera {self.camera_id} delivers no frame, though it was restarted {MOST_RESTARTS} times and given "
+            f"{timeout_s:g} s each time: check its ribbon cable at both ends and its supply"
+        )
+
+    def _read(
+        self, request: Request, asked_ns: int, read: Callable[[Request, Mapping[str, Any]], Result]
+    ) -> Result | None:
+        """What `read` makes of a request, or None when its frame ended before `asked_ns`; its buffers go back."""
+
+        def unpack(_camera: OpenCamera) -> Result | None:
+            metadata = request.get_metadata()
+            return read(request, metadata) if self._ended_ns(metadata) >= asked_ns else None
+
+        try:
+            return self._pipeline.guarded("hand out a frame", unpack)
+        finally:
+            request.release()
+
+    def _raw_frame(self, request: Request, metadata: Mapping[str, Any]) -> RawFrame:
+        """The frame; libcamera stamps it as its first row is read out, so its exposure began that much earlier."""
+        stream = self._pipeline.stream
+        exposure_us = float(self._fact(metadata, "ExposureTime"))
+        return RawFrame(
+            mosaic=stream.mosaic(request.make_array("raw")),
+            bayer_order=stream.bayer_order,
+            black_level_dn=stream.black_level_dn(metadata),
+            white_level_dn=self._sensor.white_level_dn,
+            granted=CameraSettings(exposure_us, float(self._fact(metadata, "AnalogueGain"))),
+            sensor_timestamp_ns=int(self._fact(metadata, "SensorTimestamp")) - round(exposure_us * 1e3),
+        )
+
+    def _ended_ns(self, metadata: Mapping[str, Any]) -> int:
+        """When a frame's read-out ended, within a frame period."""
+        stamped_ns = int(self._fact(metadata, "SensorTimestamp"))
+        age_s = (self._clock.monotonic_ns() - stamped_ns) * 1e-9
+        if not -0.001 <= age_s <= OLDEST_S:
+            raise CameraError(
+                f"camera {self.camera_id} stamps its frames {age_s:.3f} s ago, so not by the monotonic clock: "
+                "their light cannot be proven; update libcamera"
+            )
+        return stamped_ns + round(float(metadata.get("FrameDuration", self._facts.frame_period_us)) * 1e3)
+
+    def _fact(self, metadata: Mapping[str, Any], key: str) -> Any:
+        if key not in metadata:
+            raise CameraError(f"camera {self.camera_id} delivers frames without {key}, no proof: update libcamera")
+        return metadata[key]

@@ -1,0 +1,69 @@
+"""The indicator as rhythms of one bit, for an LED and a buzzer alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Self
+
+from hal.interfaces import Clock, Cue
+
+_SHORT: Final = (0.06, 0.06)
+_LONG: Final = (0.5, 0.1)
+
+RHYTHMS: Final[dict[Cue, tuple[tuple[float, float], ...]]] = {
+    "idle": (),
+    "busy": (),
+    "may lift": (_SHORT,),
+    "good": (_SHORT, _SHORT),
+    "doubtful": (_SHORT, _SHORT, _SHORT),
+    "retake": (_LONG,),
+    "refused": (_LONG, _SHORT, _SHORT),
+}
+"""Times on and off, in seconds, of each cue."""
+
+
+class RhythmIndicator:
+    """See `hal.interfaces.Indicator`.
+
+    Parameters
+    ----------
+    switch : turns it on or off
+    release : gives it back
+    """
+
+    def __init__(self, switch: Callable[[bool], None], release: Callable[[], None], clock: Clock) -> None:
+        self._switch = switch
+        self._release = release
+        self._clock = clock
+
+    def show(self, cue: Cue) -> None:
+        """Play a cue; it stays on while busy, else goes off."""
+        for on_s, off_s in RHYTHMS[cue]:
+            self._switch(True)
+            self._clock.sleep(on_s)
+            self._switch(False)
+            self._clock.sleep(off_s)
+        self._switch(cue == "busy")
+
+    def __enter__(self) -> Self:
+        self._switch(False)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        try:
+            self._switch(False)
+        finally:
+            self._release()
+
+
+class NoIndicator:
+    """The indicator of a board that has none: every cue is left to the screen."""
+
+    def show(self, cue: Cue) -> None:
+        """Nothing: there is nothing to show it on."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        return None

@@ -1,0 +1,80 @@
+"""What a calibration is worth: scale, coverage, checks, and what a person should know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.ball import BallSamples
+from device.inverse_fit import InverseFit
+from host_sync.calibration.ball_location import PressFrame, UsedPress
+from host_sync.calibration.ball_radii import check_radii, radius_shares
+from host_sync.calibration.calibration_verdict import Check, check_count, check_fit, checks
+from host_sync.calibration.coverage import Coverage, measure_coverage
+from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.scale_uncertainty import ScaleUncertainty, scale_uncertainty
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """What a calibration is worth.
+
+    pitch : what ball grids measured, None when no press shows one of known spacing
+    notes : what a person should know, one sentence each
+    """
+
+    pitch: PixelPitch | None
+    scale: ScaleUncertainty
+    coverage: Coverage
+    checks: tuple[Check, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+
+def assess(
+    presses: Sequence[PressFrame],
+    used: Sequence[UsedPress],
+    taught: BallSamples,
+    inverse: InverseFit,
+    pitch: PixelPitch | None,
+) -> Assessment:
+    """What a calibration is worth.
+
+    used : the presses after the fit
+    taught : samples of their balls
+
+    Raises
+    ------
+    CalibrationError
+        Too few balls are left, their radii contradict each other, or held-out balls are wrong.
+    """
+    check_count(used)
+    shares = radius_shares(taught, inverse.map)
+    check_radii(shares, [press.called for press in used for _ in press.balls])
+    check_fit(inverse)
+    radii_px = np.array([ball.radius_px for press in used for ball in press.balls])
+    coverage = measure_coverage(taught, used[0].intensity.shape, inverse.map.steepest)
+    return Assessment(
+        pitch=pitch,
+        scale=scale_uncertainty(pitch, presses, shares, radii_px),
+        coverage=coverage,
+        checks=checks(used, inverse.held_out_deg, float(np.nanstd(shares)), coverage),
+        notes=_notes(presses, used, pitch),
+    )
+
+
+def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: PixelPitch | None) -> tuple[str, ...]:
+    read = {reading.press for reading in pitch.readings} if pitch else set()
+    notes = [
+        f"{press.called}: its balls form no square grid, so that it does not measure the pixel pitch"
+        for press in presses
+        if press.grid and press.called not in read
+    ]
+    notes += [f"{press.called} {press.fault}: it teaches nothing" for press in used if press.fault]
+    return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))

@@ -1,0 +1,147 @@
+"""The shape of a cell: how far the 2x2 fine pixels of a coarse pixel lie above or below it, by the slopes between them.
+
+The four edges inside a cell close a loop. What they miss to close is spread over them so that Σ w_e (change)² is
+least, which is their own least-squares surface. A slope that is missing follows from the other three, or is taken from
+the edge opposite.
+
+With shapes given, the fine field is the coarse field plus shapes, and the least squares over coarse pixels have slopes
+
+    G = Σ w_e (g_e + d_a - d_b) / Σ w_e
+
+over the fine edges e = (a, b) between two cells. Slopes that belong to a surface give exactly that surface on every
+level, whatever the weights: what full multigrid has left to smooth and correct comes of noise alone. (Compare Hampton
+et al. 2008, who integrate wave-front slopes by Haar wavelets and smooth after each level.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from host_sync.reconstruction.edge_slopes import LEAST
+from host_sync.reconstruction.smoother import CONTRACT
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_shape(top: Any, bottom: Any, middle: Any, base: Any, upper: Any, lower: Any) -> None:
+    """Write the shapes of a row of cells where every edge weighs 1.
+
+    top, bottom : slopes of the edges left of each pixel of the upper and lower row, shape (W + 1,)
+    middle : slopes of the edges between both rows, shape (W,)
+    base : heights of the cells, that their shapes are added to
+    upper, lower : receive the heights of both rows' pixels, shape (W,)
+    """
+    quarter, eighth, half = np.float32(0.25), np.float32(0.125), np.float32(0.5)
+    width = upper.size
+    for i in range(width // 2):
+        t, b, left, right = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
+        x, y, twist = quarter * (t + b), quarter * (left + right), eighth * ((b - t) + (right - left))
+        up, down, z = twist - y, y - twist, base[i]
+        upper[2 * i], upper[2 * i + 1] = z + (up - x), z + (x - (twist + y))
+        lower[2 * i], lower[2 * i + 1] = z + (down - x), z + (x + (y + twist))
+    if width % 2:
+        z, y = base[width // 2], half * middle[width - 1]
+        upper[width - 1], lower[width - 1] = z - y, z + y
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def weighted_shape(
+    top: Any, bottom: Any, middle: Any, w_top: Any, w_bottom: Any, w_middle: Any, base: Any, upper: Any,
+    lower: Any,
+) -> None:  # fmt: skip
+    """Write the shapes of a row of cells; as `unit_shape`, with the weight of each edge, nought where it is missing."""
+    quarter, eighth, half, nought = np.float32(0.25), np.float32(0.125), np.float32(0.5), np.float32(0.0)
+    width = upper.size
+    for i in range(width // 2):
+        w_t, w_b, w_l, w_r = w_top[2 * i + 1], w_bottom[2 * i + 1], w_middle[2 * i], w_middle[2 * i + 1]
+        g_t, g_b, g_l, g_r = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
+        t, b = g_t if w_t > nought else g_b, g_b if w_b > nought else g_t
+        left, right = g_l if w_l > nought else g_r, g_r if w_r > nought else g_l
+        across, down = w_t * w_b, w_l * w_r
+        s_t, s_b, s_l, s_r = w_b * down, w_t * down, w_r * across, w_l * across
+        total = (s_t + s_b) + (s_l + s_r)
+        gap = ((t - b) + (right - left)) / max(total, LEAST)
+        t, b, left, right = t - gap * s_t, b + gap * s_b, left + gap * s_l, right - gap * s_r
+        x, y, twist = quarter * (t + b), quarter * (left + right), eighth * ((b - t) + (right - left))
+        up, down, z = twist - y, y - twist, base[i]
+        upper[2 * i], upper[2 * i + 1] = z + (up - x), z + (x - (twist + y))
+        lower[2 * i], lower[2 * i + 1] = z + (down - x), z + (x + (y + twist))
+    if width % 2:
+        z, y = base[width // 2], half * middle[width - 1]
+        upper[width - 1], lower[width - 1] = z - y, z + y
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_slopes_across(top: Any, bottom: Any, upper: Any, lower: Any, out: Any) -> None:
+    """Write the slopes of the edges left of a row of coarse pixels, from both rows of fine edges and offsets."""
+    half, nought = np.float32(0.5), np.float32(0.0)
+    for i in range(1, out.size - 1):
+        c = 2 * i
+        out[i] = half * ((top[c] + bottom[c]) + ((upper[c - 1] - upper[c]) + (lower[c - 1] - lower[c])))
+    out[0], out[out.size - 1] = nought, nought
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def unit_slopes_down(edges: Any, above: Any, below: Any, out: Any) -> None:
+    """Write the slopes of the edges above a row of coarse pixels, from the fine edges they cross and their offsets."""
+    half, width = np.float32(0.5), edges.size
+    for i in range(width // 2):
+        c = 2 * i
+        out[i] = half * ((edges[c] + edges[c + 1]) + ((above[c] - below[c]) + (above[c + 1] - below[c + 1])))
+    if width % 2:
+        out[out.size - 1] = edges[width - 1] + (above[width - 1] - below[width - 1])
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def conductance(edge: Any, before: Any, after: Any, apart: Any) -> Any:
+    """Share of a fine edge in the weight of the coarse edge that crosses it.
+
+    A mean of two bounds, with weights 1 - `apart` and `apart`: neighbouring paths tied together (half the edge), or
+    apart (the edge in series with half of the one `before` and half of the one `after` it). Where weights vary, the
+    first makes coarse corrections too small, and the second can make them so large that cycles diverge.
+    """
+    nought, half = np.float32(0.0), np.float32(0.5)
+    first, second = before if before > nought else edge, after if after > nought else edge
+    both = first * second
+    series = edge * ((both + both) / max(edge * (first + second) + (both + both), LEAST))
+    tied = half * edge
+    return tied + apart * (series - tied)
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def slopes_across(
+    top: Any, bottom: Any, w_top: Any, w_bottom: Any, upper: Any, lower: Any, apart: Any,
+    weight: Any, out: Any,
+) -> None:  # fmt: skip
+    """Write weights and slopes of the edges left of a row of coarse pixels."""
+    nought = np.float32(0.0)
+    for i in range(1, out.size - 1):
+        c = 2 * i
+        a, b = w_top[c], w_bottom[c]
+        flow = a * (top[c] + (upper[c - 1] - upper[c])) + b * (bottom[c] + (lower[c - 1] - lower[c]))
+        out[i] = flow / max(a + b, LEAST)
+        first = conductance(a, w_top[c - 1], w_top[c + 1], apart)
+        weight[i] = first + conductance(b, w_bottom[c - 1], w_bottom[c + 1], apart)
+    out[0], out[out.size - 1], weight[0], weight[out.size - 1] = nought, nought, nought, nought
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def slopes_down(
+    edges: Any, w_before: Any, w_edges: Any, w_after: Any, above: Any, below: Any, apart: Any, weight: Any,
+    out: Any,
+) -> None:  # fmt: skip
+    """Write weights and slopes of the edges above a row of coarse pixels; w_before, w_after: edges above, below."""
+    width = edges.size
+    for i in range(width // 2):
+        c, d = 2 * i, 2 * i + 1
+        a, b = w_edges[c], w_edges[d]
+        flow = a * (edges[c] + (above[c] - below[c])) + b * (edges[d] + (above[d] - below[d]))
+        out[i] = flow / max(a + b, LEAST)
+        first = conductance(a, w_before[c], w_after[c], apart)
+        weight[i] = first + conductance(b, w_before[d], w_after[d], apart)
+    if width % 2:
+        c = width - 1
+        out[out.size - 1] = edges[c] + (above[c] - below[c])
+        weight[out.size - 1] = conductance(w_edges[c], w_before[c], w_after[c], apart)

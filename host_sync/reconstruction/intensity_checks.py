@@ -1,0 +1,34 @@
+"""Refuses a frame that cannot be read, from a sample of its intensity: black, saturated, or with swapped colours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from device.channel_order import check_channel_order_sample, order_step
+from device.photometry import DARK_FLOOR, EXPOSURE_STEP, IntensityImage, check_exposed_sample
+from device.surface import Float32Array
+
+
+def check_intensity(intensity: IntensityImage, divisor: Float32Array, name: str, coarseness: int = 1) -> None:
+    """Refuse what `check_exposed` and `check_channel_order` refuse, without the linear frame.
+
+    divisor : float32 array of shape (H, W, 3), what the frame was divided by
+    coarseness : how many times fewer rows and columns are looked at
+
+    Raises
+    ------
+    FrameError
+        The frame is black or saturated; names `name`.
+    CalibrationMismatch
+        Its channels are in another order than the reference's.
+    """
+    clipped_share = np.count_nonzero(intensity.clipped) / intensity.clipped.size
+    light, _ = _sample(intensity, divisor, coarseness * EXPOSURE_STEP)
+    check_exposed_sample(light, clipped_share, name)
+    check_channel_order_sample(*_sample(intensity, divisor, coarseness * order_step(intensity.shape)), name)
+
+
+def _sample(intensity: IntensityImage, divisor: Float32Array, step: int) -> tuple[Float32Array, Float32Array]:
+    """Linear light and divisor of every `step`-th row and column."""
+    rest = divisor[::step, ::step]
+    return intensity.values[::step, ::step] * np.maximum(rest, np.float32(DARK_FLOOR)), rest

@@ -1,0 +1,109 @@
+"""Whether a frame can have been made as its calibration was: same lights, gel, exposure and orientation.
+
+Three things that any scan shows, whatever was pressed. Most of its light lies over the field as in the reference,
+not as in the reference turned or mirrored. Its colours are such as the balls showed. Its untouched skin reads 1.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.inverse_map import InverseMap
+from device.photometry import DARK_FLOOR, IntensityImage
+from device.surface import Float32Array, MaskArray
+
+TURNED_SHARE: Final = 0.7
+"""A frame is turned when a turned reference leaves less than this share of what the reference leaves unexplained."""
+
+STRANGE_EXCESS: Final = 0.5
+"""Distance from the calibrated colours, standard deviations, from which a colour is strange."""
+
+MOST_STRANGE: Final = 0.25
+"""Share of strange pixels from which a frame is none of this calibration's; honest frames stay under a tenth."""
+
+MOST_DRIFT: Final = 0.12
+"""Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
+
+SAMPLES_ALONG: Final = 256
+"""The frame is looked at with at most so many rows and columns."""
+
+_TURNS: Final[tuple[tuple[str, int, int], ...]] = (
+    ("turned by 180 degrees", -1, -1),
+    ("mirrored left to right", 1, -1),
+    ("mirrored top to bottom", -1, 1),
+)
+
+
+def frame_doubts(intensity: IntensityImage, divisor: Float32Array, inverse: InverseMap) -> list[str]:
+    """What speaks against a frame before anything is reconstructed; one clause each.
+
+    divisor : float32 array of shape (H, W, 3), what the frame was divided by
+    """
+    doubts = []
+    turn = _turn(intensity, divisor)
+    if turn is not None:
+        doubts.append(f"its light lies over the field as if it were {turn}")
+    strange = _strange_share(intensity, inverse)
+    if strange > MOST_STRANGE:
+        doubts.append(f"{strange:.0%} of its colours are such as no ball showed (at most {MOST_STRANGE:.0%})")
+    return doubts
+
+
+def rest_doubts(intensity: IntensityImage, at_rest: MaskArray) -> list[str]:
+    """What speaks against a frame whose untouched skin is known; nothing where no skin is at rest."""
+    if at_rest.all():
+        return []
+    step = _step(at_rest.shape)
+    rest = intensity.values[::step, ::step][at_rest[::step, ::step]]
+    if not rest.size:
+        return []
+    drift = np.median(rest, axis=0) - 1.0
+    worst = int(np.abs(drift).argmax())
+    if abs(float(drift[worst])) <= MOST_DRIFT:
+        return []
+    colour = ("red", "green", "blue")[worst]
+    return [
+        f"its untouched skin is {abs(float(drift[worst])):.0%} {'brighter' if drift[worst] > 0 else 'darker'} "
+        f"in {colour} than the reference (at most {MOST_DRIFT:.0%})"
+    ]
+
+
+def _turn(intensity: IntensityImage, divisor: Float32Array) -> str | None:
+    """The name of the turn under which the reference explains the frame far better, if there is one."""
+    step = _step(intensity.shape)
+    size = (max(intensity.shape[1] // step, 1), max(intensity.shape[0] // step, 1))
+    rest = np.log(np.maximum(_reduced(divisor, size), np.float32(DARK_FLOOR)))
+    shade = np.maximum(_reduced(intensity.values, size), np.float32(DARK_FLOOR))
+    light = np.log(shade) + rest
+    left = _unexplained(light - rest)
+    for name, rows, columns in _TURNS:
+        if _unexplained(light - rest[::rows, ::columns]) < TURNED_SHARE * left:
+            return name
+    return None
+
+
+def _unexplained(difference: NDArray[np.float32]) -> float:
+    """Median distance of log light from its own median, mean over colours."""
+    centred = np.abs(difference - np.median(difference, axis=(0, 1)))
+    return float(np.median(centred, axis=(0, 1)).mean())
+
+
+def _strange_share(intensity: IntensityImage, inverse: InverseMap) -> float:
+    step = _step(intensity.shape)
+    usable = (intensity.valid & ~intensity.clipped)[::step, ::step]
+    if not usable.any():
+        return 0.0
+    excess = inverse.domain.excess(np.ascontiguousarray(intensity.values[::step, ::step]))
+    return float((excess[usable] > STRANGE_EXCESS).mean())
+
+
+def _step(shape: tuple[int, ...]) -> int:
+    return max(1, max(shape[:2]) // SAMPLES_ALONG)
+
+
+def _reduced(field: Float32Array, size: tuple[int, int]) -> Float32Array:
+    return np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)

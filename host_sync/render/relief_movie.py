@@ -1,0 +1,109 @@
+"""Movies of reliefs: an MP4 to look at, and a GIF that also plays inside a page.
+
+Why MPEG-4 part 2: OpenCV brings its encoder on every machine under a free licence, and it keeps up with the
+reconstruction. VLC, mpv, ffmpeg and the players of Linux and Windows show it; web browsers do not, hence the GIF.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from host_sync.errors import ResultError
+from host_sync.render.relief import Picture
+
+MOST_RATE_HZ: Final = 60.0
+"""Faster sequences are shown with frames left out: neither screens nor players follow them."""
+
+GIF_RATE_HZ: Final = 12.5
+GIF_FRAMES: Final = 200
+GIF_WIDEST_PX: Final = 480
+"""A GIF holds at most so many frames of so many columns: it has no compression worth the name."""
+
+_PALETTE_FRAMES: Final = 8
+
+
+class ReliefMovie:
+    """Writes pictures of one size as an MP4; a context manager.
+
+    Parameters
+    ----------
+    path : the file to write
+    shape : (H, W) of the pictures, even
+    rate_hz : pictures a second
+
+    Raises
+    ------
+    ResultError
+        The movie cannot be written.
+    """
+
+    def __init__(self, path: Path, shape: tuple[int, int], rate_hz: float) -> None:
+        rows, columns = shape
+        code = cv2.VideoWriter.fourcc(*"mp4v")
+        self._path = path
+        self._movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate_hz, (columns, rows))
+        if not self._movie.isOpened():
+            raise ResultError(f"{path}: the movie cannot be written: choose another folder, or --no-movie")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._movie.release()
+        if kind is None and (not self._path.is_file() or not self._path.stat().st_size):
+            raise ResultError(f"{self._path}: the movie could not be written: free space, or choose another folder")
+
+    def append(self, picture: Picture) -> None:
+        """Encode the next picture: uint8 array of shape (H, W, 3), R, G, B."""
+        self._movie.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+
+class ReliefGif:
+    """Collects some of a movie's pictures, reduced, and writes them as a GIF that repeats.
+
+    Parameters
+    ----------
+    count : how many pictures the movie has
+    rate_hz : its pictures a second
+    """
+
+    def __init__(self, count: int, rate_hz: float) -> None:
+        self._every = max(1, -(-count // GIF_FRAMES), round(rate_hz / GIF_RATE_HZ))
+        self._duration_ms = 10 * max(2, round(100.0 * self._every / rate_hz))
+        self._frames: list[Image.Image] = []
+
+    def append(self, number: int, picture: Picture) -> None:
+        """Take the picture of this number, or leave it out."""
+        if number % self._every:
+            return
+        rows, columns = picture.shape[:2]
+        factor = min(1.0, GIF_WIDEST_PX / columns)
+        size = (round(columns * factor), round(rows * factor))
+        small = Image.fromarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+        self._frames.append(small)
+
+    def write(self, path: Path) -> None:
+        """Write the file.
+
+        Raises
+        ------
+        OSError
+            The disk refused.
+        """
+        palette = self._palette()
+        first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self._frames)
+        first.save(path, save_all=True, append_images=others, duration=self._duration_ms, loop=0, optimize=False)
+
+    def _palette(self) -> Image.Image:
+        """Colours that serve every frame: those of some frames side by side."""
+        some = self._frames[:: max(1, len(self._frames) // _PALETTE_FRAMES)]
+        rows = np.concatenate([np.asarray(frame)[::2, ::2] for frame in some])
+        return Image.fromarray(rows).quantize(256)

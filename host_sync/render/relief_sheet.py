@@ -1,0 +1,178 @@
+"""A relief as a sheet that can be read alone: the relief, a colour bar in µm, a scale bar, a title.
+
+Everything but the relief is drawn once, so that a sequence of reliefs has one range, one shading and one layout.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import cv2
+import matplotlib
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from device.surface import HeightMap
+from host_sync.render.relief import Picture, height_range_um, relief_rgb, tint_table
+from host_sync.render.shading import exaggeration_for, reduced, steep_slope
+
+WIDEST_PX: Final = 1600
+NARROWEST_PX: Final = 320
+"""Reliefs with fewer columns are enlarged by a whole factor, so that the lettering has room."""
+
+_INK: Final = (40, 40, 40)
+_STEPS: Final = (1.0, 2.0, 5.0)
+
+
+class ReliefSheet:
+    """Draws reliefs of one size onto one sheet.
+
+    Parameters
+    ----------
+    shape : (H, W) of the height maps, at most as wide as the sheet is to be
+    pitch_um : their pixel pitch, µm
+    range_um : heights of the first and the last colour, µm
+    exaggeration : factor on the slopes that are shaded
+    title : the upper line
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        pitch_um: float,
+        range_um: tuple[float, float],
+        exaggeration: float = 1.0,
+        title: str = "",
+    ) -> None:
+        self._range_um = range_um
+        self._exaggeration = exaggeration
+        self._enlargement = max(1, -(-NARROWEST_PX // shape[1]))
+        self._rows, self._columns = (side * self._enlargement for side in shape)
+        self._letter = max(13, round(float(np.sqrt(self._rows * self._columns)) / 50.0))
+        self._font = ImageFont.truetype(_font_file(), self._letter)
+        self._edge = self._letter
+        self._top = 2 * self._letter + self._edge // 2
+        self._blank = self._draw_sheet(pitch_um / self._enlargement, title)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the sheet, both even, as movies need it."""
+        return self._blank.shape[0], self._blank.shape[1]
+
+    def draw(self, height: HeightMap, caption: str = "") -> Picture:
+        """The sheet with this relief: uint8 array of shape (H, W, 3), R, G, B.
+
+        caption : a few words at the right end of the title's line
+        """
+        sheet = self._blank.copy()
+        relief = relief_rgb(height, *self._range_um, self._exaggeration)
+        if self._enlargement > 1:
+            relief = relief.repeat(self._enlargement, axis=0).repeat(self._enlargement, axis=1)
+        sheet[self._top : self._top + self._rows, self._edge : self._edge + self._columns] = relief
+        return self._lettered(sheet, caption) if caption else sheet
+
+    def _lettered(self, sheet: Picture, caption: str) -> Picture:
+        line = Image.fromarray(sheet[: self._top])
+        at = (self._edge + self._columns, self._top - self._letter // 2)
+        ImageDraw.Draw(line).text(at, caption, fill=_INK, font=self._font, anchor="rs")
+        sheet[: self._top] = np.asarray(line)
+        return sheet
+
+    def _draw_sheet(self, pitch_um: float, title: str) -> Picture:
+        """The sheet without a relief."""
+        most = max(2, self._rows // (2 * self._letter))
+        labels = [(value, f"{value:g}") for value in ticks(*self._range_um, most)]
+        bar = self._letter
+        widest = max((self._font.getlength(text) for _, text in labels), default=0.0)
+        right = bar + self._letter + int(max(widest, self._font.getlength("µm"))) + self._edge
+        below = 2 * self._letter + self._edge
+        columns = self._edge + self._columns + self._edge + right
+        rows = self._top + self._rows + below
+        image = Image.new("RGB", (columns + columns % 2, rows + rows % 2), "white")
+        draw = ImageDraw.Draw(image)
+        room = self._columns * 0.7
+        draw.text((self._edge, self._top - self._letter // 2), self._fitted(title, room), _INK, self._font, "ls")
+        self._draw_colour_bar(image, labels, bar)
+        self._draw_scale_bar(draw, pitch_um)
+        return np.array(image)
+
+    def _draw_colour_bar(self, image: Image.Image, labels: list[tuple[float, str]], width: int) -> None:
+        left, top, bottom = 2 * self._edge + self._columns, self._top, self._top + self._rows
+        colours = tint_table(self._rows)[::-1].astype(np.uint8)
+        image.paste(Image.fromarray(np.repeat(colours[:, None], width, axis=1)), (left, top))
+        draw = ImageDraw.Draw(image)
+        low, high = self._range_um
+        for value, text in labels:
+            row = bottom - 1 - round((value - low) / max(high - low, 1e-9) * (self._rows - 1))
+            draw.line((left + width, row, left + width + self._letter // 3, row), fill=_INK)
+            draw.text((left + width + self._letter // 2, row), text, _INK, self._font, "lm")
+        draw.text((left, top - self._letter // 2), "µm", _INK, self._font, "ls")
+
+    def _draw_scale_bar(self, draw: ImageDraw.ImageDraw, pitch_um: float) -> None:
+        """A bar of a round length, about a fifth of the relief, and what the shading exaggerates."""
+        length_um = round_below(0.25 * self._columns * pitch_um)
+        text = f"{length_um / 1000.0:g} mm" if length_um >= 1000.0 else f"{length_um:g} µm"
+        row, left = self._top + self._rows + self._edge, self._edge
+        right = left + round(length_um / pitch_um)
+        draw.rectangle((left, row - 2, right, row + 1), fill=_INK)
+        draw.text((right + self._letter // 2, row), text, _INK, self._font, "lm")
+        if self._exaggeration != 1.0:
+            words = f"shading ×{self._exaggeration:g}"
+            draw.text((self._edge + self._columns, row), words, _INK, self._font, "rm")
+
+    def _fitted(self, text: str, room_px: float) -> str:
+        """The text, or its beginning when it is too long."""
+        if self._font.getlength(text) <= room_px:
+            return text
+        while text and self._font.getlength(f"{text}…") > room_px:
+            text = text[:-1]
+        return f"{text}…"
+
+
+def write_relief(path: Path, height: HeightMap, title: str) -> None:
+    """Write the relief of a height map as a PNG.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    small = reduced(height, WIDEST_PX)
+    exaggeration = exaggeration_for(steep_slope(small))
+    sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(small), exaggeration, title)
+    write_picture(path, sheet.draw(small))
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture of shape (H, W, 3) as a PNG; compressed lightly, for time is dearer than a few bytes.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    _, data = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 2])
+    path.write_bytes(data.tobytes())
+
+
+def round_below(value: float) -> float:
+    """The largest of 1, 2, 5, 10, 20, … and their tenths that is not above a positive value."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(max(step * decade for step in _STEPS if step * decade <= value * (1.0 + 1e-9)))
+
+
+def ticks(low: float, high: float, most: int = 10) -> list[float]:
+    """Round values from low to high, at most `most` of them and ten; one just beside an end counts as within."""
+    span = max(high - low, 1e-9)
+    step = round_below(span / 3.0)
+    while span / step > min(most, 10) - 1:
+        step = round_below(2.6 * step)
+    beside = 0.01 * span
+    first, last = int(np.ceil((low - beside) / step)), int(np.floor((high + beside) / step))
+    return [float(round(index * step, 12)) for index in range(first, last + 1)]
+
+
+def _font_file() -> str:
+    """A typeface with µ, × and °, which comes with matplotlib."""
+    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")

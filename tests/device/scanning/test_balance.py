@@ -1,0 +1,89 @@
+"""Exposure and currents that put the brightest of a ball press under the limit, over the twin and real drivers."""
+
+import dataclasses
+
+import msgspec
+import pytest
+
+from device.errors import CalibrationError
+from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, channel_levels
+from device.scanning.balance import AIMED_LEVEL, balance, warning
+from device.scanning.calibrate import press_places
+from device.scanning.capture import capture
+from hal.board_profile import BoardProfile
+from hal.clock import VirtualClock
+from hal.hardware import Hardware
+from hal.interfaces import PressBall
+from hal.twin.bench import Bench, build
+from hal.twin.hardware import twin_hardware
+from hal.twin.wired.hardware import wired_hardware
+
+BALL_RADIUS_MM = 3.0
+
+
+def unbalanced(bench: Bench, factors: tuple[float, float, float], exposure: float) -> Bench:
+    """A world like this one on a board whose currents and exposure are off by these factors."""
+    profile = bench.profile
+    lights = tuple(
+        msgspec.structs.replace(light, current_ma=light.current_ma * factor)
+        for light, factor in zip(profile.lights, factors, strict=True)
+    )
+    camera = msgspec.structs.replace(profile.camera, exposure_us=profile.camera.exposure_us * exposure)
+    return build(msgspec.structs.replace(profile, lights=lights, camera=camera), bench.clock)
+
+
+@pytest.fixture
+def bench(small_twin: BoardProfile) -> Bench:
+    """The small twin at half its resolution again: levels need no detail."""
+    sensor = msgspec.structs.replace(small_twin.sensor, columns=182, rows=136, pixel_pitch_um=96.0)
+    return build(msgspec.structs.replace(small_twin, sensor=sensor), VirtualClock())
+
+
+@pytest.mark.parametrize(
+    ("driver", "factors", "exposure"),
+    [
+        ("twin", (1.0, 1.0, 1.0), 1.0),
+        ("twin", (0.3, 3.0, 1.0), 2.0),
+        ("PCA9955B", (0.3, 2.0, 1.0), 2.0),
+        ("TLC59116", (2.0, 1.0, 0.5), 0.5),
+    ],
+)
+def test_every_ball_press_of_the_field_stays_below_the_limit(
+    bench: Bench, driver: str, factors: tuple[float, float, float], exposure: float
+) -> None:
+    world = unbalanced(bench, factors, exposure)
+    hardware = twin_hardware(world) if driver == "twin" else wired_hardware(world, driver).hardware  # type: ignore[arg-type]
+    with hardware:
+        found = balance(hardware, BALL_RADIUS_MM, lambda _: None)
+        levels = []
+        for column_share, row_share in press_places():
+            hardware.operator.ask(PressBall(BALL_RADIUS_MM, column_share, row_share))
+            hardware.button.wait_for_press(None)
+            levels.append(channel_levels(capture(hardware, found.plan), BRIGHTEST_PERCENTILE))
+    highest = [max(values) for values in zip(*levels, strict=True)]
+    assert max(highest) <= HIGHEST_LEVEL
+    assert min(highest) >= 0.7
+    assert found.predicted == pytest.approx((AIMED_LEVEL,) * 3, rel=0.03)
+
+
+def test_a_light_that_is_not_seen_is_named(bench: Bench) -> None:
+    bench.faults.open_lights.add("blue")
+    hardware = twin_hardware(bench)
+    with hardware, pytest.raises(CalibrationError, match=r"light blue is hardly seen: run `retroscan selftest`"):
+        balance(hardware, BALL_RADIUS_MM, lambda _: None)
+
+
+def test_daylight_that_saturates_is_told(bench: Bench, hardware: Hardware) -> None:
+    floodlit = dataclasses.replace(hardware)
+    straight = bench.drive
+    flood = dict.fromkeys(("red", "green", "blue"), 1e5)
+    bench.drive = lambda _currents: straight(flood)  # type: ignore[method-assign]
+    with floodlit, pytest.raises(CalibrationError, match=r"saturates even with .*keep daylight out"):
+        balance(floodlit, BALL_RADIUS_MM, lambda _: None)
+
+
+def test_the_warning_names_the_level_and_what_to_do() -> None:
+    assert warning((0.5, 0.9, 0.8)) == ""
+    assert warning((0.5, 0.95, 0.8)) == "the brightest reach R 50%, G 95%, B 80% of full scale, over 90%: " + (
+        "calibrate with --balance"
+    )

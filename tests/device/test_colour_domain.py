@@ -1,0 +1,58 @@
+"""How far a colour lies from those that balls showed."""
+
+import numpy as np
+import pytest
+
+from device.colour_domain import ColourDomain
+from device.colour_space import CURVES, DARK_OFFSET, ColourSpace, curved
+
+
+def shown() -> np.ndarray:
+    """Colours on a thin curve: far fewer than the box around them holds."""
+    along = np.linspace(0.0, 2.0 * np.pi, 3000)
+    return np.stack([1.0 + 0.5 * np.cos(along + turn) for turn in (0.0, 2.1, 4.2)], axis=-1).astype(np.float32)
+
+
+def test_what_was_shown_has_no_excess() -> None:
+    domain = ColourDomain.observed(shown())
+    assert domain.excess(shown()).max() == 0.0
+    assert domain.excess(np.ones((1, 3), np.float32))[0] == 0.0
+
+
+def test_a_colour_inside_the_range_of_every_channel_may_be_strange() -> None:
+    """Grey and dark: every channel has been as dark, never all at once."""
+    domain = ColourDomain.observed(shown())
+    assert domain.excess(np.full((1, 3), 0.6, np.float32))[0] > 0.5
+
+
+def test_excess_grows_on_beyond_the_table() -> None:
+    domain = ColourDomain.observed(shown())
+    near, far = domain.excess(np.array([[5.0, 5.0, 5.0], [50.0, 50.0, 50.0]], np.float32))
+    assert 1.0 < near < far
+
+
+def test_excess_is_in_standard_deviations() -> None:
+    """Balls that changed the red alone; a colour whose blue is three standard deviations off."""
+    colours = np.ones((4000, 3), np.float32)
+    colours[:, 0] = np.linspace(0.5, 1.5, 4000)
+    domain = ColourDomain.observed(colours)
+    spread = float(curved(colours, "log").std(axis=0).mean())
+    blue = np.exp(np.log(1.0 + DARK_OFFSET) + 3.0 * spread) - DARK_OFFSET
+    assert domain.excess(np.array([[1.0, 1.0, blue]], np.float32))[0] == pytest.approx(3.0, abs=0.15)
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_a_space_survives_as_arrays_and_knows_its_range(curve: str) -> None:
+    space = ColourSpace.observed(shown(), curve)
+    again = ColourSpace.from_arrays(space.arrays())
+    np.testing.assert_array_equal(again.variables(shown()), space.variables(shown()))
+    low, high = space.intensity_range()
+    np.testing.assert_allclose(low, 0.5, atol=0.01)
+    np.testing.assert_allclose(high, 1.5, atol=0.01)
+
+
+def test_a_domain_survives_as_arrays() -> None:
+    domain = ColourDomain.observed(shown())
+    again = ColourDomain.from_arrays(domain.arrays())
+    colours = np.random.default_rng(0).uniform(0.0, 3.0, (500, 3)).astype(np.float32)
+    np.testing.assert_array_equal(again.excess(colours), domain.excess(colours))

@@ -1,0 +1,101 @@
+"""The tabulated inverse map against the map that it stands for."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from device.active_calibration import read_active
+from device.calibration_bundle import CalibrationBundle
+from device.held_out_ridge import angle_between_deg
+from device.inverse_map import InverseMap
+from device.model_file import read_model
+from device.photometry import IntensityImage, bin_bayer, blurred_reference, divide
+from device.quick_look_table import SlopeTable
+from device.surface import GradientField
+
+BINNING = 2
+SHAPE = (136, 182)
+
+
+@pytest.fixture(scope="module")
+def calibration(calibrated_root: Path) -> CalibrationBundle:
+    return read_active(calibrated_root)
+
+
+@pytest.fixture(scope="module")
+def inverse_map(calibration: CalibrationBundle) -> InverseMap:
+    return read_model(calibration.path(calibration.record.model_files[0]))
+
+
+@pytest.fixture(scope="module")
+def table(inverse_map: InverseMap) -> SlopeTable:
+    return SlopeTable.of(inverse_map, BINNING)
+
+
+@pytest.fixture(scope="module")
+def presses(calibration: CalibrationBundle) -> list[IntensityImage]:
+    divisor = blurred_reference(bin_bayer(calibration.reference(), BINNING))
+    frames = [calibration.press_frame(press) for press in calibration.record.presses]
+    return [divide(bin_bayer(frame, BINNING), divisor) for frame in frames]
+
+
+def image_of(values: np.ndarray) -> IntensityImage:
+    return IntensityImage(values.astype(np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))
+
+
+def difference_deg(found: GradientField, expected: GradientField) -> np.ndarray:
+    slopes = (np.stack([g.p, g.q], axis=-1)[expected.valid].astype(np.float64) for g in (found, expected))
+    return np.asarray(angle_between_deg(*slopes))
+
+
+def test_every_press_is_read_as_the_map_reads_it(
+    inverse_map: InverseMap, table: SlopeTable, presses: list[IntensityImage]
+) -> None:
+    """The error of a bin's width is noise: small, and without preference."""
+    for image in presses:
+        found, expected = table.gradients(image), inverse_map.gradients(image, BINNING)
+        error = difference_deg(found, expected)
+        assert error.mean() < 0.5
+        assert np.percentile(error, 99.0) < 1.5
+        assert abs(float((found.p - expected.p).mean())) < 5e-4
+        assert abs(float((found.q - expected.q).mean())) < 5e-4
+
+
+def test_colours_that_no_ball_showed_lose_confidence_as_in_the_map(inverse_map: InverseMap, table: SlopeTable) -> None:
+    strange = np.random.default_rng(0).uniform(-0.2, 6.0, (*SHAPE, 3))
+    clipped = np.random.default_rng(1).random(SHAPE) < 0.1
+    lit = np.random.default_rng(2).random(SHAPE) < 0.9
+    image = replace(image_of(strange), clipped=clipped, valid=lit)
+    found, expected = table.gradients(image), inverse_map.gradients(image, BINNING)
+    assert (found.valid == expected.valid).mean() > 0.99
+    assert found.weight[clipped].max() <= 0.03
+    assert (found.weight[~lit] == 0.0).all()
+    assert np.median(found.weight[lit & ~clipped]) < 0.05
+    assert np.isfinite(found.p).all()
+    assert np.isfinite(found.q).all()
+
+
+def test_untouched_skin_has_no_step_of_a_bin(inverse_map: InverseMap, table: SlopeTable) -> None:
+    """Intensity 1 is the centre of a bin: no bias over the largest part of every scan."""
+    flat = image_of(np.ones((*SHAPE, 3)))
+    assert difference_deg(table.gradients(flat), inverse_map.gradients(flat, BINNING)).max() < 0.02
+
+
+def test_one_colour_means_other_slopes_in_other_places(inverse_map: InverseMap, table: SlopeTable) -> None:
+    """Near lights: position must not be lost in the table."""
+    shade = image_of(np.broadcast_to(np.array([1.3, 0.8, 0.9]), (*SHAPE, 3)))
+    found, expected = table.gradients(shade), inverse_map.gradients(shade, BINNING)
+    assert np.ptp(expected.p) > 0.02
+    assert np.ptp(found.p) == pytest.approx(np.ptp(expected.p), rel=0.05)
+    assert difference_deg(found, expected).std() < 0.1
+
+
+def test_a_map_without_position_needs_one_table(inverse_map: InverseMap) -> None:
+    members = tuple(
+        replace(member, position_degree=0, coefficients=member.coefficients[:, :1]) for member in inverse_map.members
+    )
+    everywhere = replace(inverse_map, members=members)
+    assert len(SlopeTable.of(everywhere, BINNING).terms) == 1
+    assert len(SlopeTable.of(inverse_map, BINNING).terms) > 1

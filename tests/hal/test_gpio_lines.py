@@ -1,0 +1,74 @@
+"""The thin layer over libgpiod: its own event and value types, a request that is scripted."""
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+gpiod = pytest.importorskip("gpiod", reason="libgpiod is not installed: pip install 'retrograph[device]'")
+
+from hal.errors import ButtonError, IndicatorError  # noqa: E402
+from hal.gpio_lines import Edge, GpiodInput, GpiodOutput  # noqa: E402
+
+
+class ScriptedRequest:
+    """What libgpiod's LineRequest does, for one line."""
+
+    offsets = (17,)
+
+    def __init__(self) -> None:
+        self.error: OSError | None = None
+        self.released = False
+
+    def _may_fail(self) -> None:
+        if self.error:
+            raise self.error
+
+    def wait_edge_events(self, _timeout: float | None) -> bool:
+        self._may_fail()
+        return True
+
+    def read_edge_events(self) -> list[Any]:
+        self._may_fail()
+        kinds = (gpiod._ext.EDGE_EVENT_TYPE_RISING, gpiod._ext.EDGE_EVENT_TYPE_FALLING)
+        return [gpiod.EdgeEvent(kind, 100 + n, 17, n, n) for n, kind in enumerate(kinds)]
+
+    def get_value(self, line: int) -> Any:
+        self._may_fail()
+        assert line in self.offsets
+        return gpiod.line.Value.ACTIVE
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_rising_is_active_and_times_are_kept() -> None:
+    request = ScriptedRequest()
+    line = GpiodInput(request, "the button")
+    assert line.wait(1.0)
+    assert line.edges() == [Edge(100, True), Edge(101, False)]
+    assert line.is_active()
+    line.release()
+    assert request.released
+
+
+def test_a_line_that_fails_is_named() -> None:
+    request = ScriptedRequest()
+    request.error = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+    line = GpiodInput(request, "the button on line 17")
+    for read in (lambda: line.wait(0.0), line.edges, line.is_active):
+        with pytest.raises(ButtonError, match=r"the button on line 17 cannot be read \(No such device\)"):
+            read()
+
+
+def test_a_chip_that_is_not_there_lists_those_that_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gpiochip0").write_text("no device")
+    monkeypatch.setattr("hal.gpio_lines.DEVICES", tmp_path)
+    with pytest.raises(ButtonError, match=r"'pinctrl-rp1' is not there: .*gpiochip0 \(not to be opened\).*chip_label"):
+        GpiodInput.open("pinctrl-rp1", 17, active_low=True)
+    output = GpiodOutput("pinctrl-rp1", 27)
+    with pytest.raises(IndicatorError, match="the indicator on line 27"):
+        output.switch(True)
+    output.release()

@@ -1,0 +1,173 @@
+"""Presses of the twin that do not carry a calibration, refused with the number; grids that measure their own pitch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from device.ball_finder import BallSearch, find_balls
+from device.errors import CalibrationError, CalibrationMismatch, FrameError
+from device.photometry import SATURATED, LinearFrame, blurred_reference, demosaic, divide
+from device.scanning.capture import CapturePlan, capture
+from hal.board_profile import BoardProfile
+from hal.clock import VirtualClock
+from hal.interfaces import LiftOff, PressBall
+from hal.twin.bench import build
+from hal.twin.hardware import twin_hardware
+from hal.twin.scene import Press
+from hal.twin.surfaces import SphereGrid
+from host_sync.calibration.ball_location import GridSpacing, PressFrame
+from host_sync.calibration.full_calibration import calibrate
+from host_sync.calibration.grid_press import sight_grid
+
+PITCH_UM = 48.0
+RADIUS_MM = 3.0
+PLACES = [(column, row) for row in (0.25, 0.75) for column in (0.2, 0.5, 0.8)]
+GRID_RADIUS_MM, GRID_PITCH_MM, GRID_DEPTH_MM = 1.0, 2.5, 0.45
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Frames of one board: the skin at rest, and single balls all over it."""
+
+    rest: LinearFrame
+    balls: tuple[LinearFrame, ...]
+
+
+@dataclass(frozen=True)
+class OddGrid:
+    """A grid one ball of which stands off its place."""
+
+    def height_mm(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
+        x_mm, y_mm = np.broadcast_arrays(x_mm, y_mm)
+        grid = SphereGrid(GRID_RADIUS_MM, GRID_PITCH_MM, 2).height_mm(x_mm, y_mm)
+        own_cell = np.hypot(x_mm - GRID_PITCH_MM, y_mm) < 0.5 * GRID_PITCH_MM
+        moved = SphereGrid(GRID_RADIUS_MM, GRID_PITCH_MM, 0).height_mm(x_mm - 0.8 * GRID_PITCH_MM, y_mm)
+        return np.where(own_cell, moved, grid)
+
+
+def shoot(profile: BoardProfile, radius_mm: float = RADIUS_MM) -> Bench:
+    frames = []
+    with twin_hardware(build(profile, VirtualClock())) as hardware:
+        for request in [LiftOff(), *(PressBall(radius_mm, column, row) for column, row in PLACES)]:
+            hardware.operator.ask(request)
+            hardware.button.wait_for_press(None)
+            frames.append(demosaic(capture(hardware, CapturePlan.of_board(hardware))))
+    return Bench(frames[0], tuple(frames[1:]))
+
+
+def shoot_grid(profile: BoardProfile, surface: SphereGrid | OddGrid) -> LinearFrame:
+    bench = build(profile, VirtualClock())
+    with twin_hardware(bench) as hardware:
+        bench.place(Press(surface, (0.3, -0.2), 0.06, GRID_DEPTH_MM))
+        return demosaic(capture(hardware, CapturePlan.of_board(hardware)))
+
+
+@pytest.fixture(scope="module")
+def usual(small_twin: BoardProfile) -> Bench:
+    return shoot(small_twin)
+
+
+@pytest.fixture(scope="module")
+def turned(small_twin: BoardProfile) -> Bench:
+    """The same gel, its lights turned by 40 degrees."""
+    cos, sin = np.cos(np.radians(40.0)), np.sin(np.radians(40.0))
+    lights = tuple(
+        msgspec.structs.replace(light, position_mm=(float(cos * x - sin * y), float(sin * x + cos * y), z))
+        for light in small_twin.lights
+        for x, y, z in [light.position_mm]
+    )
+    return shoot(msgspec.structs.replace(small_twin, lights=lights))
+
+
+def presses(frames: Sequence[LinearFrame], pitch_um: float = PITCH_UM) -> list[PressFrame]:
+    return [PressFrame(f"press-{i:02d}", frame, RADIUS_MM * 1e3 / pitch_um) for i, frame in enumerate(frames)]
+
+
+def brighter(frame: LinearFrame, factor: float) -> LinearFrame:
+    rgb = np.minimum(frame.rgb * np.float32(factor), np.float32(1.0))
+    return LinearFrame(rgb, (rgb >= SATURATED).any(axis=-1))
+
+
+def grid_press(frame: LinearFrame, pitch_um: float = PITCH_UM) -> PressFrame:
+    return PressFrame("grid", frame, GRID_RADIUS_MM * 1e3 / pitch_um, grid=GridSpacing(GRID_PITCH_MM))
+
+
+def test_too_few_balls_are_counted(usual: Bench) -> None:
+    frames = [*usual.balls[:2], usual.rest]
+    with pytest.raises(CalibrationError, match=r"2 usable balls in 3 .*press-02 shows no ball .*and 4 are needed"):
+        calibrate(presses(frames), usual.rest, PITCH_UM)
+
+
+def test_a_reference_of_another_gel_is_refused(usual: Bench, small_twin: BoardProfile) -> None:
+    twin = small_twin.twin
+    assert twin is not None
+    other = msgspec.structs.replace(small_twin, twin=msgspec.structs.replace(twin, skin="flake"))
+    with pytest.raises(CalibrationMismatch, match=r"reference is not of these presses: .* is \d\d% off it"):
+        calibrate(presses(usual.balls), shoot(other).rest, PITCH_UM)
+
+
+@pytest.mark.parametrize("with_reference", [True, False])
+def test_two_sets_of_lights_are_told_apart(usual: Bench, turned: Bench, with_reference: bool) -> None:
+    mixed = [*usual.balls[:4], *turned.balls[4:]]
+    with pytest.raises(CalibrationMismatch, match=r"mixed: untouched skin of press-04, press-05 is \d\d% off"):
+        calibrate(presses(mixed), usual.rest if with_reference else None, PITCH_UM)
+
+
+def test_a_clipped_reference_and_clipped_balls_are_refused(usual: Bench) -> None:
+    with pytest.raises(FrameError, match=r"reference is saturated over \d\d% of its area, at most 10% may be"):
+        calibrate(presses([brighter(frame, 2.0) for frame in usual.balls]), brighter(usual.rest, 2.0), PITCH_UM)
+    row, column = np.mgrid[: usual.rest.shape[0], : usual.rest.shape[1]]
+    clipped = []
+    for frame, (across, down) in zip(usual.balls, PLACES, strict=True):
+        away = np.hypot(column - across * usual.rest.shape[1], row - down * usual.rest.shape[0])
+        clipped.append(replace(frame, clipped=away < RADIUS_MM * 1e3 / PITCH_UM))
+    with pytest.raises(CalibrationError, match=r"0 usable balls .*\d\d% of its contact is saturated .* 4 are needed"):
+        calibrate(presses(clipped), usual.rest, PITCH_UM)
+
+
+def test_contradictory_radii_are_refused_with_what_they_read(usual: Bench, small_twin: BoardProfile) -> None:
+    smaller = shoot(small_twin, radius_mm=2.0)
+    mixed = [*usual.balls[::2], *smaller.balls[1::2]]
+    with pytest.raises(CalibrationError, match=r"radii contradict .* 0\.\d\d \(press-0\d\) to 1\.\d\d \(press-"):
+        calibrate(presses(mixed), usual.rest, PITCH_UM)
+
+
+@pytest.mark.parametrize(("pitch_um", "words"), [(3e7, "too small to be seen"), (3e-3, "no useful contact")])
+def test_a_ball_that_no_frame_can_show_is_refused_by_name(usual: Bench, pitch_um: float, words: str) -> None:
+    with pytest.raises(CalibrationError, match=f"press-00: .*{words}"):
+        calibrate(presses(usual.balls, pitch_um), usual.rest, pitch_um)
+
+
+def test_a_grid_measures_the_pitch_and_a_gross_contradiction_is_refused(usual: Bench, small_twin: BoardProfile) -> None:
+    frame = shoot_grid(small_twin, SphereGrid(GRID_RADIUS_MM, GRID_PITCH_MM, 2))
+    twin = small_twin.twin
+    assert twin is not None
+    at_tops_um = PITCH_UM * (1.0 - GRID_DEPTH_MM / twin.camera_distance_mm)
+    stated_um = 1.02 * PITCH_UM
+    calibration = calibrate([grid_press(frame, stated_um)], usual.rest, stated_um)
+    sigma_um = calibration.pixel_pitch_sigma_um
+    assert sigma_um is not None
+    assert 0.0 < sigma_um < 0.004 * PITCH_UM
+    assert abs(calibration.pitch_um - at_tops_um) < 2.0 * sigma_um
+    assert all(ball.radius_px == pytest.approx(1e3 / calibration.pitch_um) for ball in calibration.presses[0].balls)
+    assert any("the stated pixel pitch of 48.96 µm is +2" in note for note in calibration.assessment.notes)
+    with pytest.raises(CalibrationError, match=r"grid: its 25 balls 2.5 mm apart .* and 60 µm is stated \(\+2\d%\)"):
+        calibrate([grid_press(frame, 60.0)], usual.rest, 60.0)
+
+
+def test_a_ball_off_the_grid_is_rejected_and_a_missed_one_found(usual: Bench, small_twin: BoardProfile) -> None:
+    image = divide(shoot_grid(small_twin, OddGrid()), blurred_reference(usual.rest))
+    radius_px = GRID_RADIUS_MM * 1e3 / PITCH_UM
+    seen = find_balls(image, radius_px)
+    assert len(seen.found) == 25
+    grid = sight_grid(image, BallSearch(seen.found[1:], ()), radius_px)
+    assert len(grid.search.found) == 24
+    assert [ball.reason for ball in grid.search.rejected] == [
+        reason for reason in (ball.reason for ball in grid.search.rejected) if reason.startswith("off the grid by 1")
+    ]
+    assert len(grid.search.rejected) == 1

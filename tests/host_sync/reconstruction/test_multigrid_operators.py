@@ -1,0 +1,224 @@
+"""Parts of the multigrid solver: transfer between levels, coarse edges, islands, and what threads may not change."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from device.fft_integrator import integrate_dct
+from device.surface import GradientField
+from host_sync.reconstruction.condense import condense
+from host_sync.reconstruction.grid_level import GridLevel, new_level
+from host_sync.reconstruction.islands import find_islands
+from host_sync.reconstruction.multigrid import Integrator, integrate
+from host_sync.reconstruction.transfer import prolong_row, prolong_weighted_row, restrict_row
+
+
+def noisy(shape: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height of a surface that is not periodic, in pixels, and its slopes with noise of 0.02."""
+    row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    random = np.random.default_rng(seed)
+    z, p, q = np.zeros(shape), random.normal(0.0, 0.02, shape), random.normal(0.0, 0.02, shape)
+    for amplitude, k, m in ((20.0, 0.004, 0.003), (6.0, 0.02, -0.013), (1.5, 0.11, 0.07)):
+        z += amplitude * np.sin(k * column + m * row)
+        wave = amplitude * np.cos(k * column + m * row)
+        p, q = p + k * wave, q + m * wave
+    return z, p, q
+
+
+def field(p: np.ndarray, q: np.ndarray, weight: np.ndarray) -> GradientField:
+    return GradientField(p.astype(np.float32), q.astype(np.float32), weight > 0.0, weight.astype(np.float32))
+
+
+def weights(shape: tuple[int, int], seed: int = 1) -> np.ndarray:
+    """Weights from 0.05 to 1 with holes of all sizes."""
+    random = np.random.default_rng(seed)
+    weight = random.uniform(0.05, 1.0, shape)
+    weight[random.random(shape) < 0.01] = 0.0
+    for _ in range(6):
+        row, column, size = random.integers(shape[0]), random.integers(shape[1]), random.integers(2, 30)
+        weight[row : row + size, column : column + size] = 0.0
+    return weight
+
+
+def written_edges(weight: np.ndarray, p: np.ndarray, q: np.ndarray) -> GridLevel:
+    """A level with the edges of a field: slopes of differences p (H, W + 1) and q (H + 1, W)."""
+    rows, columns = weight.shape
+    level = new_level((rows, columns), weighted=True)
+    assert level.across is not None
+    assert level.down is not None
+    for edges, slopes, source, pair in (
+        (level.across, level.slope_across, p, (weight[:, :-1], weight[:, 1:])),
+        (level.down, level.slope_down, q, (weight[:-1], weight[1:])),
+    ):
+        inner = np.s_[:, 1:-1] if edges is level.across else np.s_[1:-1]
+        edges[:], slopes[:] = 0.0, 0.0
+        edges[inner] = np.minimum(*pair)
+        slopes[inner] = np.where(edges[inner] > 0.0, source, 0.0)
+    return level
+
+
+def prolonged(coarse: np.ndarray, shape: tuple[int, int], level: GridLevel | None) -> np.ndarray:
+    out = np.zeros((shape[0], shape[1] + 2), np.float32)
+    for r in range(shape[0]):
+        near, far = coarse[r // 2], coarse[min(max(r // 2 + 2 * (r % 2) - 1, 0), coarse.shape[0] - 1)]
+        if level is None or level.across is None or level.down is None:
+            prolong_row(near, far, out[r])
+        else:
+            prolong_weighted_row(near, far, level.across[r], level.down[r + r % 2], out[r])
+    return out[:, 1:-1].astype(np.float64)
+
+
+def restricted(fine: np.ndarray) -> np.ndarray:
+    out = np.zeros(((fine.shape[0] + 1) // 2, (fine.shape[1] + 1) // 2), np.float32)
+    for r in range(fine.shape[0]):
+        restrict_row(fine[r].astype(np.float32), r % 2 == 1, out[r // 2])
+    return out.astype(np.float64)
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (7, 9), (3, 5)])
+def test_restriction_is_the_adjoint_of_prolongation_by_cells_to_which_interpolation_adds_only_differences(
+    shape: tuple[int, int],
+) -> None:
+    random = np.random.default_rng(2)
+    coarse = random.normal(size=((shape[0] + 1) // 2, (shape[1] + 1) // 2)).astype(np.float32)
+    fine = random.normal(size=shape)
+    cells = np.repeat(np.repeat(coarse, 2, 0), 2, 1)[: shape[0], : shape[1]]
+    assert np.vdot(restricted(fine), coarse) == pytest.approx(np.vdot(fine, cells), rel=1e-5)
+    np.testing.assert_allclose(prolonged(np.ones_like(coarse), shape, None), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_prolongation_keeps_sums_where_no_hole_cuts_it_off(holes: bool) -> None:
+    """The adjoint of interpolation takes a constant to four times itself; beside holes it falls back to cells."""
+    shape, random = (16, 12), np.random.default_rng(3)
+    weight = np.ones(shape)
+    if holes:
+        weight[6:10, 4:8] = 0.0
+    level = written_edges(weight, np.zeros((16, 11)), np.zeros((15, 12)))
+    coarse = random.normal(size=(8, 6)).astype(np.float32)
+    fine = prolonged(coarse, shape, level)
+    if holes:
+        np.testing.assert_allclose(fine[6:10, 4:8], np.repeat(np.repeat(coarse[3:5, 2:4], 2, 0), 2, 1), atol=1e-6)
+    else:
+        np.testing.assert_allclose(fine, prolonged(coarse, shape, None), atol=1e-6)
+        assert fine.sum() == pytest.approx(4.0 * float(coarse.sum()), abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(16, 24), (17, 23), (9, 5)])
+def test_coarse_slopes_and_shapes_of_a_surface_are_that_surface_whatever_its_weights(shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(4)
+    z = random.normal(size=shape)
+    weight = random.uniform(0.01, 1.0, shape)
+    fine = written_edges(weight, np.diff(z, axis=1), np.diff(z, axis=0))
+    coarse = new_level(((shape[0] + 1) // 2, (shape[1] + 1) // 2), weighted=True)
+    condense(fine, coarse, 0.5)
+    cells = (z - fine.z)[::2, ::2]
+    np.testing.assert_allclose(z - fine.z, np.repeat(np.repeat(cells, 2, 0), 2, 1)[: shape[0], : shape[1]], atol=1e-5)
+    np.testing.assert_allclose(coarse.slope_across[:, 1:-1], np.diff(cells, axis=1), atol=2e-5)
+    np.testing.assert_allclose(coarse.slope_down[1:-1], np.diff(cells, axis=0), atol=2e-5)
+
+
+def test_coarse_edges_of_equal_weights_weigh_the_same() -> None:
+    fine = written_edges(np.ones((8, 8)), np.zeros((8, 7)), np.zeros((7, 8)))
+    coarse = new_level((4, 4), weighted=True)
+    condense(fine, coarse, 0.5)
+    assert coarse.across is not None
+    assert coarse.down is not None
+    np.testing.assert_allclose(coarse.across[:, 1:-1], 1.0, rtol=1e-6)
+    np.testing.assert_allclose(coarse.down[1:-1], 1.0, rtol=1e-6)
+    assert not coarse.across[:, [0, -1]].any()
+    assert not coarse.down[[0, -1]].any()
+
+
+def test_islands_are_those_of_a_flood_fill() -> None:
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        weight = (random.random((57, 83)) < 0.6).astype(np.float32)
+        islands = find_islands(weight)
+        labels, count = ndimage.label(weight > 0.0)
+        assert islands.count == count
+        z = random.normal(size=weight.shape).astype(np.float32)
+        expected = z - ndimage.mean(z, labels, np.arange(count + 1))[labels]
+        islands.level(z, weight, 1.0)
+        np.testing.assert_array_equal(np.isnan(z), weight == 0.0)
+        np.testing.assert_allclose(z[weight > 0.0], expected[weight > 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_neither_threads_nor_repetition_change_a_bit(weighted: bool) -> None:
+    shape = (1088, 1456)
+    _, p, q = noisy(shape)
+    gradients = field(p, q, weights(shape) if weighted else np.ones(shape))
+    solver = Integrator(shape)
+    threads = numba.get_num_threads()
+    if threads < 2:
+        pytest.skip("a single processor runs one thread only")
+    heights = []
+    try:
+        for count in (1, 2, 2):
+            numba.set_num_threads(count)
+            heights.append(solver.integrate(gradients, 1.0)[0].z_um)
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(heights[0], heights[1])
+    np.testing.assert_array_equal(heights[1], heights[2])
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (151, 203)])
+def test_it_agrees_with_the_cosine_transform(shape: tuple[int, int]) -> None:
+    _, p, q = noisy(shape)
+    gradients = field(p, q, np.ones(shape))
+    height, report = integrate(gradients, 5.0, edges="two-point", tolerance_px=1e-5)
+    assert report.converged
+    expected = integrate_dct(gradients.p, gradients.q, 5.0)
+    assert np.abs(height.z_um - expected).max() < 5.0 * 2e-4
+
+
+def test_full_multigrid_alone_is_as_good_as_the_exact_answer_where_slopes_are_noisy() -> None:
+    shape = (544, 728)
+    z, p, q = noisy(shape)
+    for weight in (np.ones(shape), weights(shape)):
+        gradients = field(p, q, weight)
+        used = weight > 0.0
+        error = []
+        for tolerance_px in (None, 1e-5):
+            height, report = integrate(gradients, 1.0, tolerance_px=tolerance_px)
+            error.append(float(np.std((height.z_um - z)[used])))
+            assert report.converged
+        assert error[0] < 1.02 * error[1]
+    assert error[1] < 0.05
+
+
+def test_a_groove_with_steep_walls_keeps_its_depth() -> None:
+    z = np.zeros((96, 128))
+    z[:, 40:88] = -6.0
+    z[:, 39] = z[:, 88] = -3.0
+    p, q = np.gradient(z, axis=1), np.zeros_like(z)
+    height, _ = integrate(field(p, q, np.ones_like(z)), 1.0, edges="two-point")
+    depth = height.z_um[:, :30].mean() - height.z_um[:, 50:78].mean()
+    assert depth == pytest.approx(6.0, abs=0.01)
+
+
+def test_cycles_contract_alike_at_every_size() -> None:
+    factors = []
+    for size in (96, 192, 384, 768):
+        _, p, q = noisy((size, size))
+        gradients = field(p, q, weights((size, size)))
+        _, report = integrate(gradients, 1.0, tolerance_px=1e-7, max_cycles=4)
+        factors.append((report.residuals[3] / report.residuals[0]) ** (1.0 / 3.0))
+    assert max(factors) < 0.5
+    assert max(factors) < 2.0 * min(factors)
+
+
+def test_a_solver_is_not_marked_by_the_fields_before() -> None:
+    shape = (120, 170)
+    _, p, q = noisy(shape)
+    first, second = field(p, q, np.ones(shape)), field(q, p, weights(shape))
+    solver, out = Integrator(shape), np.empty(shape, np.float32)
+    for gradients in (first, second, first):
+        height, _ = solver.integrate(gradients, 2.0, out=out)
+        assert height.z_um is out
+        np.testing.assert_array_equal(out, integrate(gradients, 2.0)[0].z_um)

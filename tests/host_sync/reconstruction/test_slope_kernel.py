@@ -1,0 +1,72 @@
+"""The compiled evaluation of the inverse map against the portable one."""
+
+import numba
+import numpy as np
+import pytest
+
+from device.colour_domain import ColourDomain
+from device.colour_space import CURVES, ColourSpace
+from device.errors import CalibrationMismatch
+from device.inverse_map import InverseMap, PolynomialMap
+from device.photometry import IntensityImage
+from device.polynomials import joint_terms
+from host_sync.reconstruction.slope_kernel import evaluate
+
+SHAPE = (150, 300)
+
+
+def colours(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).lognormal(0.0, 0.3, (4000, 3)).astype(np.float32)
+
+
+def map_of(shape: tuple[int, int] = SHAPE) -> InverseMap:
+    """A map with members of every curve and of several degrees."""
+    random = np.random.default_rng(1)
+    members = []
+    for curve, (colour_degree, position_degree), share in zip(
+        CURVES, ((4, 2), (3, 1), (2, 0)), (0.5, 0.3, 0.2), strict=True
+    ):
+        terms = joint_terms(colour_degree, position_degree)
+        coefficients = (0.1 * random.standard_normal((*terms.shape, 2)) * terms[..., None]).astype(np.float32)
+        space = ColourSpace.observed(colours(), curve)
+        members.append(PolynomialMap(space, colour_degree, position_degree, coefficients, share))
+    return InverseMap(shape, tuple(members), ColourDomain.observed(colours()), 0.8)
+
+
+def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
+    """Colours inside the domain, beyond it and far from it; some clipped, some invalid."""
+    random = np.random.default_rng(2)
+    values = random.lognormal(0.0, 0.5, (*shape, 3)).astype(np.float32)
+    values[::17, ::13] = (-0.1, 0.0, 9.0)
+    return IntensityImage(values, random.random(shape) > 0.02, random.random(shape) < 0.02)
+
+
+def test_compiled_and_portable_evaluation_agree() -> None:
+    inverse, image = map_of(), image_of()
+    found, expected = evaluate(inverse, image), inverse.gradients(image)
+    np.testing.assert_allclose(found.p, expected.p, rtol=1e-4, atol=2e-5)
+    np.testing.assert_allclose(found.q, expected.q, rtol=1e-4, atol=2e-5)
+    # A colour on the border of two cells of the domain may fall into either.
+    assert (np.abs(found.weight - expected.weight) < 1e-4).mean() > 0.999
+    assert (found.valid == expected.valid).mean() > 0.999
+    assert not expected.valid.all()
+    assert (expected.weight[expected.valid] < 0.01).any()
+
+
+def test_one_and_two_threads_give_the_same_bits() -> None:
+    inverse, image = map_of((1088, 1456)), image_of((1088, 1456))
+    results = []
+    before = numba.get_num_threads()
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(threads)
+            results.append(evaluate(inverse, image))
+    finally:
+        numba.set_num_threads(before)
+    for name in ("p", "q", "weight", "valid"):
+        np.testing.assert_array_equal(getattr(results[0], name), getattr(results[1], name))
+
+
+def test_another_size_is_refused() -> None:
+    with pytest.raises(CalibrationMismatch, match="300x150"):
+        evaluate(map_of(), image_of((20, 30)))

@@ -1,0 +1,106 @@
+"""The benchmark: its quick run ends in a table and a file, and its marks follow their rules. No time is judged here."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+BENCH = ROOT / "docs" / "bench"
+
+Judge = Callable[[dict[str, Any]], dict[str, dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def judge() -> Judge:
+    spec = importlib.util.spec_from_file_location("bench_marks", BENCH / "marks.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bench_marks"] = module
+    spec.loader.exec_module(module)
+    found: Judge = module.judge
+    return found
+
+
+def figures(**changed: Any) -> dict[str, Any]:
+    """Integration of a full rectangle with every figure that its marks need."""
+    part: dict[str, Any] = {
+        "floor": {"min_ms": 4.0},
+        "ours": {"min_ms": 20.0, "rmse_px": 0.0401},
+        "scipy dctn, 2 workers": {"min_ms": 80.0},
+        "exact": {"rmse_px": 0.04},
+    }
+    return {"integration": {"unweighted": part | changed}}
+
+
+def test_a_mark_is_met_at_its_limit_and_not_beyond(judge: Judge) -> None:
+    assert judge(figures())["unweighted_over_dctn"] | {"words": "", "item": 1} == {
+        "value": 4.0, "mark": 3.0, "met": True, "sense": "at least", "item": 1, "words": "",
+    }  # fmt: skip
+    slow = {"scipy dctn, 2 workers": {"min_ms": 59.9}}
+    assert judge(figures(**slow))["unweighted_over_dctn"]["met"] is False
+    assert judge(figures())["unweighted_over_floor"]["met"] is True
+    assert judge(figures(floor={"min_ms": 1.9}))["unweighted_over_floor"]["met"] is False
+
+
+def test_speed_does_not_count_without_accuracy(judge: Judge) -> None:
+    marks = judge(figures(ours={"min_ms": 1.0, "rmse_px": 0.05}))
+    assert marks["unweighted_over_dctn"]["value"] == 80.0
+    assert marks["unweighted_over_dctn"]["met"] is False
+    assert marks["unweighted_error"]["met"] is False
+
+
+def test_a_missing_peer_is_neither_met_nor_missed(judge: Judge) -> None:
+    alone = {"gradients": {"ours": {"min_ms": 1.0}}, "integration": {"beside pyamg": {"ours": {"min_ms": 1.0}}}}
+    marks = judge(alone)
+    for name in ("gradients_over_network", "weighted_over_pyamg", "pipeline_s", "two_workers"):
+        assert marks[name]["value"] is None
+        assert marks[name]["met"] is None
+    both = {"gradients": {"ours": {"min_ms": 1.0}, "torch network": {"min_ms": 20.0}}}
+    assert judge(both)["gradients_over_network"]["met"] is True
+
+
+def test_workers_are_judged_only_where_two_cores_are_idle(judge: Judge) -> None:
+    busy = {"two workers": {"scaling": 1.0, "scaling_of_counting": 1.1}}
+    idle = {"two workers": {"scaling": 1.0, "scaling_of_counting": 1.95}}
+    assert judge(busy)["two_workers"]["met"] is None
+    assert judge(idle)["two_workers"]["met"] is False
+
+
+def test_cost_per_pixel_compares_the_largest_scan_with_the_one_near_1_5_megapixels(judge: Judge) -> None:
+    scans = {str(mp): {"megapixels": mp, "min_ms": ms} for mp, ms in ((0.2, 90.0), (1.6, 160.0), (12.0, 1800.0))}
+    assert judge({"pipeline": scans})["cost_pipeline"]["value"] == pytest.approx(1.5)
+
+
+def test_a_quick_run_prints_a_table_and_writes_every_mark(judge: Judge, tmp_path: Path) -> None:
+    out = tmp_path / "bench.json"
+    # One thread: on a machine that does other work, waiting for a second one takes longer than the whole run.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    run = subprocess.run(
+        [sys.executable, BENCH / "run.py", "--quick", "--out", out],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    report = json.loads(out.read_text(encoding="utf-8"))
+    assert report["marks"] == judge(report["figures"])
+    assert all(set(mark) >= {"value", "mark", "met"} for mark in report["marks"].values())
+    assert report["machine"]["quick"] is True
+    assert ("torch network" in report["figures"]["gradients"]) == (
+        report["marks"]["gradients_over_network"]["met"] is not None
+    )
+    assert report["marks"]["agreement_with_direct_px"]["met"] is True
+    assert report["marks"]["unweighted_error"]["met"] is True
+    assert report["marks"]["weighted_error"]["met"] is True
+    (look,) = report["figures"]["handheld"].values()
+    assert look["needs_numba"] is False
+    told = run.stdout
+    assert "Figures" in told
+    assert all(mark["words"][:30] in told for mark in report["marks"].values())
+    assert "scipy dctn, 2 workers" in told
