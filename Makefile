@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps bench format lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut bench format lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -36,13 +36,15 @@ methods: set-up ## measure the paper's method beside the default again; refreshe
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
 
+powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
+	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
+
 test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, systemd's checks (asks for root)
 	@bash .ci/test-deps
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
 	@bash .ci/set-up-bench "$(VENV)"
 	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" docs/bench/run.py $(if $(QUICK),--quick)
-
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix

@@ -14,9 +14,11 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from device.active_calibration import read_active
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationRecord
 from device.errors import DeviceError, FrameNotProven
+from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
 from device.scanning.balance import balance, warning
 from device.scanning.calibrate import calibrate
@@ -58,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"retrograph {version('retrograph')}")
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
-    parser.add_argument("--store", type=Path, help="folder of scans and calibrations")
+    parser.add_argument("--store", type=_folder, help="folder of scans and calibrations")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
@@ -74,6 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     watch = commands.add_parser("watch", help="scan at every press of the button, without a screen")
     _add_annotations(watch)
     watch.set_defaults(command=_watch)
+
+    add_offload_commands(commands, _folder, _say)
 
     test = commands.add_parser("selftest", help="walk through every part and say which one is at fault")
     test.add_argument("--push", action="store_true", help="also wait for a push of the button")
@@ -95,6 +99,12 @@ def _text(text: str) -> str:
     except UnicodeEncodeError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not text in UTF-8") from error
     return text
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("an empty name is no folder")
+    return Path(text)
 
 
 def _positive(text: str) -> float:
@@ -122,7 +132,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 def _scan(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        scanner = Scanner(hardware, _store(options, hardware))
+        scanner = Scanner(hardware, _calibrated_store(options, hardware))
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
@@ -133,7 +143,8 @@ def _scan(options: argparse.Namespace) -> int:
 
 def _watch(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        store = _store(options, hardware)
+        store = _calibrated_store(options, hardware)
+        take_inbox(store, _say)
         watch(hardware, store, _annotations(options), _report, _warn, _say)
     return 0
 
@@ -158,6 +169,12 @@ def _hardware(options: argparse.Namespace) -> Hardware:
 
 def _store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:
     return BundleStore(options.store or default_store(os.environ), hardware.clock)
+
+
+def _calibrated_store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:
+    """A store that can be scanned into; one without a calibration is refused before anything is made."""
+    read_active(options.store or default_store(os.environ))
+    return _store(options, hardware)
 
 
 def _annotations(options: argparse.Namespace) -> Annotations:

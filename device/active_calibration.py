@@ -12,6 +12,7 @@ from device.records import BundleId, Record, decode_record, encode_record, read_
 
 ACTIVE_FILE: Final = "active.json"
 ACTIVE_SCHEMA: Final = "retrograph.active/1"
+_REMEDY: Final = "remove it and run `retroscan calibrate`"
 
 
 class ActiveCalibration(Record, frozen=True, tag_field="schema", tag=ACTIVE_SCHEMA):
@@ -33,7 +34,7 @@ def read_active(root: Path) -> CalibrationBundle:
     path = root / ACTIVE_FILE
     if not path.exists():
         raise NoCalibration(f"no calibration is active in {root}: run `retroscan calibrate` first")
-    calibration_id = decode_record(read_small(path), ActiveCalibration, path).calibration_id
+    calibration_id = decode_record(read_small(path, _REMEDY), ActiveCalibration, path, _REMEDY).calibration_id
     directory = root / "calibrations" / calibration_id
     if not directory.is_dir():
         raise NoCalibration(f"the active calibration {calibration_id} is gone: run `retroscan calibrate` again")

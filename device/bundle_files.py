@@ -32,7 +32,4 @@ def recorded_frame(path: Path, shape: tuple[int, int]) -> RawFrame:
     RecordError
         The file is missing or damaged, or of another size.
     """
-    frame = read_raw(path)
-    if frame.shape != shape:
-        raise RecordError(f"{path}: is {frame.shape} pixels (rows, columns), not {shape} as recorded")
-    return frame
+    return read_raw(path, shape)

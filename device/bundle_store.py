@@ -1,6 +1,7 @@
 """The device's store: scans and calibrations that are whole or not there at all.
 
 <root>/scans/<id>/  <root>/calibrations/<id>/  <root>/active.json  <root>/device.json
+<root>/receipts/<id>.json  <root>/inbox/<id>/        the two that a workstation may write
 """
 
 from __future__ import annotations
@@ -19,7 +20,11 @@ from device.bundle_layout import MANIFESTS, BundleKind, Listing, is_bundle_id, l
 from device.bundle_publishing import Write, clear_unpublished, locked_directory, publish_bundle
 from device.calibration_bundle import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
 from device.device_identity import DeviceState, count_press, current_boot_id, new_device, read_device, write_device
+from device.disk_advice import explain_refusal
 from device.errors import DeviceError, RecordError, StoreError
+from device.freeing import free_receipted
+from device.inbox import INBOX, Delivery, take_deliveries
+from device.receipts import RECEIPTS
 from device.records import FileEntry, Identity, encode_record
 from device.scan_bundle import ScanBundle, ScanRecord, decode_scan, read_scan
 from hal.errors import HalError
@@ -53,6 +58,8 @@ class BundleStore:
         with self._translating("prepared"):
             for kind in MANIFESTS:
                 (root / kind).mkdir(parents=True, exist_ok=True)
+            for name in (RECEIPTS, INBOX):
+                _open_to_group(root / name)
             with locked_directory(root):
                 clear_unpublished(root)
                 if read_device(root) is None:
@@ -159,9 +166,34 @@ class BundleStore:
 
     def scans_left(self, bytes_per_scan: int) -> int:
         """How many more scans of that size (bytes) fit beside the reserve."""
+        return self._room_bytes() // bytes_per_scan
+
+    def make_room(self, size_bytes: int) -> list[str]:
+        """Ids of the scans that were freed so that `size_bytes` fit beside the reserve: receipted ones, oldest first.
+
+        Raises
+        ------
+        StoreError
+            The disk refused.
+        """
+        with self._translating("written"), locked_directory(self.root):
+            return free_receipted(self.root, lambda: self._room_bytes() >= size_bytes)
+
+    def take_inbox(self) -> list[Delivery]:
+        """What became of the calibrations that a workstation pushed; those taken are listed, none is active yet.
+
+        Raises
+        ------
+        StoreError
+            The inbox cannot be read.
+        """
         with self._translating("read"):
-            free = shutil.disk_usage(self.root).free
-        return max(free - RESERVE_BYTES, 0) // bytes_per_scan
+            return take_deliveries(self.root, self._room_bytes())
+
+    def _room_bytes(self) -> int:
+        """Free space beside the reserve, bytes."""
+        with self._translating("read"):
+            return max(shutil.disk_usage(self.root).free - RESERVE_BYTES, 0)
 
     def _device(self) -> DeviceState:
         state = read_device(self.root)
@@ -177,7 +209,11 @@ class BundleStore:
         except (DeviceError, HalError):
             raise
         except OSError as error:
-            raise StoreError(
-                f"{self.root}: the store cannot be {verb} ({error.strerror or error}): "
-                "free space on it, or mount it so that it can be written"
-            ) from error
+            raise StoreError(f"{self.root}: the store cannot be {verb} {explain_refusal(error)}") from error
+
+
+def _open_to_group(folder: Path) -> None:
+    """Make a folder that the offload's user may write, through the group that it shares with the store's user."""
+    if not folder.is_dir():
+        folder.mkdir()
+        folder.chmod(0o770)

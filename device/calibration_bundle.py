@@ -20,6 +20,7 @@ from device.records import (
     Positive,
     Record,
     Size,
+    check_folder_name,
     decode_record,
     read_manifest,
     verify_files,
@@ -177,7 +178,9 @@ def read_calibration(directory: Path) -> CalibrationBundle:
     Raises
     ------
     RecordError
-        No calibration there, an unknown version, or a damaged manifest.
+        No calibration there, an unknown version, a damaged manifest, or a folder named like another.
     """
     manifest = read_manifest(directory, CALIBRATION_MANIFEST)
-    return CalibrationBundle(directory, decode_calibration(manifest, directory / CALIBRATION_MANIFEST))
+    record = decode_calibration(manifest, directory / CALIBRATION_MANIFEST)
+    check_folder_name(directory, record.identity)
+    return CalibrationBundle(directory, record)

@@ -13,6 +13,7 @@ from device.records import BundleId, Count, Record, decode_record, encode_record
 
 DEVICE_SCHEMA: Final = "retrograph.device/1"
 DEVICE_FILE: Final = "device.json"
+_REMEDY: Final = "put back a copy, or move it away and the store begins as a new device"
 _BOOT_ID_FILE: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -37,7 +38,7 @@ def read_device(root: Path) -> DeviceState | None:
         The file is there and damaged.
     """
     path = root / DEVICE_FILE
-    return decode_record(read_small(path), DeviceState, path) if path.exists() else None
+    return decode_record(read_small(path, _REMEDY), DeviceState, path, _REMEDY) if path.exists() else None
 
 
 def write_device(root: Path, state: DeviceState) -> None:

@@ -26,8 +26,10 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
-def replace_file(path: Path, data: bytes) -> None:
+def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
     """Put `data` in the place of a small file: a reader, and a power cut, see the old content or the new, never a part.
+
+    mode : permissions, of which the process's umask takes its share; 0o600 for what is secret
 
     Raises
     ------
@@ -36,8 +38,11 @@ def replace_file(path: Path, data: bytes) -> None:
     """
     partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_bytes(data)
-        sync_file(partial)
+        partial.unlink(missing_ok=True)
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
         partial.replace(path)
     except BaseException:
         with suppress(OSError):

@@ -34,3 +34,7 @@ class FrameNotProven(DeviceError, TimeoutError):
 
 class StoreError(DeviceError, OSError):
     """The store cannot be read or written: full, read-only or missing. Free or mount it."""
+
+
+class PairingRefused(DeviceError, PermissionError):
+    """No workstation was paired: none came in time, or the code was wrong. Open the window again."""

@@ -34,6 +34,9 @@ CLIPPED_CONFIDENCE: Final = 0.03
 LOST_EXCESS: Final = 6.0
 """Distance outside the calibrated colours, in standard deviations, from which a slope means nothing."""
 
+MOST_DEGREE: Final = 16
+"""No map has polynomials of a higher degree; a file that asks for one is not read."""
+
 _BLOCK_ROWS: Final = 64
 
 
@@ -141,8 +144,10 @@ class InverseMap:
             colour_degree, position_degree = (int(degree) for degree in arrays["degrees"])
             coefficients = np.asarray(arrays["coefficients"], np.float32)
             steepest = float(arrays["steepest"])
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, IndexError, ValueError, TypeError) as error:
             raise RecordError(f"{source} holds no inverse map ({error}): calibrate again") from error
+        if not (0 <= colour_degree <= MOST_DEGREE and 0 <= position_degree <= MOST_DEGREE):
+            raise RecordError(f"{source}: degrees {colour_degree} and {position_degree}, which no map has")
         expected = (len(colour_exponents(colour_degree)), len(position_exponents(position_degree)), 2)
         if coefficients.shape != expected:
             raise RecordError(f"{source}: coefficients of shape {coefficients.shape}, not {expected}: calibrate again")

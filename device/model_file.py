@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +14,24 @@ from device.errors import RecordError
 from device.inverse_map import InverseMap
 
 MODEL_FILE: Final = "inverse-map.npz"
+MOST_MODEL_BYTES: Final = 64 << 20
+"""A map takes a few megabytes; a file that unpacks to more than this is not unpacked."""
+
+_READ_ERRORS: Final = (
+    OSError,
+    ValueError,
+    TypeError,
+    EOFError,
+    LookupError,
+    ArithmeticError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What zipfile and numpy raise for bytes that are no model, or no longer."""
 
 
 def write_model(path: Path, inverse_map: InverseMap) -> None:
@@ -29,9 +49,13 @@ def read_model(path: Path) -> InverseMap:
         The file is missing, damaged or holds something else.
     """
     try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked_bytes = sum(member.file_size for member in archive.infolist())
+        if unpacked_bytes > MOST_MODEL_BYTES:
+            raise RecordError(f"{path}: unpacks to {unpacked_bytes / 1e6:.0f} MB, more than any model: calibrate again")
         with np.load(path, allow_pickle=False) as arrays:
             return InverseMap.from_arrays(dict(arrays), str(path))
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _READ_ERRORS as error:
         if isinstance(error, RecordError):
             raise
         raise RecordError(f"{path}: holds no readable model ({error}): calibrate again") from error

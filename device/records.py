@@ -68,8 +68,8 @@ def encode_record(record: Record) -> bytes:
     return msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
 
 
-def decode_record(data: bytes, kind: type[RecordT], source: str | Path) -> RecordT:
-    """The record that `data` holds.
+def decode_record(data: bytes, kind: type[RecordT], source: str | Path, remedy: str = "fetch it again") -> RecordT:
+    """The record that `data` holds; `remedy` is what to do when it does not.
 
     Raises
     ------
@@ -83,9 +83,9 @@ def decode_record(data: bytes, kind: type[RecordT], source: str | Path) -> Recor
             raise RecordError(f"{source}: its version is {found!r}, known is {known!r}: use a program that knows it")
         return msgspec.json.decode(data, type=kind)
     except msgspec.ValidationError as error:
-        raise RecordError(f"{source}: {explain_validation(error)}: fetch it again") from error
+        raise RecordError(f"{source}: {explain_validation(error)}: {remedy}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordError(f"{source}: is not valid JSON ({error}): fetch it again") from error
+        raise RecordError(f"{source}: is not valid JSON ({error}): {remedy}") from error
 
 
 def explain_validation(error: msgspec.ValidationError) -> str:
@@ -145,8 +145,20 @@ def check_seal(data: bytes, seal: bytes, source: str | Path) -> None:
         raise RecordError(f"{source}: does not agree with its seal {Path(source).name}.sha256: fetch the bundle again")
 
 
-def read_small(path: Path) -> bytes:
-    """Bytes of a small regular file.
+def check_folder_name(directory: Path, identity: Identity) -> None:
+    """Refuse a bundle in a folder that is not named by its id: a copy beside the original would count twice.
+
+    Raises
+    ------
+    RecordError
+        Names the folder.
+    """
+    if directory.name != identity.id:
+        raise RecordError(f"{directory}: holds the bundle {identity.id}: name the folder so, or remove the copy")
+
+
+def read_small(path: Path, remedy: str = "fetch the bundle again") -> bytes:
+    """Bytes of a small regular file; `remedy` is what to do when there is none.
 
     Raises
     ------
@@ -155,13 +167,13 @@ def read_small(path: Path) -> bytes:
     """
     try:
         if path.is_symlink() or not path.is_file():
-            raise RecordError(f"{path}: is missing or no regular file: fetch the bundle again")
+            raise RecordError(f"{path}: is missing or no regular file: {remedy}")
         with path.open("rb") as stream:
             data = stream.read(MOST_MANIFEST_BYTES + 1)
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror}): fetch the bundle again") from error
+        raise RecordError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
     if len(data) > MOST_MANIFEST_BYTES:
-        raise RecordError(f"{path}: is larger than any manifest: fetch the bundle again")
+        raise RecordError(f"{path}: is larger than any manifest: {remedy}")
     return data
 
 

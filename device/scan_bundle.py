@@ -20,6 +20,7 @@ from device.records import (
     Positive,
     Record,
     Size,
+    check_folder_name,
     decode_record,
     read_manifest,
     verify_files,
@@ -182,7 +183,9 @@ def read_scan(directory: Path) -> ScanBundle:
     Raises
     ------
     RecordError
-        No scan there, an unknown version, or a damaged manifest.
+        No scan there, an unknown version, a damaged manifest, or a folder named like another.
     """
     manifest = read_manifest(directory, SCAN_MANIFEST)
-    return ScanBundle(directory, decode_scan(manifest, directory / SCAN_MANIFEST))
+    record = decode_scan(manifest, directory / SCAN_MANIFEST)
+    check_folder_name(directory, record.identity)
+    return ScanBundle(directory, record)

@@ -11,25 +11,26 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
-from host_sync.calibration.full_calibration import Method
+from host_sync.commands import exporting, offload
+from host_sync.commands import library as library_commands
+from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
-from host_sync.library import Library, default_library
-from host_sync.offload.directory import DirectorySource
-from host_sync.offload.pull import PullProgress, pull
+from host_sync.library import Library
 from host_sync.picture_format import PictureFormat
 from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.video_command import video
 
-DONE, PARTLY, BAD_INPUT, CONNECTION = 0, 1, 2, 3
+Method = Literal["direct", "paper"]
+"""Said here once more, as commands that fetch and search do without the numerics where it is defined."""
 
 app = App(
     name="retrosync",
@@ -43,55 +44,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     try:
         result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        sys.stdout.flush()
     except SourceError as error:
-        return _complain(error, CONNECTION)
+        return complain(error, CONNECTION)
     except (DeviceError, HostError) as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except CycloptsError:
         return BAD_INPUT  # it has said in its own words which argument is wrong
     except KeyboardInterrupt:
-        return _complain("stopped: what was not finished is not there", 130)
+        return complain("stopped: what was not finished is not there", 130)
     except BrokenPipeError:
-        # Whoever read the output has gone: let the interpreter's last flush go nowhere too.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_output_go()
         return 141
+    except OSError as error:
+        _let_output_go()
+        return complain(f"the output cannot be written ({error.strerror or error}): redirect it elsewhere", PARTLY)
     return int(result or DONE)
 
 
-@app.command(name="pull")
-def pull_command(source: Path, *, library: Path | None = None) -> int:
-    """Copy every scan and calibration that the library lacks, and prove each by re-reading it.
+def _let_output_go() -> None:
+    """Whoever read the output has gone, or it is full: let the interpreter's last flush go nowhere too."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    Parameters
-    ----------
-    source: A card, a mount or a folder that holds a device's store.
-    library: Where to; ~/Retrograph when not given.
-    """
-    target = Library(library or default_library())
-    console = Console()
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), DownloadColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("pull", total=None)
 
-        def show(state: PullProgress) -> None:
-            progress.update(task, description=state.bundle_id, completed=state.done_bytes, total=state.total_bytes)
-
-        report = pull(DirectorySource(source), target, show)
-    sys.stdout.write(
-        f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {target.root}\n"
-    )
-    for scan in report.without_calibration:
-        sys.stdout.write(f"Note: scan {scan} has no calibration here.\n")
-    for failure in report.failed:
-        _complain(f"{failure.bundle_id}: {failure.reason}", PARTLY)
-    return DONE if report.complete else PARTLY
+offload.register(app)
+library_commands.register(app)
+exporting.register(app)
 
 
 @app.command
 def reconstruct(
     *names: str,
-    out: Path | None = None,
-    library: Path | None = None,
+    out: Folder | None = None,
+    library: Folder | None = None,
     method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
@@ -139,10 +124,10 @@ def _reconstruct_frame_set(
 
     done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band, force=force)
     for failure in failures:
-        _complain(f"{failure.name}: {failure.reason}", PARTLY)
+        complain(f"{failure.name}: {failure.reason}", PARTLY)
     for name, reconstruction in done.items():
         for warning in reconstruction.warnings:
-            _complain(f"{name}: {warning}", PARTLY)
+            complain(f"{name}: {warning}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
     if failures and not done:
         return BAD_INPUT
@@ -178,7 +163,7 @@ def _reconstruct_library(
             done += 1
             sys.stdout.write(f"{folder}\n")
     for reason in failed:
-        _complain(reason, PARTLY)
+        complain(reason, PARTLY)
     if failed and not done:
         return BAD_INPUT
     return PARTLY if failed else DONE
@@ -220,11 +205,6 @@ def _telling() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None)
         yield lambda words: progress.update(task, description=words)
-
-
-def _complain(what: object, code: int) -> int:
-    sys.stderr.write(f"retrosync: {what}\n")
-    return code
 
 
 if __name__ == "__main__":

@@ -24,6 +24,10 @@ class LibraryError(HostError, OSError):
     """The library cannot be read or written: full, read-only, missing or busy. Mend that, then repeat."""
 
 
+class BusyBundle(LibraryError):
+    """A bundle is coming from another source at this moment. Repeat when that is done."""
+
+
 class NoSuchBundle(HostError, LookupError):
     """No bundle of the library, or more than one, answers to a name. Give more of its id."""
 
@@ -38,6 +42,26 @@ class ResultError(HostError, OSError):
 
 class IntegrationError(HostError, ValueError):
     """Slopes cannot be integrated: shapes differ, or values are not numbers. Mask what is invalid first."""
+
+
+class NoSource(HostError, LookupError):
+    """What was named is neither a folder with scans nor a paired device. Name another, or pair it."""
+
+
+class SourceLost(SourceError):
+    """The connection, or the card, went away in the middle. What came is kept: repeat the command to go on."""
+
+
+class SourceRefused(SourceError):
+    """A device shows another key than it was paired with, or does not accept ours. Read why, then pair it again."""
+
+
+class PairingError(HostError, ValueError):
+    """Pairing failed: a wrong code, or something else answered. Open the device's window again and repeat."""
+
+
+class ExportError(HostError, OSError):
+    """An export cannot be written. Free the place or choose another."""
 
 
 class FilterError(HostError, ValueError):

@@ -1,7 +1,7 @@
 """Images that any camera took: PNG, TIFF and JPEG of 8 or 16 bit, grey or RGB, read whole or refused.
 
-Size and kind come from the header alone, so that a frame set is checked before minutes of work. Decoders that fill in
-what a truncated file lacks are not trusted: the file's own end mark must be there.
+Size and kind come from the header alone, and whether a file ends where it says it does from its skeleton, so that a
+frame set is checked before minutes of work. Decoders that fill in what a truncated file lacks are not trusted.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from device.tiff_reading import TIFF_READ_ERRORS, quiet_tiff_log
 from host_sync.errors import FrameSetError
+from host_sync.image_ends import ends_well
+from host_sync.jpeg import decode_whole_jpeg, jpeg_size
 
 MOST_PIXELS: Final = 100_000_000
 """No gel sensor has more; a header that claims more is a mistake or an attack."""
@@ -25,7 +27,6 @@ MOST_PIXELS: Final = 100_000_000
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8\xff"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_JPEG_WITHOUT_SIZE: Final = (0xC4, 0xC8, 0xCC)
 _DECODE_ERRORS: Final = (OSError, ValueError, RuntimeError, MemoryError)
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
@@ -46,13 +47,20 @@ class ImageFacts:
 
 
 def read_facts(path: Path) -> ImageFacts:
-    """Size and kind of an image, from its header.
+    """Size and kind of an image, from its header; its pixels are not decoded, but they are all there.
 
     Raises
     ------
     FrameSetError
-        Missing, no image that can be read, or of a kind that does not carry light; names the file.
+        Missing, truncated, no image that can be read, or of a kind that does not carry light; names the file.
     """
+    facts = _header_facts(path)
+    if not ends_well(path):
+        raise FrameSetError(f"{path}: is truncated or damaged: fetch it again")
+    return facts
+
+
+def _header_facts(path: Path) -> ImageFacts:
     try:
         with path.open("rb") as stream:
             start = stream.read(4)
@@ -86,12 +94,13 @@ def read_pixels(path: Path) -> Pixels:
     """
     facts = read_facts(path)
     damaged = FrameSetError(f"{path}: is truncated or damaged: fetch it again")
+    pixels: Pixels | None
     try:
         data = path.read_bytes()
         if data.startswith(_PNG):
-            pixels = imagecodecs.png_decode(data) if b"IEND" in data[-4096:] else None
+            pixels = imagecodecs.png_decode(data)
         elif data.startswith(_JPEG):
-            pixels = imagecodecs.jpeg8_decode(data) if data.rfind(b"\xff\xd9") > _jpeg_scan(data) else None
+            pixels = decode_whole_jpeg(data)
         else:
             pixels = _tiff_pixels(path)
     except _DECODE_ERRORS as error:
@@ -112,35 +121,17 @@ def _png_facts(header: bytes, path: Path) -> ImageFacts:
 
 
 def _jpeg_facts(data: bytes, path: Path) -> ImageFacts:
-    for marker, at, _ in _jpeg_segments(data):
-        if 0xC0 <= marker <= 0xCF and marker not in _JPEG_WITHOUT_SIZE and at + 10 <= len(data):
-            bits, rows, columns, channels = struct.unpack(">BHHB", data[at + 4 : at + 10])
-            return ImageFacts((rows, columns), channels, bits)
-    raise FrameSetError(f"{path}: is truncated or damaged: fetch it again")
-
-
-def _jpeg_scan(data: bytes) -> int:
-    """Where the image data of a JPEG begin, behind any embedded thumbnail; its length when it has none."""
-    return next((end for marker, _, end in _jpeg_segments(data) if marker == 0xDA), len(data))
-
-
-def _jpeg_segments(data: bytes) -> list[tuple[int, int, int]]:
-    """Marker, begin and end of each segment up to the first scan."""
-    segments, at = [], 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        segments.append((marker, at, at + 2 + length))
-        if marker == 0xDA:
-            break
-        at += 2 + max(length, 2)
-    return segments
+    found = jpeg_size(data)
+    if found is None:
+        raise FrameSetError(f"{path}: is truncated or damaged: fetch it again")
+    return ImageFacts(*found)
 
 
 def _tiff_facts(path: Path) -> ImageFacts:
     try:
         with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
             page, pages = tiff.pages.first, len(tiff.pages)
-            shape, dtype, photometric = page.shape, page.dtype, page.photometric
+            shape, dtype, photometric = tuple(int(size) for size in page.shape), page.dtype, page.photometric
     except TIFF_READ_ERRORS as error:
         raise FrameSetError(f"{path}: is truncated or damaged: fetch it again") from error
     if pages != 1:

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from device.bundle_layout import MANIFESTS, BundleKind, Listing, bundle_ids, list_bundles, partial_name
-from device.bundle_publishing import clear_unpublished, locked_directory
+from device.bundle_publishing import locked_directory
 from device.calibration_bundle import CalibrationBundle, read_calibration
+from device.disk_advice import explain_refusal
 from device.durable import discard, publish_directory
 from device.errors import DeviceError
 from device.scan_bundle import ScanBundle, read_scan
-from host_sync.errors import HostError, LibraryError, MissingCalibration, NoSuchBundle
+from host_sync.errors import BusyBundle, HostError, LibraryError, MissingCalibration, NoSuchBundle, SourceLost
 
 RESULTS: Final = "results"
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -94,38 +95,62 @@ class Library:
 
     def results(self, scan: ScanBundle) -> tuple[Path, ...]:
         """Folders of the results that a scan has, sorted."""
-        with self._translating("read"):
+        with self.translating("read"):
             folder = scan.directory / RESULTS
             entries = folder.iterdir() if folder.is_dir() else ()
             return tuple(sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")))
 
+    def require(self) -> None:
+        """Refuse a library that is not there."""
+        if not self.root.is_dir():
+            raise LibraryError(f"{self.root}: there is no library: pull into it first, or name another")
+
     def free_bytes(self) -> int:
         """Free space of the library's disk, bytes."""
-        with self._translating("read"):
+        with self.translating("read"):
             return shutil.disk_usage(self.root).free
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Makes the folder ready and keeps every other writer out; what an interrupted one left is cleared away."""
+        """Makes the folder ready and keeps every other writer out; unfinished bundles stay, to be completed."""
         with ExitStack() as stack:
-            with self._translating("written"):
+            with self.translating("written"):
                 for kind in MANIFESTS:
                     (self.root / kind).mkdir(parents=True, exist_ok=True)
                 self._lock_out_others(stack)
-                clear_unpublished(self.root)
             yield
 
     @contextmanager
     def publishing(self, kind: BundleKind, bundle_id: str) -> Iterator[Path]:
-        """Temporary directory for a bundle's files, published when the block ends well, else removed without trace."""
+        """Directory for a bundle's files, published when the block ends well.
+
+        When the source went away or somebody stopped the program, it stays as it is and the next one goes on in it;
+        after any other error it is removed.
+
+        Raises
+        ------
+        LibraryError
+            The same bundle is coming from another source right now, or the disk refused.
+        """
         partial = self.root / kind / partial_name(bundle_id)
+        with ExitStack() as stack:
+            with self.translating("written"):
+                partial.mkdir(exist_ok=True)
+                self._lock_bundle(stack, partial)
+            try:
+                with self.translating("written"):
+                    yield partial
+                    publish_directory(partial, self.root / kind / bundle_id)
+            except BaseException as error:
+                if not isinstance(error, (SourceLost, KeyboardInterrupt)):
+                    discard(partial)
+                raise
+
+    def _lock_bundle(self, stack: ExitStack, partial: Path) -> None:
         try:
-            with self._translating("written"):
-                partial.mkdir()
-                yield partial
-                publish_directory(partial, self.root / kind / bundle_id)
-        finally:
-            discard(partial)
+            stack.enter_context(locked_directory(partial, wait=False))
+        except BlockingIOError as error:
+            raise BusyBundle(f"{partial}: is coming from another source right now: repeat when that is done") from error
 
     def _lock_out_others(self, stack: ExitStack) -> None:
         try:
@@ -136,13 +161,12 @@ class Library:
             ) from error
 
     def _listing(self, kind: BundleKind, read: Callable[[Path], BundleT]) -> Listing[BundleT]:
-        with self._translating("read"):
-            if not self.root.is_dir():
-                raise LibraryError(f"{self.root}: there is no library: pull into it first, or name another")
+        self.require()
+        with self.translating("read"):
             return list_bundles(self.root, kind, read)
 
     def _find(self, kind: BundleKind, name: str) -> Path:
-        with self._translating("read"):
+        with self.translating("read"):
             ids = bundle_ids(self.root, kind)
         what = kind.removesuffix("s")
         if name in ids:
@@ -156,14 +180,11 @@ class Library:
         return self.root / kind / matches[0]
 
     @contextmanager
-    def _translating(self, verb: str) -> Iterator[None]:
+    def translating(self, verb: str) -> Iterator[None]:
         """Turns the system's errors into one sentence."""
         try:
             yield
         except (HostError, DeviceError):
             raise
         except OSError as error:
-            raise LibraryError(
-                f"{self.root}: the library cannot be {verb} ({error.strerror or error}): "
-                "free space on it, or name another folder"
-            ) from error
+            raise LibraryError(f"{self.root}: the library cannot be {verb} {explain_refusal(error)}") from error

@@ -62,3 +62,35 @@ def test_it_is_shut_in(unit_of_this_machine: Path) -> None:
         check=False,
     )
     assert ran.returncode == 0, ran.stdout
+
+
+SSHD = shutil.which("sshd", path="/usr/sbin:/usr/local/sbin:/usr/bin")
+
+
+@pytest.mark.skipif(SSHD is None, reason="OpenSSH's sshd is not installed")
+def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
+    assert SSHD is not None
+    key = tmp_path / "host_key"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
+    drop_in = (UNIT.parent / "sshd-retrograph.conf").read_text(encoding="utf-8")
+    (tmp_path / "sshd_config").write_text(f"HostKey {key}\nPasswordAuthentication yes\n{drop_in}", encoding="utf-8")
+
+    def effective(user: str) -> dict[str, str]:
+        who = f"user={user},host=bench,addr=127.0.0.1"
+        command = [SSHD, "-T", "-f", tmp_path / "sshd_config", "-C", who]
+        ran = subprocess.run(command, check=True, capture_output=True, text=True)  # type: ignore[arg-type]
+        return dict(line.split(" ", 1) for line in ran.stdout.splitlines() if " " in line)
+
+    offload = effective("retrosync")
+    assert offload["chrootdirectory"] == "/srv/retrograph"
+    assert offload["forcecommand"].startswith("internal-sftp -d /store")
+    assert (offload["authenticationmethods"], offload["passwordauthentication"]) == ("publickey", "no")
+    assert (offload["disableforwarding"], offload["permittty"], offload["authorizedkeysfile"]) == ("yes", "no", "none")
+    assert effective("somebody")["passwordauthentication"] == "yes"
+
+
+@needs_systemd
+def test_systemd_accepts_the_mount() -> None:
+    mount = UNIT.parent / "srv-retrograph-store.mount"
+    ran = subprocess.run(["systemd-analyze", "verify", mount], capture_output=True, text=True, check=False)
+    assert [line for line in ran.stderr.splitlines() if "retrograph" in line] == []

@@ -58,7 +58,7 @@ class Scanner:
         self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
 
     def check_room(self) -> int:
-        """How many more scans fit.
+        """How many more scans fit; when none does, scans that a workstation vouches for make room, oldest first.
 
         Raises
         ------
@@ -66,7 +66,10 @@ class Scanner:
             Not one more fits: the press is refused before it is made.
         """
         rows, columns = self._hardware.camera.shape
-        left = self._store.scans_left(int(BYTES_PER_PIXEL * rows * columns))
+        bytes_per_scan = int(BYTES_PER_PIXEL * rows * columns)
+        left = self._store.scans_left(bytes_per_scan)
+        if left < 1 and self._store.make_room(bytes_per_scan):
+            left = self._store.scans_left(bytes_per_scan)
         if left < 1:
             raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space first")
         return left

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 from device.bundle_layout import MANIFESTS, BundleKind, bundle_ids
-from host_sync.errors import SourceError
+from device.disk_advice import explain_refusal
+from device.durable import sync_directory
+from device.records import CHUNK_BYTES
+from host_sync.errors import NoSource, SourceError, SourceLost
 
 _USUAL_PLACES: Final = ("retroscan", "var/lib/retroscan")
 
@@ -18,7 +22,7 @@ class DirectorySource:
 
     Raises
     ------
-    SourceError
+    NoSource
         There is no store, or more than one.
     """
 
@@ -35,19 +39,73 @@ class DirectorySource:
         try:
             return bundle_ids(self.root, kind)
         except OSError as error:
-            raise SourceError(f"{self.root / kind}: cannot be read ({error.strerror}): connect it again") from error
+            raise SourceError(f"{self.root / kind}: cannot be read {explain_refusal(error)}") from error
 
-    def open_file(self, kind: BundleKind, bundle_id: str, file_name: str) -> BinaryIO:
-        """One regular file of a bundle; a link is not followed."""
-        path = self.root / kind / bundle_id / file_name
+    def names(self, folder: str) -> list[str]:
+        """Names in a folder of the store, sorted; none when there is no such folder."""
+        try:
+            return sorted(entry.name for entry in (self.root / folder).iterdir())
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise SourceError(f"{self.root / folder}: cannot be read {explain_refusal(error)}") from error
+
+    def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
+        """A regular file's bytes; a link is not followed."""
+        path = self.root / place
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         except OSError as error:
             raise SourceError(f"{path}: cannot be read ({error.strerror}): fetch the bundle again") from error
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            os.close(descriptor)
-            raise SourceError(f"{path}: is no regular file: fetch the bundle again")
-        return os.fdopen(descriptor, "rb")
+        with os.fdopen(descriptor, "rb") as stream:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise SourceError(f"{path}: is no regular file: fetch the bundle again")
+            stream.seek(offset_bytes)
+            while block := _next_block(stream.read, path):
+                yield block
+
+    def write(self, place: str, blocks: Iterable[bytes]) -> None:
+        """Put a file there, durable before it appears under its name."""
+        path = self.root / place
+        partial = path.with_name(f".{path.name}.part")
+        try:
+            with partial.open("wb") as stream:
+                stream.writelines(blocks)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(path)
+            sync_directory(path.parent)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise SourceError(f"{path}: cannot be written {explain_refusal(error)}") from error
+
+    def make_folder(self, place: str) -> None:
+        """Make a folder; one that is there is kept."""
+        path = self.root / place
+        try:
+            path.mkdir(exist_ok=True)
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be made {explain_refusal(error)}") from error
+
+    def rename(self, place: str, new_place: str) -> None:
+        """Rename a file or folder."""
+        path = self.root / place
+        try:
+            path.rename(self.root / new_place)
+            sync_directory(path.parent)
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be renamed {explain_refusal(error)}") from error
+
+    def clock_offset_s(self) -> None:
+        """A folder has no clock."""
+        return
+
+
+def _next_block(read: Callable[[int], bytes], path: Path) -> bytes:
+    try:
+        return read(CHUNK_BYTES)
+    except OSError as error:
+        raise SourceLost(f"{path}: cannot be read {explain_refusal(error)}; then repeat") from error
 
 
 def _locate_store(path: Path) -> Path:
@@ -55,11 +113,11 @@ def _locate_store(path: Path) -> Path:
     try:
         found = _stores(path)
     except OSError as error:
-        raise SourceError(f"{path}: cannot be read ({error.strerror}): connect it again or name another") from error
+        raise NoSource(f"{path}: cannot be read {explain_refusal(error)}, or name a paired device") from error
     if not found:
-        raise SourceError(f"{path}: holds no scans and no calibrations: name the folder that contains `scans`")
+        raise NoSource(f"{path}: holds no scans and no calibrations: name the folder that contains `scans`")
     if len(found) > 1:
-        raise SourceError(f"{path}: holds several stores, name one: {', '.join(map(str, found))}")
+        raise NoSource(f"{path}: holds several stores, name one: {', '.join(map(str, found))}")
     return found[0]
 
 

@@ -1,21 +1,24 @@
-"""Offload: every bundle that a source has and the library lacks, copied, proven and published.
+"""Offload: every bundle that a source has and the library lacks, copied, proven, published and receipted.
 
 A bundle that is damaged is named and left behind; the others go on. A second pull copies nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from device.bundle_layout import MANIFESTS, BundleKind
 from device.errors import RecordError
+from device.receipts import RECEIPTS, bundle_of
 from device.records import read_small
-from host_sync.errors import LibraryError, SourceError
+from host_sync.errors import LibraryError, SourceError, SourceLost
 from host_sync.library import Library
-from host_sync.offload.bundle_transfer import Offer, fetch, read_offer
+from host_sync.offload.assembly import Assembly
+from host_sync.offload.bundle_transfer import Offer, read_offer
+from host_sync.offload.ledger import Ledger, PullFailure, PullReport
+from host_sync.offload.receipting import Vouch
 from host_sync.offload.source import Source
 
 _ORDER: Final[tuple[BundleKind, ...]] = ("calibrations", "scans")
@@ -31,46 +34,15 @@ class PullProgress:
     total_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class PullFailure:
-    """A bundle that was left behind, and why."""
-
-    bundle_id: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class PullReport:
-    """What a pull did, by ids.
-
-    without_calibration : scans whose calibration neither the source nor the library holds
-    """
-
-    copied: tuple[str, ...]
-    already_there: tuple[str, ...]
-    failed: tuple[PullFailure, ...]
-    without_calibration: tuple[str, ...]
-    copied_bytes: int
-
-    @property
-    def complete(self) -> bool:
-        """Whether everything that the source offers is now in the library."""
-        return not self.failed
-
-
-@dataclass(slots=True)
-class _Ledger:
-    """The report while it is being written."""
-
-    copied: list[str] = field(default_factory=list)
-    already_there: list[str] = field(default_factory=list)
-    failed: list[PullFailure] = field(default_factory=list)
-    needs: dict[str, str] = field(default_factory=dict)
-    copied_bytes: int = 0
-
-
-def pull(source: Source, library: Library, progress: Callable[[PullProgress], None] = lambda _: None) -> PullReport:
+def pull(
+    source: Source,
+    library: Library,
+    progress: Callable[[PullProgress], None] = lambda _: None,
+    vouch: Vouch | None = None,
+) -> PullReport:
     """The report of copying everything that the library lacks.
+
+    vouch : writes the receipts; without it the source gets none
 
     Raises
     ------
@@ -79,37 +51,48 @@ def pull(source: Source, library: Library, progress: Callable[[PullProgress], No
     LibraryError
         The library is full, cannot be written, or is being filled by another program.
     """
-    ledger = _Ledger()
     with library.writing():
-        offers = _survey(source, library, ledger)
-        total_bytes = sum(offer.size_bytes for offer in offers)
-        _require_space(library, total_bytes)
-        done_bytes = 0
-        for offer in offers:
-            _copy(source, library, offer, ledger, _Meter(offer.bundle_id, done_bytes, total_bytes, progress))
-            done_bytes += offer.size_bytes
-    return PullReport(
-        copied=tuple(ledger.copied),
-        already_there=tuple(ledger.already_there),
-        failed=tuple(ledger.failed),
-        without_calibration=_orphans(library, ledger),
-        copied_bytes=ledger.copied_bytes,
-    )
+        return pull_into(library, source, progress, vouch)
 
 
-def _survey(source: Source, library: Library, ledger: _Ledger) -> list[Offer]:
+def pull_into(
+    library: Library, source: Source, progress: Callable[[PullProgress], None], vouch: Vouch | None
+) -> PullReport:
+    """The same for a library that the caller holds for writing; several sources may fill it side by side."""
+    ledger = Ledger()
+    receipted = {bundle_of(name) for name in source.names(RECEIPTS)} if vouch else set()
+    try:
+        offers = _survey(source, library, ledger, receipted, vouch)
+        _require_space(library, sum(offer.size_bytes for offer in offers))
+        if offers:
+            _copy(offers, Assembly(source, library, ledger, vouch), ledger, progress)
+    except SourceLost as error:
+        ledger.lost = str(error)
+    return ledger.report(library, vouch.fault if vouch else None)
+
+
+def _survey(
+    source: Source, library: Library, ledger: Ledger, receipted: set[str | None], vouch: Vouch | None
+) -> list[Offer]:
     """The offers that the library lacks; what it has and what is damaged goes to the ledger."""
     wanted = []
     for kind in _ORDER:
         for bundle_id in source.bundle_ids(kind):
+            if bundle_id in receipted and (library.root / kind / bundle_id).is_dir():
+                ledger.already_there.append(bundle_id)
+                continue
             try:
                 offer = read_offer(source, kind, bundle_id)
                 if offer.calibration_id is not None:
                     ledger.needs[bundle_id] = offer.calibration_id
-                if _holds(library, offer):
-                    ledger.already_there.append(bundle_id)
-                else:
+                if not _holds(library, offer):
                     wanted.append(offer)
+                    continue
+                if vouch:
+                    vouch.after_rereading(source, library, offer)
+                ledger.already_there.append(bundle_id)
+            except SourceLost:
+                raise
             except (RecordError, SourceError) as error:
                 ledger.failed.append(PullFailure(bundle_id, str(error)))
     return wanted
@@ -140,21 +123,17 @@ def _require_space(library: Library, needed_bytes: int) -> None:
         )
 
 
-def _copy(source: Source, library: Library, offer: Offer, ledger: _Ledger, meter: _Meter) -> None:
-    try:
-        with library.publishing(offer.kind, offer.bundle_id) as partial:
-            fetch(source, offer, partial, meter.advance)
-    except (RecordError, SourceError) as error:
-        ledger.failed.append(PullFailure(offer.bundle_id, str(error)))
-    else:
-        ledger.copied.append(offer.bundle_id)
-        ledger.copied_bytes += offer.size_bytes
-
-
-def _orphans(library: Library, ledger: _Ledger) -> tuple[str, ...]:
-    here = set(ledger.copied) | set(ledger.already_there)
-    folder: Path = library.root / "calibrations"
-    return tuple(scan for scan, needed in ledger.needs.items() if scan in here and not (folder / needed).is_dir())
+def _copy(
+    offers: Sequence[Offer], assembly: Assembly, ledger: Ledger, progress: Callable[[PullProgress], None]
+) -> None:
+    """Put every offer into the library, and tell how far it is."""
+    total_bytes = sum(offer.size_bytes for offer in offers)
+    before_bytes = 0
+    with assembly:
+        for offer in offers:
+            meter = _Meter(offer.bundle_id, before_bytes, total_bytes, ledger, progress)
+            assembly.add(offer, meter.advance)
+            before_bytes += offer.size_bytes
 
 
 @dataclass(slots=True)
@@ -164,8 +143,10 @@ class _Meter:
     bundle_id: str
     done_bytes: int
     total_bytes: int
+    ledger: Ledger
     progress: Callable[[PullProgress], None]
 
-    def advance(self, size_bytes: int) -> None:
+    def advance(self, size_bytes: int, *, fetched: bool) -> None:
         self.done_bytes += size_bytes
+        self.ledger.copied_bytes += size_bytes if fetched else 0
         self.progress(PullProgress(self.bundle_id, self.done_bytes, self.total_bytes))

@@ -1,14 +1,18 @@
-"""What scans are fetched from: a folder, a card, or a device over the network, all behind one Protocol."""
+"""What scans are fetched from: a folder, a card, or a device over the network, all behind one Protocol.
+
+A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif".
+"""
 
 from __future__ import annotations
 
-from typing import BinaryIO, Protocol
+from collections.abc import Generator, Iterable
+from typing import Protocol
 
 from device.bundle_layout import BundleKind
 
 
 class Source(Protocol):
-    """Somewhere that published bundles can be read."""
+    """Somewhere that published bundles can be read, and receipts and calibrations can be left."""
 
     @property
     def name(self) -> str:
@@ -25,12 +29,40 @@ class Source(Protocol):
         """
         ...
 
-    def open_file(self, kind: BundleKind, bundle_id: str, file_name: str) -> BinaryIO:
-        """One file of a bundle as a seekable stream of bytes; the caller closes it.
+    def names(self, folder: str) -> list[str]:
+        """Names in a folder of the store, sorted; none when there is no such folder. Errors as for `bundle_ids`."""
+        ...
+
+    def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
+        """A file's bytes from an offset on, in blocks of at most a megabyte.
 
         Raises
         ------
         SourceError
-            There is no such regular file, or it cannot be read.
+            There is no such regular file, or it may not be read.
+        SourceLost
+            The source went away; what was yielded is good.
         """
+        ...
+
+    def write(self, place: str, blocks: Iterable[bytes]) -> None:
+        """Put a file there, whole or not at all.
+
+        Raises
+        ------
+        SourceError
+            The source is read-only, full or gone.
+        """
+        ...
+
+    def make_folder(self, place: str) -> None:
+        """Make a folder; one that is there is kept. Errors as for `write`."""
+        ...
+
+    def rename(self, place: str, new_place: str) -> None:
+        """Rename a file or folder. Errors as for `write`."""
+        ...
+
+    def clock_offset_s(self) -> float | None:
+        """How far the source's clock is ahead of ours, s; None when it has none of its own or keeps it to itself."""
         ...

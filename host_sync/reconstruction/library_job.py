@@ -48,8 +48,13 @@ class LibraryJob:
         self._force = force
         self._calibrations: dict[str, Calibration] = {}
 
-    def run(self, scan: ScanBundle) -> tuple[Reconstruction, Path]:
+    def run(
+        self, scan: ScanBundle, method: Method | None = None, folder: Path | None = None
+    ) -> tuple[Reconstruction, Path]:
         """The reconstruction of a scan and the folder that its results were written to.
+
+        method : another than the job's
+        folder : another place than the one beside the scan
 
         Raises
         ------
@@ -65,8 +70,8 @@ class LibraryJob:
         calibration = self._calibration(bundle)
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
-        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, self._method, force=self._force)
-        folder = self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
+        reconstruction = reconstruct_raw(scan.raw_frame(), calibration, name, method or self._method, force=self._force)
+        folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}
         write_result(folder, reconstruction, calibration, name, facts, self._band)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,10 @@ import pytest
 from device.bundle_publishing import locked_directory
 from device.bundle_store import RESERVE_BYTES, BundleStore
 from device.calibration_bundle import CalibrationBundle
+from device.disk_advice import explain_refusal
 from device.errors import FrameNotProven, NoCalibration, RecordError, StoreError
+from device.receipts import Receipt
+from device.records import encode_record, sha256_bytes
 from device.scan_bundle import ScanBundle, ScanRecord
 from device.store_location import default_store
 from hal.clock import VirtualClock
@@ -107,7 +111,7 @@ def test_a_read_only_disk_is_told_and_what_is_there_can_be_read(
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", refuse)
+        patch.setattr(os, "fsync", refuse)
         with pytest.raises(StoreError, match=r"Read-only file system.*mount it"):
             store.next_identity("scans")
     assert store.scans().bundles == (bundle,)
@@ -175,6 +179,111 @@ def test_scans_left_keeps_a_reserve(store: BundleStore, monkeypatch: pytest.Monk
     assert store.scans_left(1_000) == 10
     usage.free = RESERVE_BYTES - 1
     assert store.scans_left(1_000) == 0
+
+
+def receipt_for(store: BundleStore, bundle: ScanBundle, manifest: bytes | None = None) -> None:
+    receipt = Receipt(
+        kind="scans",
+        bundle_id=bundle.scan_id,
+        manifest_sha256=sha256_bytes(manifest or (bundle.directory / "scan.json").read_bytes()),
+        host="bench",
+        verified=store.wall_time(),
+    )
+    (store.root / "receipts" / f"{bundle.scan_id}.json").write_bytes(encode_record(receipt))
+
+
+def test_only_what_a_workstation_vouches_for_is_freed_and_the_oldest_first(
+    tmp_path: Path, publish_scan: PublishScan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans = []
+    for boot_id in ("ffff0000", "0000ffff"):  # ids do not sort by age
+        store = BundleStore(tmp_path / "store", VirtualClock(), boot_id=boot_id)
+        scans += [publish_scan(store) for _ in range(3)]
+    for scan in (scans[0], scans[2], scans[4]):
+        receipt_for(store, scan)
+    receipt_for(store, scans[1], b"another manifest")
+    (store.root / "receipts" / f"{scans[3].scan_id}.json").write_bytes(b"{}")
+    usage = type("Usage", (), {})
+    taken = 1000
+
+    def disk_usage(_: Path) -> object:
+        usage.free = RESERVE_BYTES + taken * (6 - len(list((store.root / "scans").glob("rg*"))))
+        return usage
+
+    monkeypatch.setattr("device.bundle_store.shutil.disk_usage", disk_usage)
+    assert store.make_room(1500) == [scans[0].scan_id, scans[2].scan_id]
+    assert store.make_room(10_000) == [scans[4].scan_id]
+    assert {scan.scan_id for scan in store.scans().bundles} == {scans[i].scan_id for i in (1, 3, 5)}
+    assert list((store.root / "scans").glob(".*")) == []
+
+
+def test_a_power_cut_while_freeing_leaves_nothing_half_visible(
+    store: BundleStore, publish_scan: PublishScan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan = publish_scan(store)
+    receipt_for(store, scan)
+    monkeypatch.setattr("device.freeing.discard", lambda _: None)
+    assert store.make_room(1 << 60) == [scan.scan_id]
+    assert store.scans().bundles == ()
+    assert store.scans().damaged == ()
+    BundleStore(store.root, VirtualClock())
+    assert everything(store.root / "scans") == set()
+
+
+def test_a_pushed_calibration_is_proven_before_it_is_taken(
+    store: BundleStore, publish_calibration: PublishCalibration, tmp_path: Path
+) -> None:
+    other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
+    good, rotten, misnamed, linked = (publish_calibration(other) for _ in range(4))
+    rotten.path("model.npz").write_bytes(b"rot")
+    inbox = store.root / "inbox"
+    for bundle in (good, rotten):
+        shutil.copytree(bundle.directory, inbox / bundle.calibration_id)
+    shutil.copytree(misnamed.directory, inbox / "other-name")
+    (inbox / linked.calibration_id).symlink_to(linked.directory)
+    deliveries = {delivery.name: delivery.refusal for delivery in store.take_inbox()}
+    assert deliveries.pop(good.calibration_id) is None
+    assert "model.npz" in (deliveries.pop(rotten.calibration_id) or "")
+    assert misnamed.calibration_id in (deliveries.pop("other-name") or "")
+    assert "is no folder" in (deliveries.pop(linked.calibration_id) or "")
+    assert deliveries == {}
+    assert [bundle.record for bundle in store.calibrations().bundles] == [good.record]
+    store.activate(good.calibration_id)
+    linked.verify()
+    assert list(inbox.iterdir()) == []
+
+
+def test_a_pushed_calibration_without_room_is_refused(
+    store: BundleStore, publish_calibration: PublishCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle = publish_calibration(BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01"))
+    shutil.copytree(bundle.directory, store.root / "inbox" / bundle.calibration_id)
+    usage = type("Usage", (), {"free": RESERVE_BYTES + 100})
+    monkeypatch.setattr("device.bundle_store.shutil.disk_usage", lambda _: usage)
+    assert "free space first" in (store.take_inbox()[0].refusal or "")
+    assert store.calibrations().bundles == ()
+
+
+@pytest.mark.parametrize(
+    ("code", "advice"),
+    [
+        (errno.ENOSPC, "free space"),
+        (errno.EROFS, "mount it"),
+        (errno.EACCES, "let this user"),
+        (errno.ENOTDIR, "name a folder"),
+        (errno.EIO, "check the card"),
+    ],
+)
+def test_advice_fits_the_refusal(code: int, advice: str) -> None:
+    sentence = explain_refusal(OSError(code, os.strerror(code)))
+    assert advice in sentence
+    assert os.strerror(code) in sentence
+
+
+def test_a_damaged_choice_of_calibration_is_not_to_be_fetched_again(store: BundleStore) -> None:
+    (store.root / "active.json").write_bytes(b"{")
+    with pytest.raises(RecordError, match=r"active\.json.*retroscan calibrate"):
+        store.active_calibration()
 
 
 def test_a_damaged_device_file_is_named(store: BundleStore) -> None:

@@ -1,12 +1,19 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
 import os
+import shutil
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from device.__main__ import main
+from device.bundle_store import BundleStore
+from device.calibration_bundle import CalibrationBundle
+from device.pairing_card import leave_host_card, read_device_card
+from device.pairing_exchange import HostCard
+from hal.clock import VirtualClock
 
 
 def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
@@ -19,7 +26,16 @@ def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int)
 
 def test_scanning_before_calibrating_says_what_to_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = str(tmp_path / "store")
-    assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, "scan"], 2)
+    for command in ("scan", "watch"):
+        assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, command], 2)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_name_is_no_store(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "--store", "", "calibrate"])
+    assert ended.value.code == 2
+    assert "an empty name is no folder" in capsys.readouterr().err
 
 
 def test_an_unknown_board_lists_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
@@ -52,6 +68,36 @@ def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.Cap
 def test_lights_off_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--board", "twin", "lights-off"]) == 0
     assert capsys.readouterr().out == ""
+
+
+def test_a_memory_card_authorizes_workstations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    card, key = tmp_path / "card", "ssh-ed25519 " + "A" * 68
+    card.mkdir()
+    (tmp_path / "host_key.pub").write_text(f"{key} root@device\n")
+    leave_host_card(card, HostCard(name="bench", public_key=key))
+    store = ["--board", "twin", "--store", str(tmp_path / "store")]
+    arguments = ["pair", "--card", str(card), "--host-key", str(tmp_path / "host_key.pub")]
+    for _ in range(2):
+        assert main([*store, *arguments]) == 0
+    assert (tmp_path / "store-pairing" / "authorized_keys").read_text() == f"restrict {key} bench\n"
+    device = read_device_card(card)
+    assert device is not None
+    assert (device.host_key, device.user, device.port) == (key, "retrosync", 22)
+    assert "install openssh-server" in refusal(capsys, [*store, "pair", "--host-key", str(tmp_path / "none")], 2)
+
+
+def test_what_was_pushed_is_taken_and_put_in_force(
+    tmp_path: Path, publish_calibration: Callable[[BundleStore], CalibrationBundle], capsys: pytest.CaptureFixture[str]
+) -> None:
+    bundle = publish_calibration(BundleStore(tmp_path / "other", VirtualClock()))
+    arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "receive"]
+    assert main(arguments) == 0
+    shutil.copytree(bundle.directory, tmp_path / "store" / "inbox" / bundle.calibration_id)
+    (tmp_path / "store" / "inbox" / "empty").mkdir()
+    assert main([*arguments, "--activate"]) == 2
+    said = capsys.readouterr().out
+    assert f"Calibration {bundle.calibration_id} is active." in said
+    assert "empty: " in said
 
 
 def test_the_selftest_walks_the_twin(capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,9 +55,12 @@ def test_any_tiff_reader_finds_four_planes_and_plain_json(tmp_path: Path, raw_fr
 
 def test_a_noisy_twelve_megapixel_frame_stays_small(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    counts = np.clip(rng.normal(2000, 30, (1520, 2028)), 0, 4095).astype(np.uint16)
-    frame = RawFrame(np.tile(counts, (2, 2)), "RGGB", 256.0, 4095.0, CameraSettings(1e4, 1.0), 0)
-    frame.mosaic[:] += rng.integers(0, 4, frame.shape, dtype=np.uint16)
+    row, column = np.mgrid[:3040, :4056]
+    level = 1200.0 + 900.0 * np.sin(column / 700.0) * np.cos(row / 500.0)
+    noise = rng.normal(0.0, np.sqrt(level * 4095.0 / 10_000.0))  # shot noise of a full well of 10,000 e-
+    frame = RawFrame(
+        np.clip(level + noise, 0, 4095).astype(np.uint16), "RGGB", 256.0, 4095.0, CameraSettings(1e4, 1.0), 0
+    )
     path = tmp_path / "raw.tif"
     write_raw(path, frame)
     assert path.stat().st_size <= 17e6

@@ -167,6 +167,30 @@ def test_a_truncated_image_is_named(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+def test_a_cut_scan_is_found_before_anything_is_calibrated(write: Write, tmp_path: Path, suffix: str) -> None:
+    path = write(GOOD.replace("scan.png", f"scan{suffix}"))
+    image = tmp_path / f"scan{suffix}"
+    save(image, rgb(2))
+    load_frame_set(path)
+    data = image.read_bytes()
+    for size in (len(data) // 2, len(data) * 9 // 10):
+        image.write_bytes(data[:size])
+        assert f"scan{suffix}: is truncated or damaged" in refused(path)
+
+
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_half_a_jpeg_with_a_forged_end_is_refused(tmp_path: Path, flags: list[int]) -> None:
+    path = tmp_path / "frame.jpg"
+    assert cv2.imwrite(str(path), cv2.resize(rgb(4), (240, 160)), flags)
+    data = path.read_bytes()
+    assert read_frame(FrameSpec((path,), "srgb")).rgb.shape == (160, 240, 3)
+    for share in (0.3, 0.5, 0.7, 0.9):
+        path.write_bytes(data[: int(len(data) * share)].rstrip(b"\xff") + b"\xff\xd9")
+        with pytest.raises(FrameSetError, match="truncated or damaged"):
+            read_frame(FrameSpec((path,), "srgb"))
+
+
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [

@@ -1,15 +1,25 @@
 from __future__ import annotations
 
+import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
+from datetime import date
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
-from device.scan_bundle import ScanBundle
+from device.scan_bundle import Annotations, ScanBundle, ScanRecord, VerdictRecord
+from hal.clock import VirtualClock
+from host_sync.__main__ import main
 from host_sync.errors import LibraryError, MissingCalibration, NoSuchBundle
 from host_sync.library import Library
+from host_sync.library_index import INDEX_FILE, Query, files_by_hash, search
+from host_sync.verification import verify_library
 
 PublishScan = Callable[..., ScanBundle]
 
@@ -67,3 +77,92 @@ def test_results_stand_beside_the_scan_and_disturb_nothing(
 def test_an_absent_library_is_told(tmp_path: Path) -> None:
     with pytest.raises(LibraryError, match="there is no library"):
         Library(tmp_path / "absent").scans()
+
+
+def annotated(scan_record: Callable[..., ScanRecord], store: BundleStore, **facts: str) -> None:
+    verdict = VerdictRecord(level=facts.pop("verdict", "good"), reason="-")  # type: ignore[arg-type]
+    record = msgspec.structs.replace(scan_record(store), verdict=verdict, annotations=Annotations(**facts))
+    store.publish_scan(record, lambda directory: (directory / "raw.tif").write_bytes(b"raw") and None)
+
+
+def test_scans_are_found_by_what_is_said_about_them(
+    tmp_path: Path, library: Library, scan_record: Callable[..., ScanRecord]
+) -> None:
+    store = BundleStore(library.root, VirtualClock(wall_start_s=86400.0 * 365), boot_id="b0071d00")
+    annotated(scan_record, store, job="Turbine 7", part="blade-1")
+    annotated(scan_record, store, job="turbine 8", part="blade-2", verdict="retake")
+    annotated(scan_record, store, part="'; DROP TABLE bundle; --")
+
+    def parts(**wanted: Any) -> list[str | None]:
+        return [hit.part for hit in search(library, Query(**wanted))]
+
+    assert parts() == ["blade-1", "blade-2", "'; DROP TABLE bundle; --"]
+    assert parts(job="turbine*") == ["blade-1", "blade-2"]
+    assert parts(part="BLADE-?", verdict="retake") == ["blade-2"]
+    assert parts(part="'; drop*") == ["'; DROP TABLE bundle; --"]
+    assert parts(gel="twin-gel", device=store.device_id[:4] + "*") == parts()
+    assert parts(since=date(1971, 1, 1), until=date(1971, 1, 1)) == parts()
+    assert parts(until=date(1970, 12, 31)) == []
+
+
+def test_the_index_follows_the_folders_and_can_be_thrown_away(
+    store: BundleStore, library: Library, publish_scan: PublishScan
+) -> None:
+    scans = [publish_scan(store) for _ in range(3)]
+    path = library.root / INDEX_FILE
+
+    def found() -> list[str]:
+        return [hit.scan_id for hit in search(library, Query())]
+
+    assert found() == [scan.scan_id for scan in scans]
+    shutil.rmtree(scans[0].directory)
+    (scans[1].directory / "scan.json").write_bytes(b"{}")
+    fourth = publish_scan(store)
+    assert found() == [scans[2].scan_id, fourth.scan_id]
+    for harm in (b"", b"no database", path.read_bytes()[: path.stat().st_size // 2], None):
+        path.unlink() if harm is None else path.write_bytes(harm)
+        assert found() == [scans[2].scan_id, fourth.scan_id]
+    with closing(sqlite3.connect(path)) as index:
+        index.execute("PRAGMA user_version = 99")
+        index.commit()
+    assert found() == [scans[2].scan_id, fourth.scan_id]
+    assert set(files_by_hash(library).values()) >= {fourth.path("raw.tif"), scans[2].path("raw.tif")}
+
+
+def test_an_index_that_cannot_be_written_is_held_in_memory(
+    store: BundleStore, library: Library, publish_scan: PublishScan
+) -> None:
+    scan = publish_scan(store)
+    (library.root / INDEX_FILE).mkdir()
+    assert [hit.scan_id for hit in search(library, Query())] == [scan.scan_id]
+
+
+def test_verifying_names_rot_copies_strangers_and_what_is_unfinished(
+    store: BundleStore, library: Library, publish_scan: PublishScan
+) -> None:
+    scans = [publish_scan(store) for _ in range(4)]
+    assert verify_library(library).sound == 4
+    data = bytearray(scans[1].path("preview.png").read_bytes())
+    data[77] ^= 1
+    scans[1].path("preview.png").write_bytes(data)
+    shutil.copytree(scans[2].directory, library.root / "scans" / "a-copy")
+    (scans[3].directory / "notes.txt").write_text("mine")
+    (library.root / "scans" / ".x-1.partial").mkdir()
+    found = verify_library(library)
+    assert found.sound == 3
+    assert {bundle.directory.name for bundle in found.damaged} == {scans[1].scan_id, "a-copy"}
+    assert any("preview.png is damaged" in bundle.reason for bundle in found.damaged)
+    assert found.strangers == (scans[3].directory / "notes.txt",)
+    assert [path.name for path in found.unfinished] == [".x-1.partial"]
+    assert main(["verify", "--library", str(library.root)]) == 1
+
+
+def test_searching_from_the_command_line(
+    store: BundleStore, library: Library, publish_scan: PublishScan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = publish_scan(store)
+    assert main(["search", "--job", "j-*", "--since", "1970-01-01", "--library", str(library.root)]) == 0
+    assert scan.scan_id in capsys.readouterr().out
+    assert main(["search", "--job", "other", "--library", str(library.root)]) == 0
+    assert capsys.readouterr().out == ""
+    assert main(["search", "--library", str(library.root / "absent")]) == 2

@@ -4,19 +4,17 @@ import errno
 import os
 import shutil
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 
-from device.bundle_layout import BundleKind
 from device.bundle_publishing import locked_directory
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.records import CHUNK_BYTES
 from device.scan_bundle import ScanBundle, ScanRecord
-from host_sync.errors import LibraryError, SourceError
+from host_sync.errors import LibraryError, NoSource
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
@@ -65,13 +63,13 @@ def test_a_second_pull_copies_nothing(
     source = DirectorySource(store.root)
     pull(source, library)
     opened: list[str] = []
-    genuine = DirectorySource.open_file
+    genuine = DirectorySource.blocks
 
-    def noting(self: DirectorySource, kind: BundleKind, bundle_id: str, name: str) -> BinaryIO:
-        opened.append(name)
-        return genuine(self, kind, bundle_id, name)
+    def noting(self: DirectorySource, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
+        opened.append(place.rpartition("/")[2])
+        return genuine(self, place, offset_bytes)
 
-    monkeypatch.setattr(DirectorySource, "open_file", noting)
+    monkeypatch.setattr(DirectorySource, "blocks", noting)
     report = pull(source, library)
     assert (report.copied, report.copied_bytes, len(report.already_there)) == ((), 0, 4)
     assert {name.removesuffix(".sha256") for name in opened} == {"scan.json", "calibration.json"}
@@ -172,6 +170,25 @@ def test_a_renamed_bundle_is_not_taken_for_another(
     assert scans[0].scan_id in report.failed[0].reason
 
 
+def test_what_the_library_has_is_not_fetched_again_and_not_linked(
+    store: BundleStore, library: Library, tmp_path: Path, scan_record: Callable[..., ScanRecord]
+) -> None:
+    def publish() -> ScanBundle:
+        return store.publish_scan(scan_record(store), lambda folder: (folder / "raw.tif").write_bytes(b"same") and None)
+
+    first = publish()
+    assert pull(DirectorySource(store.root), library).copied_bytes == 4
+    second = publish()
+    report = pull(DirectorySource(store.root), library)
+    assert (report.copied, report.copied_bytes) == ((second.scan_id,), 0)
+    held = library.find(first.scan_id).path("raw.tif")
+    held.write_bytes(b"rot!")
+    library.find(second.scan_id).verify()
+    third = publish()
+    assert pull(DirectorySource(store.root), library).complete
+    library.find(third.scan_id).verify()
+
+
 def test_a_scan_without_its_calibration_is_told(
     store: BundleStore, library: Library, scans: list[ScanBundle], calibration: CalibrationBundle
 ) -> None:
@@ -186,6 +203,7 @@ def test_leftovers_are_cleared_and_two_pulls_do_not_mix(
     leftover = library.root / "scans" / f".{scans[0].scan_id}.partial"
     leftover.mkdir(parents=True)
     (leftover / "raw.tif").write_bytes(b"half")
+    (leftover / "stranger.part").write_bytes(b"half")
     with locked_directory(library.root), pytest.raises(LibraryError, match="another program"):
         pull(DirectorySource(store.root), library)
     assert pull(DirectorySource(store.root), library).complete
@@ -216,7 +234,7 @@ def test_the_store_is_found_on_a_card(store: BundleStore, tmp_path: Path, scans:
     shutil.copytree(store.root, card / "var" / "lib" / "retroscan")
     assert DirectorySource(card).root == card / "var" / "lib" / "retroscan"
     shutil.copytree(store.root, card / "backup")
-    with pytest.raises(SourceError, match="several stores"):
+    with pytest.raises(NoSource, match="several stores"):
         DirectorySource(card)
 
 
@@ -224,5 +242,5 @@ def test_a_place_without_scans_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "empty").mkdir()
     for name, sentence in (("file", "Not a directory"), ("absent", "No such file"), ("empty", "holds no scans")):
-        with pytest.raises(SourceError, match=sentence):
+        with pytest.raises(NoSource, match=sentence):
             DirectorySource(tmp_path / name)

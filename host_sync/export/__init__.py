@@ -1,0 +1,1 @@
+"""One writer a format: scans and results in the files that other programs open."""

@@ -1,0 +1,134 @@
+"""Devices that this workstation is paired with, and its own key: small files that only their owner can read.
+
+<folder>/id_ed25519  <folder>/devices/<device id>.json  <folder>/synced/<device id>.json
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Final, TypeVar
+
+import msgspec
+
+from device.disk_advice import explain_refusal
+from device.durable import replace_file
+from device.pairing_exchange import SshPublicKey
+from device.records import BundleId, Count, Record, decode_record, encode_record, read_small
+from host_sync.errors import HostError, NoSource
+
+SECRET: Final = 0o600
+_REMEDY: Final = "remove it and pair the device again"
+
+Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
+RecordT = TypeVar("RecordT", bound=Record)
+
+
+class PairedDevice(Record, frozen=True, tag_field="schema", tag="retrograph.paired-device/1"):
+    """How a device is reached, and the host key by which it is known; the address may change, the key may not."""
+
+    device_id: BundleId
+    host: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
+    port: Port
+    user: Annotated[str, msgspec.Meta(pattern=r"^[a-z_][a-z0-9_-]{0,31}(?!\n)$")]
+    host_key: SshPublicKey
+
+
+class SyncState(Record, frozen=True, tag_field="schema", tag="retrograph.sync-state/1"):
+    """How the last sync with a device ended.
+
+    clock_offset_s : how far the device's clock was ahead, s; shown, never used as identity
+    verified : bundles of the device that the library held, proven, at the end
+    """
+
+    device_id: BundleId
+    synced: Annotated[datetime, msgspec.Meta(tz=True)]
+    clock_offset_s: float | None
+    verified: Count
+    failed: Count
+
+
+def default_devices_folder(environment: Mapping[str, str]) -> Path:
+    """`retrograph` under the user's folder of settings."""
+    config = environment.get("XDG_CONFIG_HOME", "")
+    return (Path(config) if Path(config).is_absolute() else Path.home() / ".config") / "retrograph"
+
+
+class PairedDevices:
+    """The devices under one folder, which is made when something is stored."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def all(self) -> list[PairedDevice]:
+        """Every paired device, in order of ids.
+
+        Raises
+        ------
+        RecordError
+            One's file is damaged; names it.
+        """
+        files = sorted((self.folder / "devices").glob("*.json"))
+        return [decode_record(read_small(path, _REMEDY), PairedDevice, path, _REMEDY) for path in files]
+
+    def find(self, name: str) -> PairedDevice:
+        """The device of that id or host name, or the only one whose id begins or ends so.
+
+        Raises
+        ------
+        NoSource
+            None or several answer to it.
+        """
+        devices = self.all()
+        exact = [device for device in devices if name in (device.device_id, device.host)]
+        some = [one for one in devices if name and (one.device_id.startswith(name) or one.device_id.endswith(name))]
+        found = exact or some
+        if len(found) != 1:
+            known = ", ".join(device.device_id for device in devices) or "none yet, `retrosync pair` makes one known"
+            raise NoSource(f"{name!r}: is no folder and names {len(found)} paired devices; paired are: {known}")
+        return found[0]
+
+    def save(self, device: PairedDevice) -> None:
+        """Store a device in the place of what was known of it."""
+        self._store("devices", device.device_id, device)
+
+    def sync_state(self, device_id: str) -> SyncState | None:
+        """How the last sync ended, None when there was none."""
+        path = self.folder / "synced" / f"{device_id}.json"
+        return decode_record(read_small(path, _REMEDY), SyncState, path, _REMEDY) if path.exists() else None
+
+    def save_sync_state(self, state: SyncState) -> None:
+        """Store how a sync ended."""
+        self._store("synced", state.device_id, state)
+
+    def private_key(self, make: Callable[[], bytes]) -> Path:
+        """File of this workstation's private key, which `make` makes when there is none."""
+        path = self.folder / "id_ed25519"
+        if not path.exists():
+            with self._translating():
+                self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+                replace_file(path, make(), SECRET)
+        if path.stat().st_mode & 0o077:
+            raise HostError(f"{path}: others may read this secret: chmod 600 it, or remove it and pair again")
+        return path
+
+    def _store(self, kind: str, device_id: str, record: Record) -> None:
+        with self._translating():
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            (self.folder / kind).mkdir(exist_ok=True, mode=0o700)
+            replace_file(self.folder / kind / f"{device_id}.json", encode_record(record), SECRET)
+
+    @contextmanager
+    def _translating(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise HostError(f"{self.folder}: the settings cannot be stored {explain_refusal(error)}") from error
+
+
+def this_host() -> str:
+    """This workstation's name, for people."""
+    return os.uname().nodename[:64] or "workstation"

@@ -1,0 +1,110 @@
+"""The workstation's side of pairing: show the code, leave our key, keep theirs."""
+
+from __future__ import annotations
+
+import re
+import socket
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+import asyncssh
+
+from device.errors import DeviceError, RecordError
+from device.pairing_card import leave_host_card, read_device_card
+from device.pairing_channel import PairingChannel
+from device.pairing_exchange import DeviceCard, Element, Exchange, HostCard
+from host_sync.errors import HostError, PairingError, SourceError
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices
+
+CONVERSATION_S: Final = 10.0
+
+
+def new_private_key() -> bytes:
+    """A fresh key of this workstation's, as OpenSSH stores it."""
+    return asyncssh.generate_private_key("ssh-ed25519").export_private_key()
+
+
+def own_card(devices: PairedDevices, name: str) -> HostCard:
+    """What this workstation shows to a device; its key is made when there is none."""
+    path = devices.private_key(new_private_key)
+    try:
+        key = asyncssh.read_private_key(path)
+    except (OSError, asyncssh.KeyImportError) as error:
+        raise HostError(f"{path}: holds no private key: remove it and pair every device again") from error
+    kind, encoded = key.export_public_key().decode().split()[:2]
+    return HostCard(name=re.sub(r"[^A-Za-z0-9._-]", "-", name)[:64] or "workstation", public_key=f"{kind} {encoded}")
+
+
+def pair_over_network(host: str, port: int, code: str, card: HostCard) -> PairedDevice:
+    """The device that listens there, proven to know the code; it knows our key now.
+
+    Raises
+    ------
+    SourceError
+        Nothing listens there.
+    PairingError
+        The code is wrong, or something else answered.
+    """
+    try:
+        connection = socket.create_connection((host, port), timeout=CONVERSATION_S)
+    except (OSError, UnicodeError) as error:
+        raise SourceError(
+            f"{host}:{port}: no device waits there to be paired ({error}): open its window and check the address"
+        ) from error
+    exchange = Exchange(code, "host")
+    with closing(connection):
+        channel = PairingChannel(connection, CONVERSATION_S)
+        try:
+            channel.send(exchange.element)
+            exchange.meet(channel.receive(Element))
+            channel.send(exchange.proven(card))
+            device = channel.receive(DeviceCard)
+        except RecordError as error:
+            raise PairingError(f"{host}: is not paired, the code may be wrong ({error})") from error
+    if not exchange.is_proven(device):
+        raise PairingError(f"{host}: does not know the code: something else answers in the device's place")
+    return _paired(device, host)
+
+
+def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedDevice | None:
+    """The device whose card lies there; None when it has left none yet, and ours waits for it now.
+
+    host : where the device is reached; its id under ".local" when None
+
+    Raises
+    ------
+    PairingError
+        The memory card cannot be read or written.
+    """
+    try:
+        device = read_device_card(memory_card)
+        leave_host_card(memory_card, card)
+    except DeviceError as error:
+        raise PairingError(str(error)) from error
+    return None if device is None else _paired(device, host or f"{device.device_id}.local")
+
+
+def keep(devices: PairedDevices, device: PairedDevice, *, replace: bool) -> None:
+    """Store a device; one that shows another key than before is kept only when that is asked for.
+
+    Raises
+    ------
+    PairingError
+        Its key has changed and `replace` is False.
+    """
+    before = next((one for one in devices.all() if one.device_id == device.device_id), None)
+    if before is not None and before.host_key != device.host_key and not replace:
+        raise PairingError(
+            f"{device.device_id}: shows another key than when it was paired: if you set it up anew, "
+            "pair it with --replace; otherwise something else answers in its place"
+        )
+    devices.save(device)
+
+
+def _paired(card: DeviceCard, host: str) -> PairedDevice:
+    try:
+        asyncssh.import_public_key(card.host_key)
+    except asyncssh.KeyImportError as error:
+        raise PairingError(f"{host}: its host key cannot be read ({error}): check its sshd") from error
+    return PairedDevice(device_id=card.device_id, host=host, port=card.port, user=card.user, host_key=card.host_key)

@@ -1,0 +1,221 @@
+"""A connection over SSH that mends itself: it lives in a thread of its own, and what waits for it waits a bounded time.
+
+Why a thread: hashing and writing on this side go on while the next blocks come in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, TypeVar
+
+import asyncssh
+
+from host_sync.errors import SourceLost, SourceRefused
+from host_sync.offload.paired_devices import PairedDevice
+
+T = TypeVar("T")
+
+CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
+PACKET_BYTES: Final = 128 << 10
+
+LOST: Final = (asyncssh.Error, OSError)
+"""What a connection that is gone, or never came about, raises; a time-out is an OSError."""
+
+
+class LinkBroken(Exception):
+    """The connection is gone; `SftpLink.restore` brings it back or says why not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long silence is borne, s.
+
+    keepalive_s : between questions whether the other side is there
+    unanswered : questions without an answer after which the connection counts as lost
+    give_up_s : since something came last, after which reconnecting ends
+    retry_s : between two tries
+    """
+
+    keepalive_s: float = 1.0
+    unanswered: int = 3
+    give_up_s: float = 8.0
+    retry_s: float = 0.25
+
+
+class SftpLink:
+    """One device's connection; a context manager.
+
+    Raises
+    ------
+    SourceLost
+        The device cannot be reached.
+    SourceRefused
+        It shows another key than it was paired with, or does not accept ours.
+    """
+
+    def __init__(self, device: PairedDevice, private_key: Path, patience: Patience) -> None:
+        self._device = device
+        self._private_key = private_key
+        self._patience = patience
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name=f"sftp {device.device_id}", daemon=True)
+        self._connection: asyncssh.SSHClientConnection | None = None
+        self._client: asyncssh.SFTPClient | None = None
+        self._last_byte_s = 0.0
+
+    def __enter__(self) -> SftpLink:
+        self._thread.start()
+        try:
+            self.note_progress()
+            self.restore()
+        except BaseException:
+            self._stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    @property
+    def name(self) -> str:
+        """The device, for messages."""
+        return self._device.device_id
+
+    @property
+    def client(self) -> asyncssh.SFTPClient:
+        """The SFTP session of the present connection."""
+        if self._client is None:
+            raise LinkBroken
+        return self._client
+
+    def note_progress(self) -> None:
+        """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
+        self._last_byte_s = time.monotonic()
+
+    def submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
+        """Begin some work on the connection."""
+        return asyncio.run_coroutine_threadsafe(work, self._loop)
+
+    def result(self, future: Future[T]) -> T:
+        """What begun work returns.
+
+        Raises
+        ------
+        LinkBroken
+            The connection is gone, or nothing came for longer than patience allows.
+        asyncssh.SFTPError
+            The device refused just this.
+        """
+        try:
+            return future.result(timeout=self._patience.give_up_s)
+        except LOST as error:
+            future.cancel()
+            if isinstance(error, asyncssh.SFTPError) and not isinstance(
+                error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection
+            ):
+                raise
+            raise LinkBroken from error
+
+    def persist(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
+        """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
+        self.note_progress()
+        while True:
+            try:
+                return self.result(self.submit(work(self.client)))
+            except LinkBroken:
+                self.restore()
+
+    def restore(self) -> None:
+        """Connect anew, trying until patience ends.
+
+        Raises
+        ------
+        SourceLost, SourceRefused
+            As when the link is made.
+        """
+        self._drop()
+        refusals = 0
+        while True:
+            left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
+            reason = "no answer"
+            try:
+                self.result(self.submit(self._connect(max(left_s, self._patience.retry_s))))
+            except (LinkBroken, asyncssh.SFTPError) as error:
+                cause = error.__cause__ or error
+                refusals += isinstance(cause, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
+                if refusals > 1:
+                    raise SourceRefused(self._explain_refusal(cause)) from error
+                reason = str(cause) or reason
+            else:
+                return
+            if left_s <= 0.0:
+                raise SourceLost(
+                    f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} ({reason}): check "
+                    "cable or network and repeat; what came is kept"
+                )
+            threading.Event().wait(self._patience.retry_s)
+
+    async def _connect(self, within_s: float) -> None:
+        device = self._device
+        key = asyncssh.import_public_key(device.host_key)
+        async with asyncio.timeout(within_s):
+            self._connection = await asyncssh.connect(
+                device.host,
+                device.port,
+                username=device.user,
+                client_keys=[str(self._private_key)],
+                known_hosts=([key], [], []),
+                server_host_key_algs=[device.host_key.partition(" ")[0]],
+                encryption_algs=CIPHERS,
+                compression_algs=None,
+                preferred_auth="publickey",
+                agent_path=None,
+                config=None,
+                keepalive_interval=self._patience.keepalive_s,
+                keepalive_count_max=self._patience.unanswered,
+            )
+            # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less work.
+            session = partial(self._connection.create_session, max_pktsize=PACKET_BYTES)
+            self._connection.create_session = session  # type: ignore[method-assign]
+            self._client = await self._connection.start_sftp_client()
+
+    def _explain_refusal(self, cause: BaseException) -> str:
+        where = f"{self.name} ({self._device.host}:{self._device.port})"
+        if isinstance(cause, asyncssh.HostKeyNotVerifiable):
+            return (
+                f"{where}: shows another key than the one it was paired with, so it was set up anew or something else "
+                "answers in its place: if you set it up anew, pair it again; otherwise do not"
+            )
+        return f"{where}: does not accept this workstation's key: pair it again"
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._loop.call_soon_threadsafe(self._connection.abort)
+        self._connection = self._client = None
+
+    def _stop(self) -> None:
+        self._drop()
+        self.submit(_finish_tasks()).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+
+async def _finish_tasks() -> None:
+    """Let what was begun end, so that nothing speaks up after the link is gone."""
+    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in tasks:
+        task.cancel()
+    if tasks:
+        ended, _ = await asyncio.wait(tasks, timeout=1.0)
+        await asyncio.gather(*ended, return_exceptions=True)

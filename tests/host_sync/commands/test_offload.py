@@ -1,0 +1,59 @@
+"""`retrosync` pull, status, pair from the command line: what it says, and with which code it ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from device.bundle_store import BundleStore
+from host_sync.__main__ import main
+
+
+@pytest.fixture(autouse=True)
+def own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def test_a_folder_is_pulled_and_receipted(
+    store: BundleStore, publish_scan: Callable[..., object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    publish_scan(store)
+    library = tmp_path / "[red]lib"
+    assert main(["pull", str(store.root), "--library", str(library)]) == 0
+    said = capsys.readouterr().out
+    assert "1 of 1 verified" in said
+    assert "[red]lib" in said
+    assert len(list((store.root / "receipts").iterdir())) == 1
+
+
+@pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["sync"], ["pair"]])
+def test_what_is_not_there_is_bad_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("retrosync: ")
+    assert error.count("\n") == 1
+
+
+def test_an_empty_library_is_no_name(store: BundleStore, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pull", str(store.root), "--library", ""]) == 2
+    assert "an empty name is no folder" in capsys.readouterr().err
+
+
+def test_status_without_devices_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status"]) == 0
+    assert "retrosync pair" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_output_that_cannot_be_written_is_a_sentence(store: BundleStore, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "host_sync", "pull", str(store.root), "--library", str(tmp_path / "library")]
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert run.returncode == 1
+    assert "the output cannot be written (No space left on device)" in run.stderr
+    assert "Traceback" not in run.stderr
+    assert "Exception ignored" not in run.stderr

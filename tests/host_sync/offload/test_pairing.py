@@ -1,0 +1,194 @@
+"""Device and workstation meet over loopback, or over a memory card; then, and only then, the door opens."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import asyncssh
+import msgspec
+import pytest
+
+from device.bundle_store import BundleStore
+from device.errors import PairingRefused, RecordError
+from device.pairing.authorized_keys import authorize, read_host_key
+from device.pairing.window import wait_for_host
+from device.pairing_card import leave_device_card, take_host_cards
+from device.pairing_exchange import DeviceCard, HostCard
+from host_sync.__main__ import main
+from host_sync.errors import HostError, NoSource, PairingError, SourceError
+from host_sync.offload import pairing
+from host_sync.offload.paired_devices import PairedDevices
+
+
+@pytest.fixture
+def devices(tmp_path: Path) -> PairedDevices:
+    return PairedDevices(tmp_path / "config" / "retrograph")
+
+
+@pytest.fixture
+def device_card() -> DeviceCard:
+    key = asyncssh.generate_private_key("ssh-ed25519").export_public_key().decode().split()
+    return DeviceCard(device_id="rg00c0ffee", user="retrosync", port=22, host_key=" ".join(key[:2]))
+
+
+@contextmanager
+def window(card: DeviceCard, keys: Path, code: str) -> Iterator[tuple[int, list[Any]]]:
+    """A device's open window: its port, and what became of it when it is closed."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    outcome: list[Any] = []
+
+    def wait() -> None:
+        try:
+            outcome.append(wait_for_host(listening, code, card, lambda host: authorize(keys, host), window_s=20.0))
+        except PairingRefused as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    yield listening.getsockname()[1], outcome
+    thread.join()
+
+
+def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    keys = tmp_path / "pairing" / "authorized_keys"
+    own = pairing.own_card(devices, "my bench!")
+    with window(device_card, keys, "12345678") as (port, outcome):
+        device = pairing.pair_over_network("127.0.0.1", port, "1234 5678", own)
+        pairing.keep(devices, device, replace=False)
+    assert outcome[0].public_key == own.public_key
+    assert keys.read_text() == f"restrict {own.public_key} my-bench-\n"
+    assert devices.all() == [device]
+    assert (device.device_id, device.host_key, device.host) == (
+        device_card.device_id,
+        device_card.host_key,
+        "127.0.0.1",
+    )
+    with pytest.raises(SourceError, match="no device waits there"):
+        pairing.pair_over_network("127.0.0.1", port, "12345678", own)
+
+
+def test_after_pairing_and_not_before_scans_can_be_fetched(
+    server: Any, store: BundleStore, publish_scan: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    publish_scan(store)
+    library = ["--library", str(tmp_path / "library")]
+    keys = server.folder / "authorized_keys"
+    keys.unlink()
+    card = DeviceCard(device_id=store.device_id, user=server.device().user, port=server.port, host_key=server.host_key)
+    assert main(["pull", store.device_id, *library]) == 2
+    with window(card, keys, "12345678") as (port, _):
+        assert main(["pair", "127.0.0.1", "--port", str(port), "--code", "1234 5678"]) == 0
+    assert main(["pull", store.device_id, *library]) == 0
+    keys.unlink()
+    assert main(["pull", store.device_id, *library]) == 3
+
+
+def test_three_wrong_codes_close_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    keys = tmp_path / "authorized_keys"
+    own = pairing.own_card(devices, "bench")
+    with window(device_card, keys, "12345678") as (port, outcome):
+        with socket.create_connection(("127.0.0.1", port)) as nonsense:
+            nonsense.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        for _ in range(3):
+            with pytest.raises(PairingError, match="the code may be wrong"):
+                pairing.pair_over_network("127.0.0.1", port, "00000000", own)
+    assert isinstance(outcome[0], PairingRefused)
+    assert not keys.exists()
+    assert devices.all() == []
+
+
+def test_nobody_coming_closes_the_window(device_card: DeviceCard) -> None:
+    listening = socket.create_server(("127.0.0.1", 0))
+    with pytest.raises(PairingRefused, match="no workstation came"):
+        wait_for_host(listening, "1", device_card, lambda _: None, window_s=0.0)
+    assert listening.fileno() == -1
+
+
+def test_an_impostor_without_the_code_is_found_out(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def pose() -> None:
+        from device.pairing_channel import PairingChannel
+        from device.pairing_exchange import Element, Exchange
+
+        connection, _ = listening.accept()
+        with connection, listening:
+            channel, exchange = PairingChannel(connection, 10.0), Exchange("99999999", "device")
+            exchange.meet(channel.receive(Element))
+            channel.send(exchange.element)
+            channel.receive(HostCard)
+            channel.send(exchange.proven(device_card))
+
+    thread = threading.Thread(target=pose)
+    thread.start()
+    with pytest.raises(PairingError, match="something else answers"):
+        pairing.pair_over_network("127.0.0.1", listening.getsockname()[1], "1", pairing.own_card(devices, "bench"))
+    thread.join()
+
+
+def test_a_memory_card_pairs_a_device_without_a_screen(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    card = tmp_path / "card"
+    own = pairing.own_card(devices, "bench")
+    with pytest.raises(PairingError, match="is no folder"):
+        pairing.pair_by_card(card, own, None)
+    card.mkdir()
+    assert pairing.pair_by_card(card, own, None) is None
+    assert take_host_cards(card) == [own]
+    leave_device_card(card, device_card)
+    device = pairing.pair_by_card(card, own, None)
+    assert device is not None
+    assert (device.host, device.host_key) == ("rg00c0ffee.local", device_card.host_key)
+    (card / "retrograph-pair" / "device.json").write_text("{}")
+    with pytest.raises(PairingError, match=r"device\.json"):
+        pairing.pair_by_card(card, own, None)
+
+
+def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    (tmp_path / "card").mkdir()
+    own = pairing.own_card(devices, "bench")
+    leave_device_card(tmp_path / "card", device_card)
+    device = pairing.pair_by_card(tmp_path / "card", own, "here")
+    assert device is not None
+    pairing.keep(devices, device, replace=False)
+    anew = msgspec.structs.replace(device, host_key=own.public_key)
+    with pytest.raises(PairingError, match="another key than when it was paired"):
+        pairing.keep(devices, anew, replace=False)
+    assert devices.all() == [device]
+    pairing.keep(devices, anew, replace=True)
+    assert devices.find("c0ffee") == anew
+    with pytest.raises(NoSource, match="paired are: rg00c0ffee"):
+        devices.find("other")
+
+
+def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    own = pairing.own_card(devices, "bench")
+    assert pairing.own_card(devices, "bench") == own
+    (tmp_path / "card").mkdir()
+    leave_device_card(tmp_path / "card", device_card)
+    device = pairing.pair_by_card(tmp_path / "card", own, None)
+    assert device is not None
+    devices.save(device)
+    files = [path for path in devices.folder.rglob("*") if path.is_file()]
+    assert len(files) == 2
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    (devices.folder / "id_ed25519").chmod(0o644)
+    with pytest.raises(HostError, match="chmod 600"):
+        pairing.own_card(devices, "bench")
+
+
+def test_the_key_of_sshd_is_read_without_its_comment(tmp_path: Path) -> None:
+    path = tmp_path / "key.pub"
+    path.write_text("ssh-ed25519 AAAA root@device\n")
+    assert read_host_key(path) == "ssh-ed25519 AAAA"
+    with pytest.raises(RecordError, match="install openssh-server"):
+        read_host_key(tmp_path / "none.pub")

@@ -1,0 +1,341 @@
+"""Offload over the real OpenSSH server on loopback: in the end everything is there, bit by bit, whatever happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from device.bundle_store import BundleStore
+from device.records import sha256_bytes
+from hal.clock import VirtualClock
+from host_sync.__main__ import main
+from host_sync.errors import SourceLost, SourceRefused
+from host_sync.library import Library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ledger import PullReport
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices
+from host_sync.offload.pull import pull
+from host_sync.offload.receipting import Vouch
+from host_sync.offload.sftp import REQUEST_BYTES, REQUESTS_AHEAD, SftpSource
+from host_sync.offload.sftp_link import Patience
+from host_sync.offload.sync import sync
+
+BLOCK_BYTES = REQUESTS_AHEAD * REQUEST_BYTES
+HANDSHAKE_BYTES = 16_384
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Library:
+    return Library(tmp_path / "library")
+
+
+def vouch() -> Vouch:
+    return Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
+
+
+def contents(root: Path, kind: str) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(root)): path.read_bytes() for path in sorted((root / kind).rglob("*")) if path.is_file()
+    }
+
+
+def assert_identical(store: BundleStore, library: Library) -> None:
+    for kind in ("scans", "calibrations"):
+        assert contents(library.root, kind) == contents(store.root, kind)
+
+
+def pull_over(server: Any, library: Library, port: int | None = None, **named: Any) -> PullReport:
+    with server.link(port, **named) as link:
+        return pull(SftpSource(link), library, vouch=vouch())
+
+
+def test_network_and_card_give_the_same(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any, publish_calibration: Any, tmp_path: Path
+) -> None:
+    calibration = publish_calibration(store)
+    scan = publish_scan(store, calibration.calibration_id)
+    report = pull_over(server, library)
+    assert report.copied == (calibration.calibration_id, scan.scan_id)
+    assert report.unreceipted is None
+    assert_identical(store, library)
+    card = Library(tmp_path / "from-card")
+    assert pull(DirectorySource(store.root), card).copied == report.copied
+    assert contents(card.root, "scans") == contents(library.root, "scans")
+    again = pull_over(server, library)
+    assert (again.copied, again.copied_bytes, len(again.already_there)) == ((), 0, 2)
+
+
+def test_a_receipt_follows_what_was_read_back_and_lets_the_device_free_it(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any
+) -> None:
+    scan = publish_scan(store)
+    assert store.make_room(1 << 62) == []
+    pull_over(server, library)
+    receipt = json.loads((store.root / "receipts" / f"{scan.scan_id}.json").read_bytes())
+    assert receipt["manifest_sha256"] == sha256_bytes((scan.directory / "scan.json").read_bytes())
+    assert store.make_room(1 << 62) == [scan.scan_id]
+    library.find(scan.scan_id).verify()
+
+
+def test_a_copy_that_has_rotted_in_the_library_is_not_receipted(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any
+) -> None:
+    scan = publish_scan(store)
+    pull(DirectorySource(store.root), library)
+    raw = library.root / "scans" / scan.scan_id / "raw.tif"
+    raw.write_bytes(raw.read_bytes()[:-1] + b"?")
+    report = pull_over(server, library)
+    assert [failure.bundle_id for failure in report.failed] == [scan.scan_id]
+    assert "raw.tif" in report.failed[0].reason
+    assert store.make_room(1 << 62) == []
+
+
+def harmed_pull(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object], cuts: int
+) -> None:
+    publish_large(3 << 20)
+    publish_large(700_001)
+    rng = np.random.default_rng(7)
+    positions = np.concatenate([rng.integers(0, 5_000, cuts // 4), rng.integers(0, 900_000, cuts - cuts // 4)])
+    proxy.harms.extend(("cut", int(at)) for at in rng.permutation(positions))
+    report = pull_over(server, library, proxy.port)
+    while proxy.harms:  # what is already whole is not fetched again: begin anew until every cut has been made
+        assert report.complete
+        for bundle in library.scans().bundles:
+            for path in (*bundle.directory.iterdir(),):
+                path.unlink()
+            bundle.directory.rmdir()
+        for receipt in (store.root / "receipts").iterdir():
+            receipt.unlink()
+        proxy.served_bytes = proxy.connections = 0
+        report = pull_over(server, library, proxy.port)
+    assert report.complete
+    assert_identical(store, library)
+    assert report.copied_bytes == sum(path.stat().st_size for path in (store.root / "scans").glob("*/raw.tif"))
+    repeated = proxy.served_bytes - report.copied_bytes
+    assert repeated <= proxy.connections * (BLOCK_BYTES + HANDSHAKE_BYTES)
+    assert list((library.root / "scans").glob(".*")) == []
+
+
+def test_a_transfer_that_is_cut_goes_on_where_it_stopped(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    harmed_pull(server, proxy, store, library, publish_large, 8)
+
+
+@pytest.mark.slow
+def test_two_hundred_cuts(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    harmed_pull(server, proxy, store, library, publish_large, 200)
+
+
+def test_flipped_bits_never_arrive(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(1 << 20)
+    rng = np.random.default_rng(3)
+    proxy.harms.extend(("flip", int(at)) for at in (*rng.integers(5_000, 400_000, 6), 30, 900))
+    assert pull_over(server, library, proxy.port).complete
+    assert_identical(store, library)
+
+
+def test_silence_ends_in_a_sentence_and_the_next_pull_goes_on(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("silence", 2_000_000), *[("silence", 0)] * 50])
+    hasty = Patience(keepalive_s=0.2, unanswered=2, give_up_s=0.8, retry_s=0.01)
+    report = pull_over(server, library, proxy.port, patience=hasty)
+    assert report.lost is not None
+    assert "what came is kept" in report.lost
+    (part,) = (library.root / "scans").glob(".*/raw.tif.part")
+    kept = part.stat().st_size
+    assert kept > 500_000
+    proxy.harms.clear()
+    report = pull_over(server, library, proxy.port)
+    assert report.complete
+    assert report.copied_bytes == (3 << 20) - kept
+    assert_identical(store, library)
+
+
+def test_a_line_that_always_breaks_before_a_byte_comes_ends_too(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("cut", 300_000), *[("cut", 6_000)] * 500])
+    report = pull_over(server, library, proxy.port, patience=Patience(give_up_s=1.0, retry_s=0.01))
+    assert report.lost is not None
+    assert proxy.connections > 2
+
+
+def test_a_slow_line_only_takes_longer(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(400_000)
+    proxy.bytes_per_s = 32e6 / 8
+    assert pull_over(server, library, proxy.port).complete
+    assert_identical(store, library)
+
+
+def test_a_server_killed_and_back_again_is_picked_up(
+    server: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(4 << 20)
+    killed = False
+
+    def kill_once(_: object) -> None:
+        nonlocal killed
+        if not killed:
+            killed = True
+            server.kill()
+            server.start()
+
+    with server.link() as link:
+        report = pull(SftpSource(link), library, kill_once)
+    assert killed
+    assert report.complete
+    assert_identical(store, library)
+
+
+def test_a_client_killed_in_the_middle_leaves_what_the_next_one_needs(
+    server: Any,
+    proxy: Any,
+    store: BundleStore,
+    library: Library,
+    publish_large: Callable[[int], object],
+    tmp_path: Path,
+) -> None:
+    publish_large(6 << 20)
+    settings = PairedDevices(tmp_path / "config" / "retrograph")
+    settings.private_key(server.private_key.read_bytes)
+    settings.save(server.device(proxy.port))
+    proxy.bytes_per_s, proxy.milestone_bytes = 8e6, 3 << 20
+    command = [sys.executable, "-m", "host_sync", "pull", "rg00c0ffee", "--library", str(library.root)]
+    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
+        assert proxy.passed_milestone.wait(60.0)
+        client.kill()
+    (part,) = (library.root / "scans").glob(".*/raw.tif.part")
+    kept = part.stat().st_size
+    assert kept > 1 << 20
+    proxy.bytes_per_s = None
+    report = pull_over(server, library, proxy.port)
+    assert report.copied_bytes == (6 << 20) - kept
+    assert_identical(store, library)
+
+
+@pytest.mark.slow
+def test_silence_is_borne_for_less_than_ten_seconds(
+    server: Any,
+    proxy: Any,
+    library: Library,
+    publish_large: Callable[[int], object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("silence", 1_000_000), *[("silence", 0)] * 100])
+    proxy.milestone_bytes = 950_000
+    with server.link(proxy.port, Patience()) as link, ThreadPoolExecutor(1) as pulling:
+        pulled = pulling.submit(pull, SftpSource(link), library)
+        proxy.passed_milestone.wait()
+        begun = time.monotonic()
+        assert pulled.result().lost
+        waited_s = time.monotonic() - begun
+    with capsys.disabled():
+        sys.stdout.write(f"\nsilence was borne for {waited_s:.1f} s\n")
+    assert waited_s < 10.0
+
+
+def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, library: Library) -> None:
+    foreign = server.host_key[:-6] + ("AAAAAA" if not server.host_key.endswith("AAAAAA") else "BBBBBB")
+    with pytest.raises(SourceRefused, match=r"another key than the one it was paired with.*pair it again"):
+        pull_over(server, library, host_key=foreign)
+    (server.folder / "authorized_keys").write_text("")
+    with pytest.raises(SourceRefused, match="does not accept this workstation's key"):
+        pull_over(server, library)
+
+
+def test_nobody_there_is_told(server: Any, library: Library) -> None:
+    server.kill()
+    hasty = Patience(give_up_s=0.2, retry_s=0.01)
+    with pytest.raises(SourceLost, match=r"cannot be reached at 127\.0\.0\.1"):
+        pull_over(server, library, patience=hasty)
+
+
+def test_the_devices_clock_is_compared(server: Any) -> None:
+    with server.link() as link:
+        offset_s = SftpSource(link).clock_offset_s()
+    assert offset_s is not None
+    assert abs(offset_s) <= 2.0
+
+
+def test_sync_status_and_push_by_the_devices_name(
+    server: Any,
+    store: BundleStore,
+    publish_scan: Any,
+    publish_calibration: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    settings = PairedDevices(tmp_path / "config" / "retrograph")
+    settings.private_key(server.private_key.read_bytes)
+    settings.save(server.device())
+    publish_scan(store)
+    library = ["--library", str(tmp_path / "library")]
+    assert main(["sync", *library]) == 0
+    assert main(["pull", "c0ffee", *library]) == 0
+    assert "1 of 1 verified" in capsys.readouterr().out
+    assert main(["status"]) == 0
+    said = capsys.readouterr().out
+    assert "rg00c0ffee" in said
+    assert "1 verified, 0 failed; its clock was" in said
+    other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
+    calibration = publish_calibration(other)
+    assert main(["pull", str(other.root), *library]) == 0
+    assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 0
+    assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 3
+    assert "in its inbox already" in capsys.readouterr().err
+    assert [delivery.refusal for delivery in store.take_inbox()] == [None]
+    assert store.activate(calibration.calibration_id).record == calibration.record
+
+
+def test_several_devices_fill_one_library_side_by_side(
+    server: Any, store: BundleStore, library: Library, publish_scan: Any, tmp_path: Path
+) -> None:
+    publish_scan(store)
+    other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
+    publish_scan(other)
+    settings = PairedDevices(tmp_path / "settings")
+    near, far, gone = (msgspec.structs.replace(server.device(), device_id=f"rg{i}") for i in range(3))
+
+    @contextmanager
+    def opener(device: PairedDevice) -> Iterator[Any]:
+        if device == gone:
+            raise SourceLost("gone: cannot be reached")
+        if device == far:
+            yield DirectorySource(other.root)
+            return
+        with server.link() as link:
+            yield SftpSource(link)
+
+    outcomes = sync([near, gone, far], library, settings, opener, lambda *_: None)
+    assert [getattr(outcome, "complete", False) for outcome in outcomes] == [True, False, True]
+    assert len(library.scans().bundles) == 2
+    assert settings.sync_state("rg1") is not None
+    assert settings.sync_state("rg1").clock_offset_s is None  # type: ignore[union-attr]
