@@ -45,6 +45,7 @@ test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus,
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
 	@bash .ci/set-up-bench "$(VENV)"
 	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" docs/bench/run.py $(if $(QUICK),--quick)
+
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
