@@ -1,6 +1,7 @@
 """Which colours the balls showed, and how far any other colour lies from them.
 
-A slope is only as good as the balls near its colour: shadows, lifted skin and dirt have colours that no ball showed.
+Colours of a frame made with other lights, or turned, lie where those of the balls do not, channel by channel in range
+though they may be.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from device.colour_space import curved
+from device.colour_space import log_intensity
 from device.surface import Float32Array
 
 CELL: Final = 0.1
@@ -44,7 +45,7 @@ class ColourDomain:
     @classmethod
     def observed(cls, intensity: Float32Array) -> ColourDomain:
         """The domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
-        logs = curved(np.concatenate([intensity, np.ones((1, 3), np.float32)]), "log")
+        logs = log_intensity(np.concatenate([intensity, np.ones((1, 3), np.float32)]))
         spread = max(float(logs.std(axis=0).mean()), 1e-3)
         low = logs.min(axis=0) - np.float32(MARGIN * spread)
         high = logs.max(axis=0) + np.float32(MARGIN * spread)
@@ -58,7 +59,7 @@ class ColourDomain:
 
     def excess(self, intensity: Float32Array) -> Float32Array:
         """Distance of intensities of shape (..., 3) to what the balls showed, standard deviations, of shape (...)."""
-        at = (curved(intensity, "log") - self.low) / np.float32(self.cell)
+        at = (log_intensity(intensity) - self.low) / np.float32(self.cell)
         last = np.array(self.distance.shape, np.float32) - np.float32(1.0)
         inside = np.clip(at, np.float32(0.0), last)
         beyond = np.abs(at - inside).max(axis=-1) * np.float32(self.cell / self.spread)

@@ -1,9 +1,8 @@
 """Fits the inverse map to balls, judged by balls that the fit did not see.
 
-Each polynomial of the map gets the penalty and the degree in position with the least error on held-out balls (whole
-balls, five folds), and a share in the mean that falls steeply with that error. Ball centres come from images and are
-off by a pixel or so; each is moved to where the maps learned from the *other* balls put it. Moving centres to fit a
-model of the same ball would only shrink the residual.
+The penalty and the degree in position are those with the least error on held-out balls (whole balls, five folds).
+Ball centres come from images and are off by a pixel or so; each is moved to where the map learned from the *other*
+balls puts it. Moving centres to fit a model of the same ball would only shrink the residual.
 """
 
 from __future__ import annotations
@@ -17,18 +16,12 @@ import numpy as np
 
 from device.ball import Ball, BallSamples
 from device.colour_domain import ColourDomain
-from device.colour_space import CURVES
 from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg, robust_weight
 from device.inverse_map import InverseMap
-from device.slope_learner import (
-    SlopeLearner,
-    held_out_mean,
-    learned_members,
-    learner_of,
-    preferred_learner,
-    with_shares,
-)
+from device.polynomials import position_exponents
+from device.slope_learner import COLOUR_DEGREE, SlopeLearner, learner_of, preferred_learner
+from device.stereographic import slope_from_stereographic
 from device.surface import Float64Array, MaskArray
 
 REFINEMENT_ROUNDS: Final = 4
@@ -92,18 +85,18 @@ def fit_inverse_map(
     everyone = np.ones(len(balls), bool)
     slope = _true_slopes(chosen, balls)
     if len(balls) == 1:
-        learners = [learner_of(chosen, curve, shape, 0, LONE_BALL_PENALTY) for curve in CURVES]
-        members = learned_members(learners, slope, np.ones(len(slope)), everyone)
-        fitted = InverseMap(shape, members, domain, balls[0].steepest)
+        learner = learner_of(chosen, shape, 0, LONE_BALL_PENALTY)
+        solution = learner.ridge.solve(learner.penalty, slope, np.ones(len(slope)), everyone)
+        fitted = _map(learner, solution, domain, shape, balls[0].steepest)
         return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
-    learners = with_shares([preferred_learner(chosen, slope, len(balls), curve, shape) for curve in CURVES])
-    state = _refine(chosen, balls, learners)
+    learner = preferred_learner(chosen, slope, len(balls), shape)
+    state = _refine(chosen, balls, learner)
     rows = state.kept[chosen.ball]
     error = angle_between_deg(state.held_out[rows], state.slope[rows])
-    members = learned_members(learners, state.slope, state.weight, state.kept)
+    solution = learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept)
     steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
     return InverseFit(
-        map=InverseMap(shape, members, domain, steepest),
+        map=_map(learner, solution, domain, shape, steepest),
         balls=state.balls,
         kept=state.kept,
         ball_error_deg=state.errors_deg,
@@ -148,7 +141,7 @@ def _true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
     return np.asarray(-offset / height[:, None])
 
 
-def _refine(samples: BallSamples, balls: Sequence[Ball], learners: Sequence[SlopeLearner]) -> _Refined:
+def _refine(samples: BallSamples, balls: Sequence[Ball], learner: SlopeLearner) -> _Refined:
     """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each."""
     slope = _true_slopes(samples, balls)
     count = len(balls)
@@ -156,15 +149,28 @@ def _refine(samples: BallSamples, balls: Sequence[Ball], learners: Sequence[Slop
         tuple(balls), slope, np.ones(len(slope)), np.ones(count, bool), np.full(count, np.nan), np.zeros_like(slope)
     )
     for _ in range(REFINEMENT_ROUNDS):
-        held_out = held_out_mean(learners, state.slope, state.weight, state.kept)
+        held_out = _held_out(learner, state)
         state.balls = _recentred(samples, balls, held_out, state.kept)
         state.slope = _true_slopes(samples, state.balls)
         state.weight = robust_weight(held_out, state.slope)
         angle = angle_between_deg(held_out, state.slope)
         state.errors_deg = np.array([angle[samples.ball == number].mean() for number in range(count)])
         state.kept = _following(state.errors_deg)
-    state.held_out = held_out_mean(learners, state.slope, state.weight, state.kept)
+    state.held_out = _held_out(learner, state)
     return state
+
+
+def _held_out(learner: SlopeLearner, state: _Refined) -> Float64Array:
+    """Slopes of shape (N, 2) that the learner gives each ball without having seen it."""
+    (u,) = learner.ridge.held_out([learner.penalty], state.slope, state.weight, state.kept)
+    return slope_from_stereographic(u)
+
+
+def _map(
+    learner: SlopeLearner, solution: Float64Array, domain: ColourDomain, shape: tuple[int, int], steepest: float
+) -> InverseMap:
+    coefficients = solution.reshape(-1, len(position_exponents(learner.degree)), 2).astype(np.float32)
+    return InverseMap(shape, learner.colours, domain, COLOUR_DEGREE, learner.degree, coefficients, steepest)
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:

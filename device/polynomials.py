@@ -32,16 +32,6 @@ def monomials(variables: NDArray[Any], degree: int) -> NDArray[Any]:
     return np.stack([columns[exponent] for exponent in exponents], axis=-1)
 
 
-def joint_terms(colour_degree: int, position_degree: int) -> NDArray[np.bool_]:
-    """True for the products of a colour and a position monomial that a map has: array of shape (M, K).
-
-    Their degrees together stay within the colour's: what bends strongly with colour need not bend with place as well.
-    """
-    colour = np.array([sum(exponent) for exponent in colour_exponents(colour_degree)])
-    place = np.array([sum(exponent) for exponent in position_exponents(position_degree)])
-    return np.asarray(colour[:, None] + place[None, :] <= colour_degree)
-
-
 def field_position(column: NDArray[Any], row: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     """Position variables (N, 2), -1 to 1 over a field of `shape` (H, W), from full-size pixel coordinates."""
     rows, columns = shape

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from device.colour_domain import ColourDomain
-from device.colour_space import DARK_OFFSET
-from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
+from device.colour_space import DARK_OFFSET, ColourSpace
+from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, TRUSTED_EXCESS, InverseMap
 from device.photometry import IntensityImage
 from device.polynomials import field_position, monomials, position_exponents
 from device.stereographic import stereographic_from_slope
@@ -39,12 +38,6 @@ NODES: Final = 13
 PLACES: Final = 4
 """Places along each side of the field at which the map is asked."""
 
-DOUBTED_EXCESS: Final = 0.5
-"""Distance outside the calibrated colours, standard deviations, at which confidence has fallen to a quarter.
-
-Wider than the workstation's: an unweighted integrator takes what is not trusted as flat, which costs more than a guess.
-"""
-
 NEGLIGIBLE: Final = 1e-5
 """A term of position that nowhere adds more slope than this is left out."""
 
@@ -53,13 +46,13 @@ NEGLIGIBLE: Final = 1e-5
 class SlopeTable:
     """An inverse map tabulated for images of one size.
 
-    domain : the colours that the balls showed, asked only where an intensity lies outside the table
+    colours : the map's colour space, asked only for how far an intensity lies outside it
     first, per_bin : float32 arrays of shape (3,), intensity of the first bin's centre and bins per unit of intensity
     terms : for each term of position its table of u, float32 array of shape (BINS³, 2)
     places : for each term its value at every pixel, once for each component of u: float32 array of shape (H, 2 W)
     """
 
-    domain: ColourDomain
+    colours: ColourSpace
     first: Float32Array
     per_bin: Float32Array
     terms: tuple[Float32Array, ...]
@@ -68,7 +61,7 @@ class SlopeTable:
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> SlopeTable:
         """The tables of a map, for images binned by `binning`."""
-        low, high = inverse_map.members[0].colours.intensity_range()
+        low, high = inverse_map.colours.intensity_range()
         width = (high - low) / (BINS - 1)
         first = 1.0 - np.round((1.0 - low) / width) * width
         centres = first + width * np.arange(BINS)[:, None]
@@ -77,7 +70,7 @@ class SlopeTable:
         places = _place_terms(inverse_map.shape, shape, binning)
         kept = [k for k, term in enumerate(terms) if np.abs(term).max() > NEGLIGIBLE or k == 0]
         return cls(
-            inverse_map.domain,
+            inverse_map.colours,
             first.astype(np.float32),
             (1.0 / width).astype(np.float32),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
@@ -126,9 +119,9 @@ class SlopeTable:
         valid = image.valid.copy()
         weight = np.where(image.clipped, np.float32(CLIPPED_CONFIDENCE), np.float32(1.0))
         if outside.any():
-            excess = self.domain.excess(image.values[outside])
+            _, excess = self.colours.variables(image.values[outside])
             valid[outside] &= excess < LOST_EXCESS
-            weight[outside] /= (1.0 + (excess / np.float32(DOUBTED_EXCESS)) ** 2) ** 2
+            weight[outside] /= (1.0 + (excess / np.float32(TRUSTED_EXCESS)) ** 2) ** 2
         weight *= valid
         return valid, weight
 

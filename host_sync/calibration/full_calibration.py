@@ -34,7 +34,6 @@ from host_sync.calibration.held_out import held_out_paper_deg
 from host_sync.calibration.paper_model import PaperModel, fit_paper_model
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.slope_error import SlopeError, measure_slope_error
-from host_sync.softening import softened
 
 Method = Literal["direct", "paper"]
 Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
@@ -126,10 +125,9 @@ def calibrate(
         "paper": held_out_paper_deg(kept),
     }
     tell("measuring the slope error")
-    soft = [(softened(press.intensity), press.balls) for press in used]
-    fitted = _fitted_error_deg(inverse, gather_samples(soft))
+    fitted = _fitted_error_deg(inverse, taught)
     inflation = max((inverse.held_out_deg or 2.0 * fitted) / fitted, 1.0)
-    error = measure_slope_error(soft, inverse.map, inflation)
+    error = measure_slope_error(kept, inverse.map, inflation)
     digest = _digest(inverse, divisor, pitch_um)
     return Calibration(
         calibration_id=digest,
@@ -195,7 +193,7 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
 
 
 def _fit_to(presses: Sequence[UsedPress]) -> InverseFit:
-    samples = gather_samples((softened(press.intensity), press.balls) for press in presses)
+    samples = gather_samples([(press.intensity, press.balls) for press in presses])
     balls = [ball for press in presses for ball in press.balls]
     return fit_inverse_map(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES)
 

@@ -21,7 +21,6 @@ from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
 from host_sync.reconstruction.printed_integration import integrate_as_printed
 from host_sync.reconstruction.slope_kernel import evaluate
 from host_sync.reconstruction.uncertainty import contradicted_slope, height_uncertainty, raised_slopes, slope_sigma
-from host_sync.softening import softened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +97,7 @@ def reconstruct_intensity(
     _refuse(warnings, name, force=force)
     height = levelled(height, at_rest)
     p, q = surface_slopes(height)
-    raised = raised_slopes(softened(intensity), calibration.inverse.map, calibration.slope_error)
+    raised = raised_slopes(intensity, calibration.inverse.map, calibration.slope_error)
     contradiction = contradicted_slope(gradients, p, q)
     scale_share = calibration.assessment.scale.height_share or 0.0
     known = height_uncertainty(height, gradients, raised, contradiction, calibration.slope_error, at_rest, scale_share)
@@ -129,4 +128,4 @@ def estimate(intensity: IntensityImage, calibration: Calibration, method: Method
     """Slopes per pixel by the method."""
     if method == "paper":
         return estimate_gradients(calibration.paper, intensity)
-    return evaluate(calibration.inverse.map, softened(intensity))
+    return evaluate(calibration.inverse.map, intensity)

@@ -10,54 +10,48 @@ from typing import Final
 import numpy as np
 from numba import njit
 
-from device.colour_space import CURVES, DARK_OFFSET
-from device.inverse_map import TRUSTED_EXCESS, TRUSTED_STEEPER
+from device.colour_space import DARK_OFFSET
+from device.inverse_map import TRUSTED_EXCESS
 from device.surface import Float32Array
 
 RUN: Final = 128
 """Pixels of one run: its planes stay in the first-level cache."""
 
 # Planes of a run. Constant numbers of one array of constant shape prove to the compiler that planes do not overlap.
-_LIFTED: Final = 0
-_LOGS: Final = 3
-_VARIABLE: Final = 6
-_ACROSS: Final = 9
-_FIRST: Final = 10
-_SECOND: Final = 11
-_PRODUCT: Final = 12
-_U: Final = 13
-SLOPE: Final = 15
-_STEEPER: Final = 17
-CELL: Final = 18
-BEYOND: Final = 19
-TRUST: Final = 20
-PLANES: Final = 21
+_LOGS: Final = 0
+_VARIABLE: Final = 3
+_ACROSS: Final = 6
+_FIRST: Final = 7
+_SECOND: Final = 8
+_PRODUCT: Final = 9
+_U: Final = 10
+SLOPE: Final = 12
+EXCESS: Final = 14
+TRUST: Final = 15
+PLANES: Final = 16
 
-_LOG: Final = CURVES.index("log")
-_ROOT: Final = CURVES.index("root")
 ZERO: Final = np.float32(0.0)
 ONE: Final = np.float32(1.0)
 
 
 @njit(inline="always")
 def load(values: Float32Array, row: int, start: int, count: int, columns: int, run: Float32Array) -> None:
-    """Fill a run with intensity and its logarithm, the column's position, and u = 0; past the row's end with 1."""
+    """Fill a run with the logarithm of intensity, the column's position, and u = 0; past the row's end with log 1."""
     for k in range(count):
-        run[_LIFTED, k] = max(values[row, start + k, 0], ZERO) + np.float32(DARK_OFFSET)
-        run[_LIFTED + 1, k] = max(values[row, start + k, 1], ZERO) + np.float32(DARK_OFFSET)
-        run[_LIFTED + 2, k] = max(values[row, start + k, 2], ZERO) + np.float32(DARK_OFFSET)
+        for channel in range(3):
+            run[_LOGS + channel, k] = max(values[row, start + k, channel], ZERO) + np.float32(DARK_OFFSET)
     for k in range(count, RUN):
-        run[_LIFTED, k] = ONE
-        run[_LIFTED + 1, k] = ONE
-        run[_LIFTED + 2, k] = ONE
+        run[_LOGS, k] = ONE
+        run[_LOGS + 1, k] = ONE
+        run[_LOGS + 2, k] = ONE
     begin, step = np.float32((2.0 * start + 1.0) / columns - 1.0), np.float32(2.0 / columns)
     for k in range(RUN):
         run[_ACROSS, k] = begin + step * np.float32(k)
         run[_U, k] = ZERO
         run[_U + 1, k] = ZERO
-        run[_LOGS, k] = _logarithm(run[_LIFTED, k])
-        run[_LOGS + 1, k] = _logarithm(run[_LIFTED + 1, k])
-        run[_LOGS + 2, k] = _logarithm(run[_LIFTED + 2, k])
+        run[_LOGS, k] = _logarithm(run[_LOGS, k])
+        run[_LOGS + 1, k] = _logarithm(run[_LOGS + 1, k])
+        run[_LOGS + 2, k] = _logarithm(run[_LOGS + 2, k])
 
 
 @njit(inline="always")
@@ -77,23 +71,26 @@ def _logarithm(value: np.float32) -> np.float32:
 
 
 @njit(inline="always")
-def take_variables(run: Float32Array, curve: int, limits: Float32Array) -> None:
-    """Set the variables of a run for a member of this curve; `limits` holds low, high, centre and 1 / scale."""
+def take_variables(run: Float32Array, limits: Float32Array) -> None:
+    """Variables, and how far outside the calibrated colours they lay; `limits` as the kernel has them."""
     for k in range(RUN):
-        if curve == _LOG:
-            first, second, third = run[_LOGS, k], run[_LOGS + 1, k], run[_LOGS + 2, k]
-        else:
-            first, second, third = run[_LIFTED, k], run[_LIFTED + 1, k], run[_LIFTED + 2, k]
-            if curve == _ROOT:
-                first, second, third = np.sqrt(first), np.sqrt(second), np.sqrt(third)
-        run[_VARIABLE, k] = (min(max(first, limits[0, 0]), limits[1, 0]) - limits[2, 0]) * limits[3, 0]
-        run[_VARIABLE + 1, k] = (min(max(second, limits[0, 1]), limits[1, 1]) - limits[2, 1]) * limits[3, 1]
-        run[_VARIABLE + 2, k] = (min(max(third, limits[0, 2]), limits[1, 2]) - limits[2, 2]) * limits[3, 2]
+        excess = ZERO
+        first, second, third = run[_LOGS, k], run[_LOGS + 1, k], run[_LOGS + 2, k]
+        inside = min(max(first, limits[0, 0]), limits[1, 0])
+        excess = max(excess, abs(first - inside))
+        run[_VARIABLE, k] = (inside - limits[2, 0]) * limits[3, 0]
+        inside = min(max(second, limits[0, 1]), limits[1, 1])
+        excess = max(excess, abs(second - inside))
+        run[_VARIABLE + 1, k] = (inside - limits[2, 1]) * limits[3, 1]
+        inside = min(max(third, limits[0, 2]), limits[1, 2])
+        excess = max(excess, abs(third - inside))
+        run[_VARIABLE + 2, k] = (inside - limits[2, 2]) * limits[3, 2]
+        run[EXCESS, k] = excess * limits[4, 0]
 
 
 @njit(inline="always")
 def add_polynomial(run: Float32Array, degree: int, place: int, along: Float32Array) -> None:
-    """Add a member's polynomial to u; monomials in the order of `colour_exponents`, within `joint_terms`."""
+    """Add the polynomial to u; monomials in the order of `colour_exponents`, `place` its degree in position."""
     term = 0
     for k in range(RUN):
         run[_FIRST, k] = ONE
@@ -103,8 +100,8 @@ def add_polynomial(run: Float32Array, degree: int, place: int, along: Float32Arr
         for j in range(degree + 1 - i):
             for k in range(RUN):
                 run[_PRODUCT, k] = run[_SECOND, k]
-            for last in range(degree + 1 - i - j):
-                _add_term(run, min(place, degree - i - j - last), along[term])
+            for _ in range(degree + 1 - i - j):
+                _add_term(run, place, along[term])
                 term += 1
             for k in range(RUN):
                 run[_SECOND, k] *= run[_VARIABLE + 1, k]
@@ -138,42 +135,20 @@ def _add_term(run: Float32Array, degree: int, along: Float32Array) -> None:
 
 
 @njit(inline="always")
-def take_slopes(run: Float32Array, steepest: np.float32) -> None:
-    """Slopes from u, and by which multiple of the trusted share they are steeper than what balls taught."""
+def take_slopes(run: Float32Array) -> None:
+    """Slopes from u."""
     for k in range(RUN):
         across, down = run[_U, k], run[_U + 1, k]
         square = across * across + down * down
         rescale = ONE / (ONE - np.float32(0.25) * min(square, np.float32(3.61)))
         run[SLOPE, k] = across * rescale
         run[SLOPE + 1, k] = down * rescale
-        share = np.sqrt(square) * rescale / steepest - ONE
-        run[_STEEPER, k] = max(share, ZERO) * np.float32(1.0 / TRUSTED_STEEPER)
-
-
-@njit(inline="always")
-def take_cells(run: Float32Array, first: Float32Array, widths: Float32Array, shape: tuple[int, int, int]) -> None:
-    """The domain's cell that each colour falls into, and how far beyond the table it lies, standard deviations."""
-    last0, last1, last2 = np.float32(shape[0] - 1), np.float32(shape[1] - 1), np.float32(shape[2] - 1)
-    low0, low1, low2 = first[0], first[1], first[2]
-    per_log, spreads = ONE / widths[0], widths[1]
-    half = np.float32(0.5)
-    for k in range(RUN):
-        at0, at1, at2 = (
-            (run[_LOGS, k] - low0) * per_log,
-            (run[_LOGS + 1, k] - low1) * per_log,
-            (run[_LOGS + 2, k] - low2) * per_log,
-        )
-        in0, in1, in2 = min(max(at0, ZERO), last0), min(max(at1, ZERO), last1), min(max(at2, ZERO), last2)
-        run[BEYOND, k] = max(abs(at0 - in0), max(abs(at1 - in1), abs(at2 - in2))) * spreads
-        # Whole numbers under 2^24 are exact.
-        cell = np.floor(in0 + half) * (last1 + ONE) + np.floor(in1 + half)
-        run[CELL, k] = cell * (last2 + ONE) + np.floor(in2 + half)
 
 
 @njit(inline="always")
 def take_trust(run: Float32Array) -> None:
-    """Confidence from the distance to the calibrated colours, which it replaces, and from steepness."""
+    """Confidence from the distance to the calibrated colours."""
     for k in range(RUN):
-        outside = run[TRUST, k] * np.float32(1.0 / TRUSTED_EXCESS)
-        doubt = (ONE + outside * outside) * (ONE + run[_STEEPER, k] * run[_STEEPER, k])
+        outside = run[EXCESS, k] * np.float32(1.0 / TRUSTED_EXCESS)
+        doubt = ONE + outside * outside
         run[TRUST, k] = ONE / (doubt * doubt)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.colour_domain import ColourDomain
-from device.colour_space import CURVES, DARK_OFFSET, ColourSpace, curved
+from device.colour_space import DARK_OFFSET, ColourSpace, log_intensity
 
 
 def shown() -> np.ndarray:
@@ -36,16 +36,15 @@ def test_excess_is_in_standard_deviations() -> None:
     colours = np.ones((4000, 3), np.float32)
     colours[:, 0] = np.linspace(0.5, 1.5, 4000)
     domain = ColourDomain.observed(colours)
-    spread = float(curved(colours, "log").std(axis=0).mean())
+    spread = float(log_intensity(colours).std(axis=0).mean())
     blue = np.exp(np.log(1.0 + DARK_OFFSET) + 3.0 * spread) - DARK_OFFSET
     assert domain.excess(np.array([[1.0, 1.0, blue]], np.float32))[0] == pytest.approx(3.0, abs=0.15)
 
 
-@pytest.mark.parametrize("curve", CURVES)
-def test_a_space_survives_as_arrays_and_knows_its_range(curve: str) -> None:
-    space = ColourSpace.observed(shown(), curve)
+def test_a_space_survives_as_arrays_and_knows_its_range() -> None:
+    space = ColourSpace.observed(shown())
     again = ColourSpace.from_arrays(space.arrays())
-    np.testing.assert_array_equal(again.variables(shown()), space.variables(shown()))
+    np.testing.assert_array_equal(again.variables(shown())[0], space.variables(shown())[0])
     low, high = space.intensity_range()
     np.testing.assert_allclose(low, 0.5, atol=0.01)
     np.testing.assert_allclose(high, 1.5, atol=0.01)

@@ -197,7 +197,7 @@ def test_arrays_that_are_no_map_are_refused_by_name() -> None:
     with pytest.raises(RecordError, match="model\\.npz"):
         InverseMap.from_arrays({"shape": arrays["shape"]}, "model.npz")
     with pytest.raises(RecordError, match="coefficients of shape"):
-        InverseMap.from_arrays(arrays | {"member0_coefficients": arrays["member0_coefficients"][1:]}, "model.npz")
+        InverseMap.from_arrays(arrays | {"coefficients": arrays["coefficients"][1:]}, "model.npz")
 
 
 def test_enlarged_samples_lie_where_their_pixels_lie() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from device.colour_domain import ColourDomain
+from device.colour_space import ColourSpace
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
@@ -27,7 +28,9 @@ def pressed() -> np.ndarray:
 
 
 def inverse() -> InverseMap:
-    return InverseMap(SHAPE, (), ColourDomain.observed(pressed().reshape(-1, 3)), 1.0)
+    seen = pressed().reshape(-1, 3)
+    space, domain = ColourSpace.observed(seen), ColourDomain.observed(seen)
+    return InverseMap(SHAPE, space, domain, 0, 0, np.zeros((1, 1, 2), np.float32), 1.0)
 
 
 def image_of(values: np.ndarray) -> IntensityImage:
