@@ -21,7 +21,6 @@ from host_sync.library import Library
 from host_sync.reconstruction.library_job import LibraryJob
 from host_sync.reconstruction.results import RECORD_FILE
 
-FIELDS: Final = ("height_um.tif", "slope_p.tif", "slope_q.tif", "height_sigma_um.tif")
 _WHEN_AND_BY: Final = frozenset({"written_utc", "program"})
 
 
@@ -81,9 +80,9 @@ def compare(stored: Path, fresh: Path) -> list[str]:
         One cannot be read.
     """
     differences = []
-    for name in FIELDS:
-        if not (stored / name).is_file():
-            differences.append(f"{name} is missing")
+    for name in sorted({path.name for folder in (stored, fresh) for path in folder.glob("*.tif")}):
+        if not ((stored / name).is_file() and (fresh / name).is_file()):
+            differences.append(f"{name} is missing {'among the stored' if (fresh / name).is_file() else 'now'}")
         elif (stored / name).read_bytes() != (fresh / name).read_bytes():
             differences.append(_describe(name, _read_field(stored / name), _read_field(fresh / name)))
     before, after = _read_record(stored), _read_record(fresh)

@@ -362,7 +362,7 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
     shutil.copytree(folder, same)
     assert compare(same, folder) == []
     (same / "slope_p.tif").unlink()
-    assert compare(same, folder) == ["slope_p.tif is missing"]
+    assert compare(same, folder) == ["slope_p.tif is missing among the stored"]
     assert leftovers(root) == []
 
 
