@@ -81,17 +81,21 @@ def fit_inverse_map(
         raise CalibrationError(
             f"the balls cover only {len(chosen.p)} usable pixels: press the ball deeper or lower the exposure"
         )
-    domain = ColourDomain.observed(samples.intensity)
     everyone = np.ones(len(balls), bool)
     slope = _true_slopes(chosen, balls)
     if len(balls) == 1:
         learner = learner_of(chosen, shape, 0, LONE_BALL_PENALTY)
         solution = learner.ridge.solve(learner.penalty, slope, np.ones(len(slope)), everyone)
-        fitted = _map(learner, solution, domain, shape, balls[0].steepest)
+        fitted = _map(learner, solution, ColourDomain.observed(samples.intensity), shape, balls[0].steepest)
         return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
     learner = preferred_learner(chosen, slope, len(balls), shape)
     state = _refine(chosen, balls, learner)
+    if not state.kept.any():
+        raise CalibrationError(
+            "no ball follows the sphere well enough to teach: press the ball again, deeper and centred"
+        )
     rows = state.kept[chosen.ball]
+    domain = ColourDomain.observed(samples.intensity[state.kept[samples.ball]])
     error = angle_between_deg(state.held_out[rows], state.slope[rows])
     solution = learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept)
     steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
@@ -145,16 +149,16 @@ def _refine(samples: BallSamples, balls: Sequence[Ball], learner: SlopeLearner) 
     """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each."""
     slope = _true_slopes(samples, balls)
     count = len(balls)
-    state = _Refined(
-        tuple(balls), slope, np.ones(len(slope)), np.ones(count, bool), np.full(count, np.nan), np.zeros_like(slope)
-    )
+    seen = np.bincount(samples.ball, minlength=count) > 0
+    state = _Refined(tuple(balls), slope, np.ones(len(slope)), seen, np.full(count, np.nan), np.zeros_like(slope))
     for _ in range(REFINEMENT_ROUNDS):
         held_out = _held_out(learner, state)
         state.balls = _recentred(samples, balls, held_out, state.kept)
         state.slope = _true_slopes(samples, state.balls)
         state.weight = robust_weight(held_out, state.slope)
         angle = angle_between_deg(held_out, state.slope)
-        state.errors_deg = np.array([angle[samples.ball == number].mean() for number in range(count)])
+        pixels = np.maximum(np.bincount(samples.ball, minlength=count), 1)
+        state.errors_deg = np.where(seen, np.bincount(samples.ball, angle, count) / pixels, np.nan)
         state.kept = _following(state.errors_deg)
     state.held_out = _held_out(learner, state)
     return state
@@ -179,7 +183,9 @@ def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array,
     towards_apex = slope * (radius / np.sqrt(1.0 + (slope**2).sum(axis=-1)))[:, None]
     apex = np.stack([samples.column, samples.row], axis=-1) + towards_apex
     centre = np.array([[ball.column, ball.row] for ball in balls])
-    shift = np.array([np.median(apex[samples.ball == number], axis=0) for number in range(len(balls))]) - centre
+    shift = np.zeros_like(centre)
+    for number in np.unique(samples.ball):
+        shift[number] = np.median(apex[samples.ball == number], axis=0) - centre[number]
     shift = SHIFT_TAKEN * (shift - np.median(shift[kept], axis=0))
     moved = centre + shift
     return tuple(
@@ -188,9 +194,9 @@ def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array,
 
 
 def _following(errors: Float64Array) -> MaskArray:
-    """False for balls whose error stands out: hair, lift-off, a label from another frame."""
-    median = float(np.median(errors))
-    deviation = float(np.median(np.abs(errors - median)))
+    """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel."""
+    median = float(np.nanmedian(errors))
+    deviation = float(np.nanmedian(np.abs(errors - median)))
     return np.asarray(errors <= median + 3.0 * max(deviation, 0.1 * median))
 
 

@@ -29,7 +29,7 @@ from device.stereographic import stereographic_from_slope
 from device.surface import Float32Array, Float64Array, GradientField, MaskArray
 
 BINS: Final = 64
-"""Bins a channel: 12 tables of 1 MB, few of whose lines a frame touches."""
+"""Bins a channel: 6 tables of 2 MB, few of whose lines a frame touches."""
 
 POSITION_DEGREE: Final = 2
 NODES: Final = 13

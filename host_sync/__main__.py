@@ -125,8 +125,8 @@ def _reconstruct_frame_set(
     done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band, force=force)
     for failure in failures:
         complain(f"{failure.name}: {failure.reason}", PARTLY)
-    for name, reconstruction in done.items():
-        for warning in reconstruction.warnings:
+    for name, warnings in done.items():
+        for warning in warnings:
             complain(f"{name}: {warning}", PARTLY)
     sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
     if failures and not done:
@@ -156,11 +156,13 @@ def _reconstruct_library(
     done = 0
     for scan in scans:
         try:
-            _, folder = job.run(scan)
+            found, folder = job.run(scan)
         except (DeviceError, HostError) as error:
-            failed.append(str(error))
+            failed.append(f"{scan.scan_id}: {error}")
         else:
             done += 1
+            for warning in found.warnings:
+                complain(f"{scan.scan_id}: {warning}", PARTLY)
             sys.stdout.write(f"{folder}\n")
     for reason in failed:
         complain(reason, PARTLY)

@@ -40,6 +40,7 @@ def video(
     weighted: bool = True,
     mp4: bool = True,
     gif: bool = True,
+    force: bool = False,
 ) -> int:
     """Reconstruct every frame of a sequence and draw the moving relief.
 
@@ -65,6 +66,8 @@ def video(
         Write the MP4.
     gif
         Write the GIF.
+    force
+        Solve frames too that were not made as the calibration was.
     """
     if rate_hz is not None and not 1e-6 <= rate_hz <= 1e6:
         raise FrameSetError(f"--rate-hz {rate_hz:g} is no rate: give frames a second, such as 25")
@@ -77,7 +80,7 @@ def video(
         from host_sync.reconstruction.sequence_job import reconstruct_sequence
         from host_sync.reconstruction.sequence_record import SequenceOrder
 
-        solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted)
+        solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
         facts = (("sequence", sequence.name), ("calibration", calibration))
         order = SequenceOrder(sequence.resolve().name, rate_hz, mp4, gif, facts)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)

@@ -15,7 +15,7 @@ from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
 from host_sync.frame_set import FrameSet, PressSpec, ScanSpec
 from host_sync.reconstruction.detail_filter import DetailBand
-from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.results import write_result
 
 CALIBRATION_FOLDER = "calibration"
@@ -99,8 +99,8 @@ def reconstruct_frame_set(
     band: DetailBand | None = None,
     *,
     force: bool = False,
-) -> tuple[dict[str, Reconstruction], list[ScanFailure]]:
-    """Reconstruct the named scans (all when none is named) and write every result; failures are named, others go on.
+) -> tuple[dict[str, tuple[str, ...]], list[ScanFailure]]:
+    """Reconstruct the named scans (all when none is named) and write every result: warnings by scan, and failures.
 
     band : of the detail that is written beside each height map, if any
     force : reconstruct frames too that the calibration cannot explain
@@ -115,7 +115,7 @@ def reconstruct_frame_set(
     scans = chosen_scans(frame_set, names)
     calibration = calibrate_frame_set(frame_set, tell)
     write_report(out / CALIBRATION_FOLDER, calibration)
-    done: dict[str, Reconstruction] = {}
+    done: dict[str, tuple[str, ...]] = {}
     failures = []
     for scan in scans:
         tell(f"{scan.name}: slopes and height")
@@ -125,5 +125,5 @@ def reconstruct_frame_set(
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))
         else:
-            done[scan.name] = reconstruction
+            done[scan.name] = reconstruction.warnings
     return done, failures

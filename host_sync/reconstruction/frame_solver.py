@@ -21,7 +21,8 @@ from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
 from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import Integrator
-from host_sync.reconstruction.pipeline import estimate
+from host_sync.reconstruction.pipeline import estimate, refuse_doubtful
+from host_sync.reconstruction.plausibility import frame_doubts
 
 CHECK_COARSENESS: Final = 2
 SAMPLED_COLUMNS: Final = 180
@@ -52,15 +53,23 @@ class FrameSolver:
     calibration : of every frame
     method : how slopes are estimated
     encoding : how stored values encode light; raw frames do not need it
+    force : solve frames too that the calibration cannot explain
     weighted : False lets every pixel count alike and fills holes with flat skin: a faster kernel, less faithful
     """
 
     def __init__(
-        self, calibration: Calibration, method: Method, encoding: Encoding | None, *, weighted: bool = True
+        self,
+        calibration: Calibration,
+        method: Method,
+        encoding: Encoding | None,
+        *,
+        weighted: bool = True,
+        force: bool = False,
     ) -> None:
         self._calibration = calibration
         self._method: Method = method
         self._encoding = encoding
+        self._force = force
         self._light: dict[np.dtype[Any], Float32Array] = {}
         rows, columns, _ = calibration.divisor.shape
         self.shape = (rows, columns)
@@ -71,7 +80,12 @@ class FrameSolver:
     @property
     def facts(self) -> dict[str, Any]:
         """How frames are solved, for a record."""
-        return {"method": self._method, "encoding": self._encoding, "weighted": self._equal is None}
+        return {
+            "method": self._method,
+            "encoding": self._encoding,
+            "weighted": self._equal is None,
+            "forced": self._force,
+        }
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameFigures:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its figures.
@@ -89,6 +103,7 @@ class FrameSolver:
         """
         intensity = self._read(frame)
         check_intensity(intensity, self._calibration.divisor, frame.name, CHECK_COARSENESS)
+        refuse_doubtful(self._doubts(intensity), frame.name, force=self._force)
         gradients = self._gradients(intensity)
         height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
         zero_um = height_of_rest_um(height, untouched_skin(gradients))
@@ -99,6 +114,9 @@ class FrameSolver:
             masked_share=float(1.0 - known / out.size),
             peak_um=float(peak_um) if known else None,
         )
+
+    def _doubts(self, intensity: IntensityImage) -> list[str]:
+        return frame_doubts(intensity, self._calibration.divisor, self._calibration.inverse.map)
 
     def _read(self, frame: StoredFrame) -> IntensityImage:
         divisor = self._calibration.divisor

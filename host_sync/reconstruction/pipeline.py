@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from device.errors import CalibrationMismatch
@@ -13,6 +14,8 @@ from device.surface import Float32Array, GradientField, HeightMap, surface_slope
 from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.paper_model import estimate_gradients
+from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
+from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import raw_intensity
 from host_sync.reconstruction.level import levelled, untouched_skin
@@ -88,19 +91,19 @@ def reconstruct_intensity(
     chosen = method or calibration.preferred
     check_intensity(intensity, calibration.divisor, name)
     warnings = frame_doubts(intensity, calibration.divisor, calibration.inverse.map)
-    _refuse(warnings, name, force=force)
+    refuse_doubtful(warnings, name, force=force)
     gradients = estimate(intensity, calibration, chosen)
     solve = integrate_as_printed if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     at_rest = untouched_skin(gradients)
     warnings += rest_doubts(intensity, at_rest)
-    _refuse(warnings, name, force=force)
+    refuse_doubtful(warnings, name, force=force)
     height = levelled(height, at_rest)
     p, q = surface_slopes(height)
-    raised = raised_slopes(intensity, calibration.inverse.map, calibration.slope_error)
+    error = slope_error_of(calibration, chosen)
+    raised = raised_slopes(intensity, calibration.inverse.map, error)
     contradiction = contradicted_slope(gradients, p, q)
-    scale_share = calibration.assessment.scale.height_share or 0.0
-    known = height_uncertainty(height, gradients, raised, contradiction, calibration.slope_error, at_rest, scale_share)
+    known = height_uncertainty(height, gradients, raised, contradiction, error, at_rest, known_scale_share(calibration))
     return Reconstruction(
         method=chosen,
         height=height,
@@ -108,7 +111,7 @@ def reconstruct_intensity(
         draws_um=known.draws_um,
         p=p,
         q=q,
-        slope_sigma=slope_sigma(gradients, p, q, contradiction, calibration.slope_error),
+        slope_sigma=slope_sigma(gradients, p, q, contradiction, error),
         gradients=gradients,
         integration=integration,
         clipped_share=float(intensity.clipped.mean()),
@@ -116,7 +119,35 @@ def reconstruct_intensity(
     )
 
 
-def _refuse(doubts: Sequence[str], name: str, *, force: bool) -> None:
+def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
+    """The slope error of a method: the default's as measured, the paper's larger as its held-out balls say."""
+    held_out = calibration.held_out_deg
+    if method == "direct" or not held_out["paper"] > held_out["direct"]:
+        return calibration.slope_error
+    share = held_out["paper"] / held_out["direct"]
+    error = calibration.slope_error
+    return msgspec.structs.replace(
+        error,
+        pixel_deg=tuple(share * part for part in error.pixel_deg),
+        patch_deg=tuple(share * part for part in error.patch_deg),
+        scale_share=share * error.scale_share,
+    )
+
+
+def known_scale_share(calibration: Calibration) -> float:
+    """Standard uncertainty of the height's scale, as a share, from what of it was measured."""
+    scale = calibration.assessment.scale
+    return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))
+
+
+def refuse_doubtful(doubts: Sequence[str], name: str, *, force: bool) -> None:
+    """Refuse a frame that something speaks against, unless it is forced.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Says what speaks against it.
+    """
     if doubts and not force:
         raise CalibrationMismatch(
             f"{name} was not made as its calibration was: {'; '.join(doubts)}. Use a calibration of these lights and "

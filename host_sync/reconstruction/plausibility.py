@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,8 +24,11 @@ STRANGE_EXCESS: Final = 0.5
 MOST_STRANGE: Final = 0.25
 """Share of strange pixels from which a frame is none of this calibration's; honest frames stay under a tenth."""
 
-MOST_DRIFT: Final = 0.12
+MOST_DRIFT: Final = 0.15
 """Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
+
+LEAST_REST: Final = 0.1
+"""Share of the field that must be at rest to be judged: a few pixels that happen to look flat tell nothing."""
 
 SAMPLES_ALONG: Final = 256
 """The frame is looked at with at most so many rows and columns."""
@@ -55,7 +57,7 @@ def frame_doubts(intensity: IntensityImage, divisor: Float32Array, inverse: Inve
 
 def rest_doubts(intensity: IntensityImage, at_rest: MaskArray) -> list[str]:
     """What speaks against a frame whose untouched skin is known; nothing where no skin is at rest."""
-    if at_rest.all():
+    if at_rest.all() or at_rest.mean() < LEAST_REST:
         return []
     step = _step(at_rest.shape)
     rest = intensity.values[::step, ::step][at_rest[::step, ::step]]
@@ -75,9 +77,11 @@ def rest_doubts(intensity: IntensityImage, at_rest: MaskArray) -> list[str]:
 def _turn(intensity: IntensityImage, divisor: Float32Array) -> str | None:
     """The name of the turn under which the reference explains the frame far better, if there is one."""
     step = _step(intensity.shape)
-    size = (max(intensity.shape[1] // step, 1), max(intensity.shape[0] // step, 1))
-    rest = np.log(np.maximum(_reduced(divisor, size), np.float32(DARK_FLOOR)))
-    shade = np.maximum(_reduced(intensity.values, size), np.float32(DARK_FLOOR))
+    # Rows and columns from both ends alike, so that a turned reference lies where the reference does.
+    first = ((intensity.shape[0] - 1) % step // 2, (intensity.shape[1] - 1) % step // 2)
+    every = (slice(first[0], None, step), slice(first[1], None, step))
+    rest = np.log(np.maximum(divisor[every], np.float32(DARK_FLOOR)))
+    shade = np.maximum(intensity.values[every], np.float32(DARK_FLOOR))
     light = np.log(shade) + rest
     left = _unexplained(light - rest)
     for name, rows, columns in _TURNS:
@@ -103,7 +107,3 @@ def _strange_share(intensity: IntensityImage, inverse: InverseMap) -> float:
 
 def _step(shape: tuple[int, ...]) -> int:
     return max(1, max(shape[:2]) // SAMPLES_ALONG)
-
-
-def _reduced(field: Float32Array, size: tuple[int, int]) -> Float32Array:
-    return np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -36,7 +36,7 @@ ONE: Final = np.float32(1.0)
 
 @njit(inline="always")
 def load(values: Float32Array, row: int, start: int, count: int, columns: int, run: Float32Array) -> None:
-    """Fill a run with the logarithm of intensity, the column's position, and u = 0; past the row's end with log 1."""
+    """Fill a run with the logarithm of intensity, the column's position and u = 0; past the row's end as if 1 stood."""
     for k in range(count):
         for channel in range(3):
             run[_LOGS + channel, k] = max(values[row, start + k, channel], ZERO) + np.float32(DARK_OFFSET)

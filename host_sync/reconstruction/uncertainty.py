@@ -101,7 +101,8 @@ def slope_sigma(
     pixel, patch = _by_tilt(square, error)
     own = np.hypot(np.float32(NOISE_KEPT) * pixel, patch) * (np.float32(1.0) + np.minimum(square, np.float32(9.0)))
     own /= np.sqrt(np.maximum(gradients.weight, np.float32(LEAST_WEIGHT)))
-    return np.where(gradients.valid, np.hypot(own, contradiction), np.float32(np.nan))
+    # Both look at the same error, from what balls taught and from what this surface betrays: the larger one counts.
+    return np.where(gradients.valid, np.maximum(own, contradiction), np.float32(np.nan))
 
 
 def height_uncertainty(

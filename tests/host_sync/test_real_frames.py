@@ -18,7 +18,7 @@ SHARED = Path(__file__).parents[3] / "shared"
 DATA = Path(os.environ.get("RETROGRAPH_DATA", SHARED / "data"))
 JUDGE = DATA.parent / "tools" / "judge_balls.py"
 LABELLED = {"oem-bga": 55, "taxim-small": 10, "finger": 23}
-WORST_SURFACE_DEG = {"oem-bga": 2.6, "taxim-small": 4.5, "finger": 5.5}
+WORST_SURFACE_DEG = {"oem-bga": 2.0, "taxim-small": 3.4, "finger": 3.5}
 
 pytestmark = pytest.mark.skipif(
     not (DATA / "oem-bga").is_dir() or not JUDGE.is_file(),

@@ -380,3 +380,20 @@ def test_a_reader_that_has_gone_is_no_traceback(calibrated_root: Path, tmp_path:
         error = running.stderr.read()
     assert running.returncode in {1, 141}
     assert "Traceback" not in error
+
+
+def test_a_frame_that_was_turned_is_refused_or_kept_with_its_warning(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "turned"
+    shutil.copytree(frames.folder, folder)
+    picture = folder / "sphere.png"
+    cv2.imwrite(str(picture), cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+    out = tmp_path / "out"
+    command = ["reconstruct", str(folder / "frameset.toml"), "--out", str(out), "sphere"]
+    assert main(command) == 2
+    assert "turned by 180 degrees" in capsys.readouterr().err
+    assert not (out / "sphere").exists()
+    assert main([*command, "--force"]) == 0
+    record = json.loads((out / "sphere" / "result.json").read_text())
+    assert "turned by 180 degrees" in record["warnings"][0]
