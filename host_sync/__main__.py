@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
@@ -25,12 +25,10 @@ from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library
+from host_sync.method_name import MethodName
 from host_sync.picture_format import PictureFormat
 from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.video_command import video
-
-Method = Literal["direct", "paper"]
-"""Said here once more, as commands that fetch and search do without the numerics where it is defined."""
 
 app = App(
     name="retrosync",
@@ -77,7 +75,7 @@ def reconstruct(
     *names: str,
     out: Folder | None = None,
     library: Folder | None = None,
-    method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    method: Annotated[MethodName | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
     force: bool = False,
@@ -111,7 +109,7 @@ def _reconstruct_frame_set(
     path: Path,
     out: Path,
     names: Sequence[str],
-    method: Method | None,
+    method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
     *,
@@ -137,7 +135,7 @@ def _reconstruct_frame_set(
 def _reconstruct_library(
     library: Library,
     names: Sequence[str],
-    method: Method | None,
+    method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
     *,
