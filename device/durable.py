@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -51,10 +52,12 @@ def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
     sync_directory(path.parent)
 
 
-def publish_directory(partial: Path, final: Path) -> None:
+def publish_directory(partial: Path, final: Path, synced: Collection[str] = ()) -> None:
     """Make a finished temporary directory a published one, or leave no trace of it.
 
     Every file in it and the directory itself are on the disk before the rename, and the rename before this returns.
+
+    synced : names of files that the caller has seen to already
 
     Raises
     ------
@@ -64,7 +67,8 @@ def publish_directory(partial: Path, final: Path) -> None:
         The disk refused; `final` does not exist.
     """
     for path in sorted(partial.iterdir()):
-        sync_file(path)
+        if path.name not in synced:
+            sync_file(path)
     sync_directory(partial)
     if final.exists() or final.is_symlink():
         raise FileExistsError(f"{final} exists already")

@@ -75,7 +75,7 @@ def reconstruct(
     *names: str,
     out: Folder | None = None,
     library: Folder | None = None,
-    method: Annotated[MethodName | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    method: Annotated[MethodName | None, Parameter(help="Default: what the held-out balls prefer.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
     force: bool = False,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final, TypeVar
@@ -121,8 +121,10 @@ class Library:
             yield
 
     @contextmanager
-    def publishing(self, kind: BundleKind, bundle_id: str) -> Iterator[Path]:
+    def publishing(self, kind: BundleKind, bundle_id: str, synced: Collection[str] = ()) -> Iterator[Path]:
         """Directory for a bundle's files, published when the block ends well.
+
+        synced : names of files that will be on the disk by then
 
         When the source went away or somebody stopped the program, it stays as it is and the next one goes on in it;
         after any other error it is removed.
@@ -140,7 +142,7 @@ class Library:
             try:
                 with self.translating("written"):
                     yield partial
-                    publish_directory(partial, self.root / kind / bundle_id)
+                    publish_directory(partial, self.root / kind / bundle_id, synced)
             except BaseException as error:
                 if not isinstance(error, (SourceLost, KeyboardInterrupt)):
                     discard(partial)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
@@ -64,13 +66,14 @@ class DirectorySource:
             while block := _next_block(stream.read, path):
                 yield block
 
-    def write(self, place: str, blocks: Iterable[bytes]) -> None:
+    def write(self, place: str, data: bytes | Path) -> None:
         """Put a file there, durable before it appears under its name."""
         path = self.root / place
         partial = path.with_name(f".{path.name}.part")
         try:
             with partial.open("wb") as stream:
-                stream.writelines(blocks)
+                with BytesIO(data) if isinstance(data, bytes) else data.open("rb") as content:
+                    shutil.copyfileobj(content, stream, CHUNK_BYTES)
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(path)

@@ -26,12 +26,23 @@ T = TypeVar("T")
 CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
 PACKET_BYTES: Final = 128 << 10
 
+_SIGNATURES: Final = {"ssh-rsa": ["rsa-sha2-512", "rsa-sha2-256"]}
+"""How a host proves a key whose kind is not also the name of its signature."""
+
 LOST: Final = (asyncssh.Error, OSError)
 """What a connection that is gone, or never came about, raises; a time-out is an OSError."""
 
 
 class LinkBroken(Exception):
     """The connection is gone; `SftpLink.restore` brings it back or says why not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """One connection and the SFTP session on it; after a cut another takes its place."""
+
+    connection: asyncssh.SSHClientConnection
+    client: asyncssh.SFTPClient
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +62,7 @@ class Patience:
 
 
 class SftpLink:
-    """One device's connection; a context manager.
+    """One device's connection; a context manager. Several threads may use it: one mends it, the others wait.
 
     Raises
     ------
@@ -67,15 +78,16 @@ class SftpLink:
         self._patience = patience
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"sftp {device.device_id}", daemon=True)
-        self._connection: asyncssh.SSHClientConnection | None = None
-        self._client: asyncssh.SFTPClient | None = None
+        self._session: Session | None = None
+        self._mending = threading.Lock()
+        self._lost: SourceLost | SourceRefused | None = None
         self._last_byte_s = 0.0
 
     def __enter__(self) -> SftpLink:
         self._thread.start()
         try:
             self.note_progress()
-            self.restore()
+            self.restore(None)
         except BaseException:
             self._stop()
             raise
@@ -92,11 +104,11 @@ class SftpLink:
         return self._device.device_id
 
     @property
-    def client(self) -> asyncssh.SFTPClient:
-        """The SFTP session of the present connection."""
-        if self._client is None:
+    def session(self) -> Session:
+        """The present session, which may be broken already."""
+        if self._session is None:
             raise LinkBroken
-        return self._client
+        return self._session
 
     def note_progress(self) -> None:
         """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
@@ -117,7 +129,7 @@ class SftpLink:
             The device refused just this.
         """
         try:
-            return future.result(timeout=self._patience.give_up_s)
+            return self._awaited(future)
         except LOST as error:
             future.cancel()
             if isinstance(error, asyncssh.SFTPError) and not isinstance(
@@ -130,52 +142,70 @@ class SftpLink:
         """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
         self.note_progress()
         while True:
+            session = self.session
             try:
-                return self.result(self.submit(work(self.client)))
+                return self.result(self.submit(work(session.client)))
             except LinkBroken:
-                self.restore()
+                self.restore(session)
 
-    def restore(self) -> None:
-        """Connect anew, trying until patience ends.
+    def restore(self, broken: Session | None) -> None:
+        """Have another session than the broken one, trying until patience ends.
 
         Raises
         ------
         SourceLost, SourceRefused
-            As when the link is made.
+            As when the link is made; from then on at once.
         """
-        self._drop()
+        with self._mending:
+            if self._lost is not None:
+                raise self._lost
+            if self._session is broken:
+                self._drop()
+                try:
+                    self._session = self._connected()
+                except (SourceLost, SourceRefused) as error:
+                    self._lost = error
+                    raise
+
+    def _awaited(self, future: Future[T]) -> T:
+        """What a future returns, awaited for as long as something comes now and then."""
+        while True:
+            left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
+            try:
+                return future.result(timeout=max(left_s, self._patience.retry_s))
+            except TimeoutError:
+                if future.done() or left_s <= self._patience.retry_s:
+                    raise
+
+    def _connected(self) -> Session:
         refusals = 0
         while True:
             left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
-            reason = "no answer"
             try:
-                self.result(self.submit(self._connect(max(left_s, self._patience.retry_s))))
-            except (LinkBroken, asyncssh.SFTPError) as error:
-                cause = error.__cause__ or error
-                refusals += isinstance(cause, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
+                return self.submit(self._connect(max(left_s, self._patience.retry_s))).result()
+            except LOST as error:
+                refusals += isinstance(error, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
                 if refusals > 1:
-                    raise SourceRefused(self._explain_refusal(cause)) from error
-                reason = str(cause) or reason
-            else:
-                return
-            if left_s <= 0.0:
-                raise SourceLost(
-                    f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} ({reason}): check "
-                    "cable or network and repeat; what came is kept"
-                )
+                    raise SourceRefused(self._explain_refusal(error)) from error
+                if left_s <= 0.0:
+                    raise SourceLost(
+                        f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} "
+                        f"({str(error) or 'no answer'}): check cable or network and repeat; what came is kept"
+                    ) from error
             threading.Event().wait(self._patience.retry_s)
 
-    async def _connect(self, within_s: float) -> None:
+    async def _connect(self, within_s: float) -> Session:
         device = self._device
         key = asyncssh.import_public_key(device.host_key)
+        kind = device.host_key.partition(" ")[0]
         async with asyncio.timeout(within_s):
-            self._connection = await asyncssh.connect(
+            connection = await asyncssh.connect(
                 device.host,
                 device.port,
                 username=device.user,
                 client_keys=[str(self._private_key)],
                 known_hosts=([key], [], []),
-                server_host_key_algs=[device.host_key.partition(" ")[0]],
+                server_host_key_algs=_SIGNATURES.get(kind, [kind]),
                 encryption_algs=CIPHERS,
                 compression_algs=None,
                 preferred_auth="publickey",
@@ -184,10 +214,14 @@ class SftpLink:
                 keepalive_interval=self._patience.keepalive_s,
                 keepalive_count_max=self._patience.unanswered,
             )
-            # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less work.
-            session = partial(self._connection.create_session, max_pktsize=PACKET_BYTES)
-            self._connection.create_session = session  # type: ignore[method-assign]
-            self._client = await self._connection.start_sftp_client()
+            try:
+                # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less.
+                session = partial(connection.create_session, max_pktsize=PACKET_BYTES)
+                connection.create_session = session  # type: ignore[method-assign]
+                return Session(connection, await connection.start_sftp_client())
+            except BaseException:
+                connection.abort()
+                raise
 
     def _explain_refusal(self, cause: BaseException) -> str:
         where = f"{self.name} ({self._device.host}:{self._device.port})"
@@ -199,9 +233,8 @@ class SftpLink:
         return f"{where}: does not accept this workstation's key: pair it again"
 
     def _drop(self) -> None:
-        if self._connection is not None:
-            self._loop.call_soon_threadsafe(self._connection.abort)
-        self._connection = self._client = None
+        if self._session is not None:
+            self._loop.call_soon_threadsafe(self._session.connection.abort)
 
     def _stop(self) -> None:
         self._drop()

@@ -29,11 +29,10 @@ from host_sync.offload.ledger import PullReport
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import pull
 from host_sync.offload.receipting import Vouch
-from host_sync.offload.sftp import REQUEST_BYTES, REQUESTS_AHEAD, SftpSource
+from host_sync.offload.sftp import BLOCK_BYTES, SftpSource
 from host_sync.offload.sftp_link import Patience
 from host_sync.offload.sync import sync
 
-BLOCK_BYTES = REQUESTS_AHEAD * REQUEST_BYTES
 HANDSHAKE_BYTES = 16_384
 
 
