@@ -17,7 +17,7 @@ from device.bundle_publishing import locked_directory
 from device.calibration_bundle import CalibrationBundle, read_calibration
 from device.disk_advice import explain_refusal
 from device.durable import discard, publish_directory
-from device.errors import DeviceError
+from device.errors import DeviceError, RecordError
 from device.scan_bundle import ScanBundle, read_scan
 from host_sync.errors import BusyBundle, HostError, LibraryError, MissingCalibration, NoSuchBundle, SourceLost
 
@@ -25,6 +25,11 @@ RESULTS: Final = "results"
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 BundleT = TypeVar("BundleT")
+
+_READERS: Final[dict[BundleKind, Callable[[Path], ScanBundle | CalibrationBundle]]] = {
+    "scans": read_scan,
+    "calibrations": read_calibration,
+}
 
 
 def default_library() -> Path:
@@ -109,6 +114,20 @@ class Library:
         """Free space of the library's disk, bytes."""
         with self.translating("read"):
             return shutil.disk_usage(self.root).free
+
+    def looks_whole(self, kind: BundleKind, bundle_id: str) -> bool:
+        """Whether it holds a bundle whose manifest is proven and whose files have their sizes; none is hashed."""
+        directory = self.root / kind / bundle_id
+        try:
+            files = _READERS[kind](directory).record.files
+            return all((directory / name).lstat().st_size == entry.size for name, entry in files.items())
+        except (OSError, RecordError):
+            return False
+
+    def unfinished_bytes(self, kind: BundleKind, bundle_id: str) -> int:
+        """Size of what an earlier transfer of a bundle left."""
+        with self.translating("read"):
+            return sum(path.lstat().st_size for path in (self.root / kind / partial_name(bundle_id)).glob("*"))
 
     @contextmanager
     def writing(self) -> Iterator[None]:
