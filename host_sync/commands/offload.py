@@ -25,7 +25,7 @@ from host_sync.errors import PairingError, SourceError
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ledger import PullReport
-from host_sync.offload.opening import Address, is_folder, open_device, open_source
+from host_sync.offload.opening import MOST_PORT, Address, is_folder, open_device, open_source
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
 from host_sync.offload.pull import PullProgress, pull
 from host_sync.offload.receipting import Vouch
@@ -147,12 +147,25 @@ def pair_command(
             say(f"This workstation's key waits on {card}: start the device with it, then run this again.")
             return DONE
     elif host:
-        device = pairing.pair_over_network(host, port, code or input("Code on the device's screen: "), own)
+        device = pairing.pair_over_network(host, _checked_port(port), code or _asked_code(), own)
     else:
         raise PairingError("name the device's address, or --card with its memory card")
     pairing.keep(devices, device, replace=replace)
     say(f"Paired with {device.device_id} at {device.host}:{device.port}.")
     return DONE
+
+
+def _asked_code() -> str:
+    try:
+        return input("Code on the device's screen: ")
+    except EOFError as error:
+        raise PairingError("no code was typed: repeat on a terminal, or give it with --code") from error
+
+
+def _checked_port(port: int) -> int:
+    if not 1 <= port <= MOST_PORT:
+        raise PairingError(f"--port {port}: is no port: give one of 1 to {MOST_PORT}")
+    return port
 
 
 def status_command() -> int:

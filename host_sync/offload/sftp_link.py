@@ -228,7 +228,7 @@ class SftpLink:
         if isinstance(cause, asyncssh.HostKeyNotVerifiable):
             return (
                 f"{where}: shows another key than the one it was paired with, so it was set up anew or something else "
-                "answers in its place: if you set it up anew, pair it again; otherwise do not"
+                "answers in its place: if you set it up anew, pair it again with --replace; otherwise do not"
             )
         return f"{where}: does not accept this workstation's key: pair it again"
 

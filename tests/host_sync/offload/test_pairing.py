@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import socket
 import threading
 from collections.abc import Iterator
@@ -26,7 +27,8 @@ from hal.clock import VirtualClock
 from host_sync.__main__ import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
 from host_sync.offload import pairing
-from host_sync.offload.paired_devices import PairedDevices
+from host_sync.offload.opening import Address
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 
 
 @pytest.fixture
@@ -224,6 +226,54 @@ def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_ca
     assert devices.find("c0ffee") == anew
     with pytest.raises(NoSource, match="paired are: rg00c0ffee"):
         devices.find("other")
+
+
+def test_a_device_set_up_anew_takes_the_place_of_what_it_was_only_when_asked(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    own = pairing.own_card(devices, "bench")
+    before = PairedDevice(device_id="rg1", host="bench.local", port=22, user="retrosync", host_key=own.public_key)
+    pairing.keep(devices, before, replace=False)
+    anew = msgspec.structs.replace(before, device_id="rg2", host_key=device_card.host_key)
+    with pytest.raises(PairingError, match=r"bench\.local: is rg2 and was rg1: if you set it up anew.*--replace"):
+        pairing.keep(devices, anew, replace=False)
+    assert devices.find("bench.local") == before
+    pairing.keep(devices, anew, replace=True)
+    assert devices.all() == [anew]
+    assert devices.find("bench.local") == anew
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("bench", "bench", None),
+        ("bench:22", "bench", 22),
+        ("[fe80::1%eth0]:22", "fe80::1%eth0", 22),
+        ("::1", "::1", None),
+    ],
+)
+def test_addresses(text: str, host: str, port: int | None) -> None:
+    assert Address.parse(text) == Address(host, port)
+
+
+@pytest.mark.parametrize("text", ["", ":22", "bench:", "bench:x", "bench:0", "bench:65536", "[::1", "[]:22"])
+def test_what_is_no_address(text: str) -> None:
+    with pytest.raises(HostError, match="is no address"):
+        Address.parse(text)
+
+
+def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert main(["pair", "localhost"]) == 2
+    assert main(["pair", "localhost", "--port", "99999", "--code", "1"]) == 2
+    assert main(["pull", "a" * 5000, "--library", str(tmp_path / "library")]) == 2
+    said = capsys.readouterr().err
+    assert "no code was typed" in said
+    assert "99999: is no port" in said
+    assert "names 0 paired devices" in said
 
 
 def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
