@@ -27,10 +27,10 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
-def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
+def replace_file(path: Path, data: bytes, mode: int | None = None) -> None:
     """Put `data` in the place of a small file: a reader, and a power cut, see the old content or the new, never a part.
 
-    mode : permissions, of which the process's umask takes its share; 0o600 for what is secret
+    mode : permissions, such as 0o600 for what is secret; what the process's mask leaves when None
 
     Raises
     ------
@@ -40,7 +40,9 @@ def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.unlink(missing_ok=True)
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode or 0o666), "wb") as stream:
+            if mode is not None:
+                os.fchmod(stream.fileno(), mode)
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())

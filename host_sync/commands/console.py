@@ -16,14 +16,19 @@ CONNECTION: Final = 3
 
 
 def say(line: str) -> None:
-    """Write one line as it is."""
-    sys.stdout.write(line + "\n")
+    """Write one line."""
+    sys.stdout.write(printable(line) + "\n")
 
 
 def complain(what: object, code: int) -> int:
     """Say what is wrong; returns the exit code."""
-    sys.stderr.write(f"retrosync: {what}\n")
+    sys.stderr.write(f"retrosync: {printable(str(what))}\n")
     return code
+
+
+def printable(text: str) -> str:
+    """The same with every control character written out: what a record or a file's name says never moves a terminal."""
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
 
 
 def _named_folder(_: Any, tokens: Sequence[Any]) -> Path:
