@@ -36,7 +36,7 @@ sys.exit(code)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("sftp") is None, reason="OpenSSH's sftp is not installed")
+@pytest.mark.skipif(shutil.which("sftp") is None, reason="OpenSSH's sftp is not installed: `make test-deps`")
 def test_pulling_keeps_up_with_openssh_in_bounded_memory(
     server: Any, publish_large: Callable[[int], object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
