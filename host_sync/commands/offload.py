@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from cyclopts import App
 from rich.console import Console
@@ -30,6 +31,9 @@ from host_sync.offload.paired_devices import PairedDevices, default_devices_fold
 from host_sync.offload.pull import PullProgress, pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sync import sync, sync_one, utc_now
+
+CLOCK_SEEN_S: Final = 2.0
+UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
 
 Show = Callable[[str, PullProgress], None]
 
@@ -178,12 +182,21 @@ def status_command() -> int:
         if state is None:
             say("  never synced")
             continue
-        offset_s = state.clock_offset_s
-        clock = "its clock was not seen" if offset_s is None else f"its clock was {offset_s:+.0f} s off"
+        clock = _clock_in_words(state.clock_offset_s)
         say(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {state.verified} verified, {state.failed} failed; {clock}")
     if not known:
         say("No device is paired: `retrosync pair HOST` makes one known.")
     return DONE
+
+
+def _clock_in_words(offset_s: float | None) -> str:
+    """How far a device's clock was off; it is seen to a second or so."""
+    if offset_s is None:
+        return "its clock was not seen"
+    if abs(offset_s) < CLOCK_SEEN_S:
+        return "its clock was right"
+    unit, length_s = next((name, size_s) for name, size_s in UNITS_S if abs(offset_s) >= 2 * size_s)
+    return f"its clock was {abs(offset_s) / length_s:.0f} {unit} {'ahead' if offset_s > 0.0 else 'behind'}"
 
 
 def push_command(source: str, calibration: str, *, library: Folder | None = None, at: str | None = None) -> int:

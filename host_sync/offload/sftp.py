@@ -155,8 +155,9 @@ class SftpSource:
                 block = link.result(asked.popleft())
                 if not block:
                     return
+                handed_s = time.monotonic()
                 yield block
-                link.note_progress()
+                link.allow(time.monotonic() - handed_s)
                 offset_bytes += len(block)
                 if len(block) < BLOCK_BYTES:
                     _cancel(asked)

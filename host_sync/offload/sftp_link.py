@@ -114,6 +114,10 @@ class SftpLink:
         """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
 
+    def allow(self, busy_s: float) -> None:
+        """Time that this side needed for itself is no silence of the other's."""
+        self._last_byte_s += busy_s
+
     def submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
         """Begin some work on the connection."""
         return asyncio.run_coroutine_threadsafe(work, self._loop)
