@@ -15,7 +15,7 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from device.errors import DeviceError
-from host_sync.commands import exporting, offload
+from host_sync.commands import devices, exporting, offload
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, telling
 from host_sync.compile_notice import tell_of_compiling
@@ -63,6 +63,7 @@ def _let_output_go() -> None:
 
 
 offload.register(app)
+devices.register(app)
 library_commands.register(app)
 exporting.register(app)
 
