@@ -77,7 +77,8 @@ def open_device(device: PairedDevice, devices: PairedDevices, at: Address | None
     """A paired device as a source. Errors as for `open_source`."""
     from host_sync.offload.pairing import new_private_key
     from host_sync.offload.sftp import SftpSource
-    from host_sync.offload.sftp_link import Patience, SftpLink
+    from host_sync.offload.sftp_link import SftpLink
+    from host_sync.offload.ssh_session import Patience
 
     if at is not None:
         device = msgspec.structs.replace(device, host=at.host, port=at.port or device.port)

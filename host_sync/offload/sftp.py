@@ -18,7 +18,8 @@ import asyncssh
 from device.bundle_layout import BundleKind, is_bundle_id
 from device.receipts import RECEIPTS
 from host_sync.errors import SourceError
-from host_sync.offload.sftp_link import LinkBroken, Session, SftpLink
+from host_sync.offload.sftp_link import LinkBroken, SftpLink
+from host_sync.offload.ssh_session import Session
 
 REQUEST_BYTES: Final = 255 << 10
 """The most that OpenSSH's server sends for one request."""

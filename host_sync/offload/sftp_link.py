@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -20,14 +18,9 @@ import asyncssh
 
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.offload.paired_devices import PairedDevice
+from host_sync.offload.ssh_session import Patience, Session, explain_refusal, open_session
 
 T = TypeVar("T")
-
-CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
-PACKET_BYTES: Final = 128 << 10
-
-_SIGNATURES: Final = {"ssh-rsa": ["rsa-sha2-512", "rsa-sha2-256"]}
-"""How a host proves a key whose kind is not also the name of its signature."""
 
 LOST: Final = (asyncssh.Error, OSError)
 """What a connection that is gone, or never came about, raises; a time-out is an OSError."""
@@ -35,30 +28,6 @@ LOST: Final = (asyncssh.Error, OSError)
 
 class LinkBroken(Exception):
     """The connection is gone; `SftpLink.restore` brings it back or says why not."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Session:
-    """One connection and the SFTP session on it; after a cut another takes its place."""
-
-    connection: asyncssh.SSHClientConnection
-    client: asyncssh.SFTPClient
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """How long silence is borne, s.
-
-    keepalive_s : between questions whether the other side is there
-    unanswered : questions without an answer after which the connection counts as lost
-    give_up_s : since something came last, after which reconnecting ends
-    retry_s : between two tries
-    """
-
-    keepalive_s: float = 1.0
-    unanswered: int = 3
-    give_up_s: float = 8.0
-    retry_s: float = 0.25
 
 
 class SftpLink:
@@ -186,11 +155,11 @@ class SftpLink:
         while True:
             left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
             try:
-                return self.submit(self._connect(max(left_s, self._patience.retry_s))).result()
+                return self.submit(self._open(max(left_s, self._patience.retry_s))).result()
             except LOST as error:
                 refusals += isinstance(error, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
                 if refusals > 1:
-                    raise SourceRefused(self._explain_refusal(error)) from error
+                    raise SourceRefused(explain_refusal(self._device, error)) from error
                 if left_s <= 0.0:
                     raise SourceLost(
                         f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} "
@@ -198,43 +167,8 @@ class SftpLink:
                     ) from error
             threading.Event().wait(self._patience.retry_s)
 
-    async def _connect(self, within_s: float) -> Session:
-        device = self._device
-        key = asyncssh.import_public_key(device.host_key)
-        kind = device.host_key.partition(" ")[0]
-        async with asyncio.timeout(within_s):
-            connection = await asyncssh.connect(
-                device.host,
-                device.port,
-                username=device.user,
-                client_keys=[str(self._private_key)],
-                known_hosts=([key], [], []),
-                server_host_key_algs=_SIGNATURES.get(kind, [kind]),
-                encryption_algs=CIPHERS,
-                compression_algs=None,
-                preferred_auth="publickey",
-                agent_path=None,
-                config=None,
-                keepalive_interval=self._patience.keepalive_s,
-                keepalive_count_max=self._patience.unanswered,
-            )
-            try:
-                # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less.
-                session = partial(connection.create_session, max_pktsize=PACKET_BYTES)
-                connection.create_session = session  # type: ignore[method-assign]
-                return Session(connection, await connection.start_sftp_client())
-            except BaseException:
-                connection.abort()
-                raise
-
-    def _explain_refusal(self, cause: BaseException) -> str:
-        where = f"{self.name} ({self._device.host}:{self._device.port})"
-        if isinstance(cause, asyncssh.HostKeyNotVerifiable):
-            return (
-                f"{where}: shows another key than the one it was paired with, so it was set up anew or something else "
-                "answers in its place: if you set it up anew, pair it again with --replace; otherwise do not"
-            )
-        return f"{where}: does not accept this workstation's key: pair it again"
+    def _open(self, within_s: float) -> Coroutine[Any, Any, Session]:
+        return open_session(self._device, self._private_key, self._patience, within_s)
 
     def _drop(self) -> None:
         if self._session is not None:

@@ -20,7 +20,8 @@ import pytest
 
 from device.bundle_store import BundleStore
 from host_sync.offload.paired_devices import PairedDevice
-from host_sync.offload.sftp_link import Patience, SftpLink
+from host_sync.offload.sftp_link import SftpLink
+from host_sync.offload.ssh_session import Patience
 
 SSHD = shutil.which("sshd") or shutil.which("sshd", path="/usr/sbin:/usr/local/sbin")
 BRISK = Patience(keepalive_s=0.5, unanswered=2, give_up_s=5.0, retry_s=0.01)

@@ -29,7 +29,7 @@ from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sftp import BLOCK_BYTES, SftpSource
-from host_sync.offload.sftp_link import Patience
+from host_sync.offload.ssh_session import Patience
 from host_sync.offload.sync import sync
 
 HANDSHAKE_BYTES = 16_384
