@@ -6,6 +6,7 @@ import os
 import shutil
 import stat
 from collections.abc import Generator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Final
@@ -79,7 +80,8 @@ class DirectorySource:
             partial.replace(path)
             sync_directory(path.parent)
         except OSError as error:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
             raise SourceError(f"{path}: cannot be written {explain_refusal(error)}") from error
 
     def make_folder(self, place: str) -> None:

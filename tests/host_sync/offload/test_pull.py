@@ -209,6 +209,32 @@ def test_a_bad_place_of_a_card_costs_one_bundle_and_a_card_that_is_gone_the_rest
         assert [bundle.scan_id for bundle in library.scans().bundles] == [scans[0].scan_id]
 
 
+def test_a_write_protected_card_gives_everything_and_takes_no_receipt(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        if store.root in path.parents:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    with monkeypatch.context() as patch:
+        genuine_open, genuine_unlink = Path.open, Path.unlink
+
+        def opened(path: Path, mode: str = "r", **named: Any) -> Any:
+            if "w" in mode:
+                refuse(path)
+            return genuine_open(path, mode, **named)
+
+        def unlinked(path: Path, **named: Any) -> None:
+            refuse(path)
+            genuine_unlink(path, **named)
+
+        patch.setattr(Path, "open", opened)
+        patch.setattr(Path, "unlink", unlinked)
+        report = pull(DirectorySource(store.root), library, vouch=Vouch("bench", lambda: datetime.now(UTC)))
+    assert report.complete
+    assert "Read-only file system" in (report.unreceipted or "")
+
+
 def test_a_receipt_stands_for_no_bundle_that_the_library_has_lost_part_of(
     store: BundleStore, library: Library, scans: list[ScanBundle]
 ) -> None:
