@@ -11,13 +11,14 @@ from concurrent.futures import Future
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 import asyncssh
 
 from device.bundle_layout import BundleKind, is_bundle_id
+from device.disk_advice import explain_refusal
 from device.receipts import RECEIPTS
-from host_sync.errors import SourceError
+from host_sync.errors import HostError, SourceError
 from host_sync.offload.sftp_link import LinkBroken, SftpLink
 from host_sync.offload.ssh_session import Session
 
@@ -101,8 +102,8 @@ class SftpSource:
 
         async def put(client: asyncssh.SFTPClient) -> None:
             async with client.open(partial, "wb") as file:
-                with BytesIO(data) if isinstance(data, bytes) else data.open("rb") as stream:
-                    while block := stream.read(WRITTEN_BYTES):
+                with BytesIO(data) if isinstance(data, bytes) else _own_file(data) as stream:
+                    while block := _own_block(stream):
                         await file.write(block)
                         link.note_progress()
                 with suppress(asyncssh.SFTPOpUnsupported):
@@ -215,6 +216,21 @@ async def _rename(client: asyncssh.SFTPClient, place: str, new_place: str) -> No
 async def _close(file: asyncssh.SFTPClientFile) -> None:
     with suppress(asyncssh.Error, asyncssh.SFTPError, OSError):
         await file.close()
+
+
+def _own_file(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise HostError(f"{path}: cannot be read {explain_refusal(error)}") from error
+
+
+def _own_block(stream: IO[bytes]) -> bytes:
+    """The next block of a file of ours; that it fails is not the link's fault, and no reason to try again."""
+    try:
+        return stream.read(WRITTEN_BYTES)
+    except OSError as error:
+        raise HostError(f"{stream.name}: cannot be read {explain_refusal(error)}") from error
 
 
 def _cancel(asked: deque[Future[bytes]]) -> None:

@@ -25,6 +25,9 @@ T = TypeVar("T")
 LOST: Final = (asyncssh.Error, OSError)
 """What a connection that is gone, or never came about, raises; a time-out is an OSError."""
 
+MOST_BEGINNINGS: Final = 20
+"""Work that cannot go on where it stopped is begun so often, and no more."""
+
 
 class LinkBroken(Exception):
     """The connection is gone; `SftpLink.restore` brings it back or says why not."""
@@ -114,12 +117,15 @@ class SftpLink:
     def persist(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
         """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
         self.note_progress()
-        while True:
+        for _ in range(MOST_BEGINNINGS):
             session = self.session
             try:
                 return self.result(self.submit(work(session.client)))
             except LinkBroken:
                 self.restore(session)
+        raise SourceLost(
+            f"{self.name}: breaks off again and again: check cable or network and repeat; what came is kept"
+        )
 
     def restore(self, broken: Session | None) -> None:
         """Have another session than the broken one, trying until patience ends.

@@ -21,7 +21,7 @@ from device.bundle_store import BundleStore
 from device.records import sha256_bytes
 from hal.clock import VirtualClock
 from host_sync.__main__ import main
-from host_sync.errors import SourceLost, SourceRefused
+from host_sync.errors import HostError, SourceLost, SourceRefused
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ledger import PullReport
@@ -258,6 +258,22 @@ def test_a_slow_line_upwards_is_no_silence(server: Any, proxy: Any, store: Bundl
         SftpSource(link).write("inbox/content", tmp_path / "content")
     assert (store.root / "inbox" / "content").read_bytes() == content
     assert proxy.connections == 1
+
+
+def test_a_file_of_ours_that_cannot_be_read_is_not_taken_for_a_broken_line(
+    server: Any, proxy: Any, store: BundleStore, tmp_path: Path
+) -> None:
+    with server.link(proxy.port) as link, pytest.raises(HostError, match=r"gone: cannot be read"):
+        SftpSource(link).write("inbox/content", tmp_path / "gone")
+    assert proxy.connections == 1
+
+
+@pytest.mark.slow
+def test_a_line_that_breaks_at_every_try_to_write_ends_too(server: Any, proxy: Any, store: BundleStore) -> None:
+    proxy.harms.extend([("cut", 6_000)] * 100)
+    with server.link(proxy.port) as link, pytest.raises(SourceLost):
+        SftpSource(link).write("inbox/content", b"x" * (6 << 20))
+    assert proxy.connections <= 40
 
 
 def test_threads_that_share_a_link_find_it_mended_by_one_of_them(server: Any, proxy: Any, store: BundleStore) -> None:
