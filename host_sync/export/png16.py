@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from host_sync.export.row_blocks import ROWS
 from host_sync.export.source_surface import SourceSurface
 
 UM: Final = 1e-6
@@ -23,7 +24,10 @@ def write_png16(file: BinaryIO, surface: SourceSurface) -> None:
     """Write the height map to a 65,534th of its range; the uncertainty stays behind."""
     scale = png_scale(surface)
     zero_um, step_um = scale["height_at_0_um"], scale["height_step_um"]
-    grey = np.rint((surface.z_um - np.float64(zero_um)) / step_um)
+    grey = np.empty(surface.z_um.shape, np.uint16)
+    for first in range(0, surface.rows, ROWS):
+        counts = np.rint((surface.z_um[first : first + ROWS] - np.float64(zero_um)) / step_um)
+        grey[first : first + ROWS] = np.nan_to_num(counts, nan=0.0)
     chunks = PngInfo()
     texts = {
         "Title": surface.name,
@@ -39,7 +43,7 @@ def write_png16(file: BinaryIO, surface: SourceSurface) -> None:
     }
     for key, value in texts.items():
         chunks.add_itxt(key, value) if not value.isascii() else chunks.add_text(key, value)
-    picture = Image.fromarray(np.nan_to_num(grey, nan=0.0).astype(np.uint16))
+    picture = Image.fromarray(grey)
     picture.save(file, "png", pnginfo=chunks, dpi=(25400.0 / surface.pitch_um,) * 2, compress_level=3)
 
 
