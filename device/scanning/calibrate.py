@@ -18,12 +18,12 @@ from device.inverse_fit import InverseFit, fit_inverse_map
 from device.photometry import bin_bayer, blurred_reference, check_exposed, divide
 from device.scanning.calibration_files import AcceptedPress, publish
 from device.scanning.capture import CapturePlan, capture
+from device.scanning.pushing import await_push
 from device.scanning.shining import check_shines
 from device.surface import Float32Array
-from hal.errors import ButtonError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-from hal.interfaces import LiftOff, OperatorRequest, PressBall
+from hal.interfaces import LiftOff, PressBall
 
 BINNING: Final = 2
 """Balls are sought and the map is fitted at half size: four times as fast, and with half the noise."""
@@ -31,7 +31,6 @@ BINNING: Final = 2
 COLUMNS: Final = 4
 ROWS: Final = 3
 MOST_TRIES: Final = 3
-BUTTON_TIMEOUT_S: Final = 300.0
 FITTED_SAMPLES: Final = 20_000
 
 
@@ -71,7 +70,7 @@ def calibrate(
     """
     plan = plan or CapturePlan.of_board(hardware)
     tell("Touch nothing with the gel, then push the button.")
-    _await_push(hardware, LiftOff())
+    await_push(hardware, LiftOff())
     for light in hardware.profile.lights:
         if told := check_shines(hardware, plan, light):
             tell(f"Note: the driver says {told} at light {light.name}, which is seen: run `retroscan selftest`.")
@@ -85,12 +84,6 @@ def calibrate(
     bundle = publish(hardware, store, plan, reference, presses, fit, ball_radius_mm)
     store.activate(bundle.calibration_id)
     return CalibrationOutcome(bundle, fit)
-
-
-def _await_push(hardware: Hardware, request: OperatorRequest) -> None:
-    hardware.operator.ask(request)
-    if hardware.button.wait_for_push(BUTTON_TIMEOUT_S) is None:
-        raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start the calibration again")
 
 
 def _guided_presses(
@@ -107,7 +100,7 @@ def _guided_presses(
     for number, (column_share, row_share) in enumerate(places, start=1):
         for _ in range(MOST_TRIES):
             tell(f"{number}/{len(places)}: press the ball {_where(column_share, row_share)}, then push the button.")
-            _await_push(hardware, PressBall(ball_radius_mm, column_share, row_share))
+            await_push(hardware, PressBall(ball_radius_mm, column_share, row_share))
             press, complaint = _read_press(capture(hardware, plan), divisor, radius_px)
             if press:
                 presses.append(press)
