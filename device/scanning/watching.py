@@ -13,6 +13,7 @@ from typing import Final
 from device.bundle_store import BundleStore
 from device.errors import DeviceError
 from device.scan_bundle import Annotations
+from device.scanning.darkness import next_push
 from device.scanning.scanner import Scanner, ScanOutcome
 from hal.errors import HalError
 from hal.hardware import Hardware
@@ -20,9 +21,6 @@ from hal.interfaces import Cue
 
 LONG_PUSH_S: Final = 2.0
 """A button held this long asks for something else than a scan."""
-
-DARK_AGAIN_S: Final = 1.0
-"""Lights that could not be switched off are tried again this often."""
 
 
 def watch(
@@ -63,34 +61,11 @@ def watch(
             _show(hardware, "refused")
 
 
-def next_push(hardware: Hardware) -> int | None:
-    """When the next press began, ns; lights that could not be switched off are tried again until then.
-
-    Raises
-    ------
-    ButtonError
-        The button cannot be read.
-    """
-    while not _darkened(hardware):
-        if (began_ns := hardware.button.wait_for_push(DARK_AGAIN_S)) is not None:
-            return began_ns
-    return hardware.button.wait_for_push(None)
-
-
 def held_long(hardware: Hardware, began_ns: int) -> bool:
     """Whether the press that began then is held `LONG_PUSH_S`; returns when it is over or held that long."""
     held_s = (hardware.clock.monotonic_ns() - began_ns) * 1e-9
     press = hardware.button.wait_for_press(max(LONG_PUSH_S - held_s, 0.0))
     return press is None or press.held_s >= LONG_PUSH_S
-
-
-def _darkened(hardware: Hardware) -> bool:
-    """Whether the light driver took the order to switch every light off."""
-    try:
-        hardware.lights.dark()
-    except HalError:
-        return False
-    return True
 
 
 def _show(hardware: Hardware, cue: Cue) -> None:
