@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut bench format release lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut bench format board release lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -49,6 +49,9 @@ bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
+
+board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ anew
+	@PYTHONPATH=. "$(VENV)/bin/python" docs/board/drawings.py
 
 release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/ and systemd/ (docs/build.md)
 	@rm -rf dist/release
