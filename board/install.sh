@@ -196,8 +196,8 @@ mount_data() {
             "$here/systemd/data.mount" | put_text /etc/systemd/system/data.mount
         folder /data 755
         if live && [ "$dry" = no ] && ! mountpoint -q /data; then
-            systemctl daemon-reload
-            systemctl start data.mount || refuse "$data cannot be mounted: is it ext4? (mkfs.ext4 -L retrograph-data $data)"
+            mount -t ext4 -o noatime,nosuid,nodev "$data" /data ||
+                refuse "$data cannot be mounted: is it ext4? (mkfs.ext4 -L retrograph-data $data)"
         fi
     fi
     local part
@@ -343,7 +343,11 @@ is_enabled() { find "$root/etc/systemd/system" -path '*.wants/*' -name "${1//\\/
 
 start_now() {
     live && [ -d /run/systemd/system ] && [ "$dry" = no ] || return 0
+    local unit
     systemctl daemon-reload
+    (cd "$here/systemd" && echo ./*.mount) | tr ' ' '\n' | sed 's|^./||' | while read -r unit; do
+        [ ! -e "/etc/systemd/system/$unit" ] || systemctl start "$unit"
+    done
     systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
     udevadm control --reload 2>/dev/null || true
@@ -437,5 +441,5 @@ install_program
 start_now
 case $changes in
 0) say "Everything is in place." ;;
-*) if [ "$dry" = yes ]; then say "$changes things would be done."; else say "Done. Reboot, or: systemctl isolate multi-user.target"; fi ;;
+*) if [ "$dry" = yes ]; then say "$changes things would be done."; else say "Done. Reboot."; fi ;;
 esac

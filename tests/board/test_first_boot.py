@@ -28,6 +28,7 @@ def test_key_and_name_are_made_once(fresh: Path, run: Run, program: Path) -> Non
     key, name = fresh / "data/ssh/ssh_host_ed25519_key", fresh / "data/hostname"
     made = (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text())
     assert key.stat().st_mode & 0o777 == 0o600
+    assert key.with_name(key.name + ".pub").stat().st_mode & 0o777 == 0o644, "read when a workstation pairs"
     assert made[2].startswith("rg")
     assert "made the host key SHA256:" in first.stdout
     assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
