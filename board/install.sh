@@ -118,7 +118,7 @@ check_machine() {
     aarch64 | x86_64) ;;
     *) refuse "this system is $(uname -m): flash the 64-bit Raspberry Pi OS Lite" ;;
     esac
-    if [ "$(findmnt -n -o FSTYPE / 2>/dev/null)" = overlay ] && [ "$dry" = no ]; then
+    if [ "$(findmnt -n -o SOURCE / 2>/dev/null)" = overlayroot ] && [ "$dry" = no ]; then
         refuse "the root file system is read only: run this inside \`sudo overlayroot-chroot\`, then reboot"
     fi
 }
@@ -162,7 +162,8 @@ profile_file() {
 # --- the steps ----------------------------------------------------------------------------------------------------------
 
 install_packages() {
-    local wanted=(python3-venv openssh-server avahi-daemon systemd-timesyncd device-tree-compiler) missing=() package
+    local wanted=(python3-venv openssh-server avahi-daemon systemd-timesyncd) missing=() package
+    [ -z "$(boot_folder)" ] || wanted+=(device-tree-compiler)
     is_twin || wanted+=(python3-picamera2)
     [ "$read_only" = no ] || wanted+=(overlayroot)
     if ! live; then
@@ -393,7 +394,7 @@ take_away() {
             act "restore $boot/config.txt" drop_include "$root$boot/config.txt"
         set_overlay "$root$boot/cmdline.txt" ''
     fi
-    [ ! -d "$root/data/app" ] || act "remove the program" rm -rf "${root:?}/data/app"
+    [ ! -d "$root/data/app" ] || act "remove the program" rm -rf "$root/data/app"
     say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync."
 }
 # The exact undoing of `append`; where more was written after it, the one line goes.
