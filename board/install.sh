@@ -127,6 +127,7 @@ check_wishes() {
     [ -n "$board" ] || usage
     case $board in
     *.toml) [ -r "$board" ] || refuse "$board: cannot be read" ;;
+    */*) refuse "--board $board: the name of a profile, or a .toml file" ;;
     *) [ -r "$here/board/$board.toml" ] ||
         refuse "there is no board profile '$board': $(cd "$here/board" && echo *.toml | sed 's/\.toml//g')" ;;
     esac
@@ -139,6 +140,7 @@ check_wishes() {
     fi
     case $data in
     folder) [ "$read_only" = no ] || refuse "--read-only needs a data partition: scans in a folder of an overlay would be lost" ;;
+    *[!A-Za-z0-9/_.:+-]*) refuse "--data $data: such a name no device has" ;;
     /dev/*) ;;
     *) refuse "--data $data: a device such as /dev/sda1, or the word folder" ;;
     esac
