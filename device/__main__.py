@@ -47,9 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
-    except (HalError, FrameNotProven) as error:
-        return _complain(error, 3)
-    except InstrumentBusy as error:
+    except (HalError, FrameNotProven, InstrumentBusy) as error:
         return _complain(error, 3)
     except DeviceError as error:
         return _complain(error, 2)
