@@ -66,3 +66,7 @@ class ExportError(HostError, OSError):
 
 class FilterError(HostError, ValueError):
     """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""
+
+
+class MeasurementError(HostError, ValueError):
+    """A result or a recipe cannot be measured as asked. Mend the file, key or place that the message names."""
