@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
-from host_sync.commands import exporting, offload
+from host_sync.commands import exporting, gaging, measuring, offload
 from host_sync.commands import library as library_commands
-from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
+from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, telling
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
@@ -70,6 +67,8 @@ def _let_output_go() -> None:
 offload.register(app)
 library_commands.register(app)
 exporting.register(app)
+measuring.register(app)
+gaging.register(app)
 
 
 @app.command
@@ -96,7 +95,7 @@ def reconstruct(
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
-    with _telling() as tell:
+    with telling() as tell:
         if library is not None:
             return _reconstruct_library(Library(library), names, method, tell, band, force=force)
         if not names or out is None:
@@ -188,7 +187,7 @@ def figures(
     library: Folder of pulled calibrations.
     formats: Any of png, pdf, svg.
     """
-    with _telling() as tell:
+    with telling() as tell:
         tell("loading compiled code (the first run compiles it)")
         from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
 
@@ -197,16 +196,6 @@ def figures(
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
-
-
-@contextmanager
-def _telling() -> Iterator[Callable[[str], None]]:
-    """A line that says what is being done and for how long."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda words: progress.update(task, description=words)
 
 
 if __name__ == "__main__":

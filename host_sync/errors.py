@@ -36,6 +36,10 @@ class MissingCalibration(HostError, LookupError):
     """A scan names no calibration, or one that the library does not hold. Pull it from the device."""
 
 
+class MissingResult(HostError, LookupError):
+    """A scan of the library has no results yet. Reconstruct it."""
+
+
 class ResultError(HostError, OSError):
     """Results cannot be written where they belong: full, read-only or in the way. Free it or choose another place."""
 

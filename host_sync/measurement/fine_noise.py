@@ -1,9 +1,9 @@
 """Height noise that is finer than the draws: what the reduced field of the draws cannot hold.
 
-Draws lie on cells of several pixels. What slopes are unsure of beyond the draws' own slopes is noise from pixel to pixel,
-which integration turns into heights that are correlated over a few pixels only. One periodic tile of such noise is made
-once: white slopes, integrated by least squares, less the part that the draws' cells can hold. It is laid over the field
-at a random place for each draw and scaled by what is missing there.
+Draws lie on cells of several pixels. What slopes are unsure of beyond the draws' own slopes is noise from pixel to
+pixel, which integration turns into heights that are correlated over a few pixels only. One periodic tile of such noise
+is made once: white slopes, integrated by least squares, less the part that the draws' cells can hold. It is laid over
+the field at a random place for each draw and scaled by what is missing there.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A number's uncertainty is the spread of what it becomes on these surfaces, each 
 height map itself is; no formula per pixel can give it, as errors are correlated over the field.
 
 Scale: what was measured of pixel pitch and ball radius is in the draws' heights already. Lengths along the skin get the
-pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the pitch,
-one of the radius) and to lengths alike, from one draw, so that a number that depends on both sees it as it is.
+pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the
+pitch, one of the radius) and to lengths alike, from one draw, so that a number that depends on both sees it as it is.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class HeightDraws:
     @property
     def cell_px(self) -> float:
         """Pixels along a cell of the draws."""
-        return self._z_um.shape[1] / max(self._draws_um.shape[2], 1)
+        return float(self._z_um.shape[1] / max(self._draws_um.shape[2], 1))
 
     def surfaces(self) -> Iterator[DrawnSurface]:
         """Every surface, one after the other; the same ones at each call."""

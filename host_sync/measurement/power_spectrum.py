@@ -51,6 +51,8 @@ class RadialSpectrum:
         count = max(int(np.ceil(BINS_PER_OCTAVE * np.log2(most / least))), 1)
         self._edges = np.geomspace(least, most, count + 1)
         self._band = np.digitize(frequency, self._edges).astype(np.int32)
+        self._seen = np.bincount(self._band.ravel(), minlength=count + 2)[1:-1] > 0
+        self.per_um: Float64Array = np.sqrt(self._edges[:-1] * self._edges[1:])[self._seen]
         # The half spectrum stands for both signs of the column's frequency.
         self._twice = np.full(column.size, 2.0, np.float32)
         self._twice[0] = 1.0
@@ -65,10 +67,6 @@ class RadialSpectrum:
         values = np.where(self._window > 0, z_um - mean, np.float32(0.0)) * self._window
         spectrum = scipy.fft.rfft2(values, self._size)
         power = (spectrum.real**2 + spectrum.imag**2) * self._twice
-        bands = len(self._edges) + 1
-        total = np.bincount(self._band.ravel(), power.ravel(), bands)[1:-1]
-        seen = np.bincount(self._band.ravel(), minlength=bands)[1:-1] > 0
-        width = np.diff(self._edges)
-        density = total / (weight * self._size[0] * self._size[1]) / width
-        middle = np.sqrt(self._edges[:-1] * self._edges[1:])
-        return PowerSpectrum(middle[seen], density[seen])
+        total = np.bincount(self._band.ravel(), power.ravel(), len(self._edges) + 1)[1:-1]
+        density = total / (weight * self._size[0] * self._size[1]) / np.diff(self._edges)
+        return PowerSpectrum(self.per_um, density[self._seen])
