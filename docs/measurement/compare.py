@@ -78,9 +78,7 @@ def _beside(
 def main() -> int:
     """Print the table; returns the exit code."""
     say = sys.stdout.write
-    say(
-        "| surface | parameter | ours | surfalize | difference | Gwyddion | difference |\n|---|---|---|---|---|---|---|\n"
-    )
+    say("| " + " | ".join(HEAD) + " |\n|" + len(HEAD) * "---|" + "\n")
     for name, parameter, value, first, second in rows():
         cells = [name, parameter, f"{value:.5g}"]
         for other in (first, second):

@@ -11,8 +11,9 @@ from cyclopts import App, Parameter
 
 from device.errors import DeviceError
 from host_sync.commands.console import BAD_INPUT, DONE, PARTLY, Folder, complain, say, telling
-from host_sync.errors import HostError, MeasurementError, MissingResult, ResultError
+from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.library import Library
+from host_sync.whole_file import write_whole
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
@@ -173,10 +174,4 @@ def write_text(path: Path, text: str) -> None:
     if path == Path("-"):
         say(text.rstrip("\n"))
         return
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ResultError(f"{path} cannot be written ({error.strerror}): choose another place") from error
+    write_whole(path, text.encode())

@@ -134,6 +134,7 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
         notes=(*instrument.areal.notes(), *_notes(surface, recipe, len(draws))),
         height=surface.height,
         surface=found.surface,
+        sigma_um=surface.sigma_um,
         profiles=tuple(
             MeasuredProfile(one.name, one.line, Profile(trace, surface.height.pitch_um), sigma)
             for one, trace, sigma in zip(instrument.profiles, found.traces, sigmas, strict=False)

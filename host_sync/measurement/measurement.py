@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.surface import Float64Array, HeightMap
+from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.measurement.power_spectrum import PowerSpectrum
 from host_sync.measurement.profile_line import Line, Profile
 from host_sync.measurement.quantity import Quantity
@@ -37,6 +37,7 @@ class Measurement:
 
     height : the whole height map
     surface : the scale-limited surface of the region
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, if the result holds it
     notes : what holds for all numbers, sentence by sentence
     """
 
@@ -47,5 +48,6 @@ class Measurement:
     notes: tuple[str, ...]
     height: HeightMap
     surface: HeightMap
+    sigma_um: Float32Array | None
     profiles: tuple[MeasuredProfile, ...]
     spectrum: MeasuredSpectrum | None

@@ -56,8 +56,10 @@ def as_text(measurement: Measurement) -> str:
         width = max(len(one.name) for one in group)
         for one in group:
             lines.append(f"  {one.name:<{width}}  {one.number}")
-            lines.extend(f"  {'':<{width}}    doubtful: {doubt}" for doubt in one.doubts if doubt not in _common(group))
-        lines.extend(f"  doubtful: {doubt}" for doubt in _common(group))
+            lines.extend(
+                f"  {'':<{width}}    doubtful: {doubt}" for doubt in one.doubts if doubt not in shared_doubts(group)
+            )
+        lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
     return "\n".join([*lines, "", *(f"- {note}" for note in measurement.notes)])
 
 
@@ -123,8 +125,8 @@ def _harmless(cell: object) -> object:
     return f"'{cell}" if isinstance(cell, str) and cell[:1] in "=@\t\r" and cell else cell
 
 
-def _common(group: Sequence[Quantity]) -> tuple[str, ...]:
-    """Doubts that every number of a group shares."""
+def shared_doubts(group: Sequence[Quantity]) -> tuple[str, ...]:
+    """What speaks against every number of a group alike."""
     return tuple(doubt for doubt in group[0].doubts if all(doubt in one.doubts for one in group) and len(group) > 1)
 
 

@@ -20,6 +20,7 @@ RECORD_FILE: Final = "result.json"
 HEIGHT_FILE: Final = "height_um.tif"
 DRAWS_FILE: Final = "height_draws_um.tif"
 SLOPE_SIGMA_FILE: Final = "slope_sigma.tif"
+HEIGHT_SIGMA_FILE: Final = "height_sigma_um.tif"
 
 
 class HeightScale(msgspec.Struct, frozen=True):
@@ -63,6 +64,7 @@ class ResultSurface:
     draws_um : float32 array of shape (K, h, w), height errors that the data allow, over the field reduced; None if
         the result holds none
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid; or None
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, likewise; or None
     """
 
     folder: Path
@@ -70,6 +72,7 @@ class ResultSurface:
     height: HeightMap
     draws_um: Float32Array | None
     slope_sigma: Float32Array | None
+    sigma_um: Float32Array | None = None
 
 
 def read_record(folder: Path) -> ResultRecord:
@@ -115,17 +118,25 @@ def read_result(folder: Path) -> ResultSurface:
             f"{shape[1]}x{shape[0]}: reconstruct the scan again"
         )
     draws = folder / DRAWS_FILE
-    sigma = folder / SLOPE_SIGMA_FILE
-    slope_sigma = _read_field(sigma, 2) if sigma.is_file() else None
-    if slope_sigma is not None and slope_sigma.shape != shape:
-        raise MeasurementError(f"{sigma}: is not as large as the height map: reconstruct the scan again")
+    slope_sigma, sigma_um = (_read_beside(folder / file, shape) for file in (SLOPE_SIGMA_FILE, HEIGHT_SIGMA_FILE))
     return ResultSurface(
         folder=folder,
         record=record,
         height=HeightMap(z_um, record.pixel_pitch_um),
         draws_um=_read_field(draws, 3) if draws.is_file() else None,
         slope_sigma=slope_sigma,
+        sigma_um=sigma_um,
     )
+
+
+def _read_beside(path: Path, shape: tuple[int, int]) -> Float32Array | None:
+    """A field of the height map's size, None if the result is of a version that did not write it."""
+    if not path.is_file():
+        return None
+    values = _read_field(path, 2)
+    if values.shape != shape:
+        raise MeasurementError(f"{path}: is not as large as the height map: reconstruct the scan again")
+    return values
 
 
 def _read_field(path: Path, dimensions: int) -> Float32Array:
