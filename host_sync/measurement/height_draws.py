@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated, Final
 
 import cv2
 import msgspec
@@ -22,14 +23,16 @@ from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
 from host_sync.measurement.fine_noise import FineNoise
 from host_sync.measurement.result_surface import ResultSurface
 
-SEED = 25178
+SEED: Final = 25178
+
+Share = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 
 
 class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Standard uncertainties, as shares, that the calibration did not measure; None leaves them out."""
 
-    pixel_pitch_share: float | None = None
-    ball_radius_share: float | None = None
+    pixel_pitch_share: Share | None = None
+    ball_radius_share: Share | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array, Float64Array
 
@@ -35,12 +35,12 @@ def height_parameters(z_um: Float32Array) -> dict[str, float]:
     }
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _sums(z_um: Any, mean: Any) -> Float64Array:
     """Count, sums of h, |h|, h², h³, h⁴, and extremes of h = z - mean, row by row: float64 array of shape (H, 8)."""
     rows, columns = z_um.shape
     sums = np.zeros((rows, 8))
-    for r in prange(rows):
+    for r in range(rows):
         sums[r, 6], sums[r, 7] = -np.inf, np.inf
         for c in range(columns):
             h = np.float64(z_um[r, c]) - mean

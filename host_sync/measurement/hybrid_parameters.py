@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array, Float64Array
 
@@ -36,12 +36,12 @@ def _two_triangles(a: Any, b: Any, c: Any, d: Any) -> Any:
     return upper + 0.5 * np.sqrt(1.0 + (d - c) ** 2 + (d - b) ** 2)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _sums(z_um: Any, per_um: Any) -> Float64Array:
     """Squared slopes across and their number, down likewise, area and number of squares: array of shape (H, 6)."""
     rows, columns = z_um.shape
     sums = np.zeros((rows, 6))
-    for r in prange(rows):
+    for r in range(rows):
         below = min(r + 1, rows - 1)
         for k in range(columns):
             after = min(k + 1, columns - 1)

@@ -26,7 +26,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     value : None where it is not defined
     uncertainty : coverage factor times standard uncertainty; None where the result holds no draws
     coverage_factor : k
-    offset : by how much the draws' mean lies above the value: noise adds to what it is drawn upon
+    offset : by how much noise of the measurement has raised the value, as the draws tell; it is not taken off
     draws : number of draws that gave a number
     masked_share : share of what was measured without a height
     doubts : what speaks against the number
@@ -69,11 +69,10 @@ def decimals(uncertainty: float) -> int:
 
 
 def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:
-    """Standard uncertainty of a number, by how much draws lie above it on average, and how many draws gave a number.
+    """Standard uncertainty of a number, by how much noise has raised it, and how many draws gave a number.
 
-    The uncertainty is the root mean square distance of the draws from the value, not from their own mean: where noise
-    raises a number, the number itself has been raised as well, and by about as much as the draws are above it. None
-    with too few draws.
+    The draws' spread about their own mean, and beside it, in squares, what noise has raised the number by: that is not
+    taken off the number. None with too few draws.
 
     drawn : float64 array of shape (K,), NaN where a draw gave none
     is_direction : an angle in degrees, which is the same after half a turn
@@ -82,11 +81,24 @@ def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = Fa
     if not np.isfinite(value) or seen.size < max(FEWEST_DRAWS, drawn.size / 2):
         return None
     off = seen - value
-    square = float((off**2).mean())
     if is_direction:
         off = (off + 90.0) % 180.0 - 90.0
-        square = float((off**2).mean()) + DIRECTION_STEP_DEG**2 / 12.0
-    return float(np.sqrt(square)), float(off.mean()), int(seen.size)
+        return float(np.sqrt((off**2).mean() + DIRECTION_STEP_DEG**2 / 12.0)), float(off.mean()), int(seen.size)
+    raised = raised_by(value, float(off.mean()))
+    return float(np.hypot(off.std(), raised)), raised, int(seen.size)
+
+
+def raised_by(value: float, offset: float) -> float:
+    """By how much noise has raised a number that as much noise again raises by `offset`.
+
+    Noise and surface add in squares (Sq² = surface² + noise²), so that the first noise raised it by more than the next
+    does: of a surface that is flat and shows nothing but noise, by the whole of the number. What lowers a number, or
+    has another sign, is taken as it is.
+    """
+    if not offset > 0.0:
+        return offset
+    square = value**2 - 2.0 * abs(value) * offset - offset**2
+    return offset if value <= 0.0 else value - float(np.sqrt(max(square, 0.0)))
 
 
 def uncertainty_of_uncertainty(draws: int) -> float:

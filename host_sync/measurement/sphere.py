@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
@@ -117,15 +117,14 @@ def _algebraic(z_um: Float32Array, valid: MaskArray, pitch_um: float) -> Sphere:
     return Sphere(float(column_um), float(row_um), float(height_um), radius_um, 0.0)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _step(z_um: Any, pitch_um: Any, state: Any) -> tuple[Float64Array, Float64Array, float]:
     """Normal equations of one Gauss-Newton step, and the sum of squared distances."""
     rows, columns = z_um.shape
-    normals, rights = np.zeros((rows, 4, 4)), np.zeros((rows, 4))
-    squares = np.zeros(rows)
-    for r in prange(rows):
-        gradient = np.empty(4)
-        gradient[3] = -1.0
+    normal, right, square = np.zeros((4, 4)), np.zeros(4), 0.0
+    gradient = np.empty(4)
+    gradient[3] = -1.0
+    for r in range(rows):
         for c in range(columns):
             z = z_um[r, c]
             if not np.isfinite(z):
@@ -134,9 +133,9 @@ def _step(z_um: Any, pitch_um: Any, state: Any) -> tuple[Float64Array, Float64Ar
             distance = np.sqrt(x * x + y * y + h * h)
             gradient[0], gradient[1], gradient[2] = -x / distance, -y / distance, -h / distance
             off = distance - state[3]
-            squares[r] += off * off
+            square += off * off
             for i in range(4):
-                rights[r, i] -= gradient[i] * off
+                right[i] -= gradient[i] * off
                 for j in range(4):
-                    normals[r, i, j] += gradient[i] * gradient[j]
-    return normals.sum(axis=0), rights.sum(axis=0), squares.sum()
+                    normal[i, j] += gradient[i] * gradient[j]
+    return normal, right, square

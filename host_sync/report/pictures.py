@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from device.photometry import demosaic
 from device.scan_bundle import ScanBundle
+from device.surface import Float32Array, HeightMap
 from host_sync.measurement.material_ratio import MaterialRatioCurve
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
 from host_sync.render.relief_axes import draw_relief
