@@ -10,9 +10,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+import msgspec
 import numpy as np
 
-from device.surface import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap, MaskArray
+from host_sync.measurement.height_draws import StatedScale
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import ProfileTable, RadiusTable, Recipe, StepTable
 from host_sync.measurement.result_surface import ResultSurface
@@ -55,11 +57,14 @@ class Case:
         return (self.value - self.truth) / self.standard_um
 
 
-def judged(name: str, found: ResultSurface, truth_um: Float32Array, contact: Float32Array) -> Iterator[Case]:
+def judged(
+    name: str, found: ResultSurface, truth_um: Float32Array, contact: MaskArray, scale: StatedScale
+) -> Iterator[Case]:
     """Every number of a press of the named object (or ball) beside its truth."""
     masked = np.where(np.isfinite(found.height.z_um), truth_um, np.float32(np.nan)).astype(np.float32)
     true = replace(found, height=HeightMap(masked, found.height.pitch_um), draws_um=None)
-    for recipe in RECIPES.get(name) or (_ball(contact, found.height.pitch_um),):
+    for plain in RECIPES.get(name) or (_ball(contact, found.height.pitch_um),):
+        recipe = msgspec.structs.replace(plain, scale=scale)
         pairs = zip(measure(found, recipe).quantities, measure(true, recipe).quantities, strict=True)
         for ours, real in pairs:
             if ours.value is not None and real.value is not None and ours.uncertainty:
@@ -67,20 +72,17 @@ def judged(name: str, found: ResultSurface, truth_um: Float32Array, contact: Flo
                 yield Case(label, ours.value, real.value, ours.uncertainty / ours.coverage_factor)
 
 
-def shares(cases: Mapping[str, list[Case]]) -> Iterator[tuple[str, int, float, float, float]]:
-    """By number: how many, share within one and within two standard uncertainties, root mean square ratio."""
+def shares(cases: Mapping[str, list[Case]]) -> Iterator[tuple[str, int, float, float, float, float]]:
+    """By number: how many, share within one and within two standard uncertainties, root mean square of error over
+    uncertainty, and of error over truth."""
     for number, some in cases.items():
         ratio = np.abs([case.ratio for case in some])
-        yield (
-            number,
-            len(some),
-            float((ratio <= 1.0).mean()),
-            float((ratio <= 2.0).mean()),
-            float(np.sqrt((ratio**2).mean())),
-        )
+        share = np.array([case.value / case.truth - 1.0 if case.truth else np.nan for case in some])
+        spread, off = (float(np.sqrt(np.nanmean(one**2))) for one in (ratio, share))
+        yield number, len(some), float((ratio <= 1.0).mean()), float((ratio <= 2.0).mean()), spread, off
 
 
-def _ball(contact: Float32Array, pitch_um: float) -> Recipe:
+def _ball(contact: MaskArray, pitch_um: float) -> Recipe:
     """The radius over the square inside a ball's contact."""
     rows, columns = np.nonzero(contact)
     middle = np.array([columns.mean(), rows.mean()]) * pitch_um

@@ -6,6 +6,10 @@ height map itself is; no formula per pixel can give it, as errors are correlated
 Scale: what was measured of pixel pitch and ball radius is in the draws' heights already. Lengths along the skin get the
 pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the
 pitch, one of the radius) and to lengths alike, from one draw, so that a number that depends on both sees it as it is.
+
+Surfaces unlike the balls: a calibration knows its errors on balls, and a ball shows shallow slopes at its apex only. On
+a raised flat face shallow slopes are read with another gain. That error is the same all over a press, no draw of the
+reconstruction holds it, and it is larger than all of them: it is added here as a share of the heights.
 """
 
 from __future__ import annotations
@@ -17,22 +21,31 @@ from typing import Annotated, Final
 import cv2
 import msgspec
 import numpy as np
+from scipy.stats import norm
 
-from device.surface import Float32Array
+from device.surface import Float32Array, Float64Array
 from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
 from host_sync.measurement.fine_noise import FineNoise
 from host_sync.measurement.result_surface import ResultSurface
 
 SEED: Final = 25178
 
+UNLIKE_BALLS_SHARE: Final = 0.07
+"""Root mean square error of step heights and amplitudes of raised faces on the twin, whose lights are 25 mm away
+(`docs/accuracy/measurement.py`); what an instrument of your own does, a step of known height tells."""
+
 Share = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 
 
 class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Standard uncertainties, as shares, that the calibration did not measure; None leaves them out."""
+    """Standard uncertainties, as shares, that the calibration did not measure; None leaves them out.
+
+    unlike_balls_share : of heights on surfaces that no ball is like; 0 for a ball
+    """
 
     pixel_pitch_share: Share | None = None
     ball_radius_share: Share | None = None
+    unlike_balls_share: Share = UNLIKE_BALLS_SHARE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +78,8 @@ class HeightDraws:
             self._fine = FineNoise(surface.slope_sigma, draws_um, surface.height.pitch_um)
         known, stated = surface.record.height_scale, stated or StatedScale()
         rng = np.random.default_rng(SEED)
-        pitch, radius = rng.standard_normal((2, len(self)))
-        self._height_factor = np.ones(len(self))
+        pitch, radius, unlike = (_balanced(rng, len(self)) for _ in range(3))
+        self._height_factor = 1.0 + stated.unlike_balls_share * unlike
         self._stretch = 1.0 + (known.pixel_pitch_share or stated.pixel_pitch_share or 0.0) * pitch
         if known.pixel_pitch_share is None:
             self._height_factor += HEIGHT_PER_PITCH * (stated.pixel_pitch_share or 0.0) * pitch
@@ -91,3 +104,11 @@ class HeightDraws:
                 z_um += self._fine.draw_um(rng)
             z_um *= np.float32(factor)
             yield DrawnSurface(z_um, float(stretch))
+
+
+def _balanced(rng: np.random.Generator, count: int) -> Float64Array:
+    """Normal numbers in random order, of mean 0 and mean square 1 exactly: few draws then hold a share as stated."""
+    if count < 2:
+        return np.zeros(count)
+    quantiles = norm.ppf((np.arange(count) + 0.5) / count)
+    return rng.permutation(quantiles / quantiles.std())

@@ -209,5 +209,7 @@ def _notes(surface: ResultSurface, recipe: Recipe, draws: int) -> Iterable[str]:
             yield f"scale: ± of the {name} is in, {stated:.2%} as the recipe states it"
         else:
             yield f"scale: ± of the {name} is not known and not in: state scale.{name.replace(' ', '_')}_share"
+    if draws and recipe.scale.unlike_balls_share:
+        yield f"scale: ± of {recipe.scale.unlike_balls_share:.1%} is in, for surfaces unlike the balls"
     for warning in surface.record.warnings:
         yield f"reconstruction: {warning}"

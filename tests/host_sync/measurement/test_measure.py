@@ -23,6 +23,7 @@ Write = Callable[..., Path]
 Draw = Callable[[np.random.Generator, float], np.ndarray]
 PITCH_UM = 5.0
 SHAPE = (180, 240)
+LIKE_BALLS = StatedScale(unlike_balls_share=0.0)
 
 
 def number(found: Measurement, name: str, subject: str = "surface") -> Quantity:
@@ -55,7 +56,7 @@ def test_stated_intervals_hold_the_truth_two_times_of_three(
     write_result: Write, wave: np.ndarray, smooth_error: Draw, name: str
 ) -> None:
     """Errors of the kind that the draws are drawn from are put into the surface itself."""
-    recipe = Recipe(parameters=(name,))
+    recipe = Recipe(parameters=(name,), scale=LIKE_BALLS)
     draws = read_result(write_result(wave, error_um=0.5))
     truth = number(measure(replace(draws, draws_um=None), recipe), name).value
     assert truth is not None
@@ -73,7 +74,8 @@ def test_stated_intervals_hold_the_truth_two_times_of_three(
 
 def test_the_filter_takes_what_it_removes_out_of_the_uncertainty_too(write_result: Write, wave: np.ndarray) -> None:
     folder = write_result(wave, error_um=0.5)
-    plain, filtered = (number(measure_result(folder, one), "Sa") for one in (Recipe(), Recipe(l_filter_um=160.0)))
+    recipes = (Recipe(scale=LIKE_BALLS), Recipe(l_filter_um=160.0, scale=LIKE_BALLS))
+    plain, filtered = (number(measure_result(folder, one), "Sa") for one in recipes)
     assert plain.uncertainty is not None
     assert filtered.uncertainty is not None
     assert filtered.uncertainty < 0.6 * plain.uncertainty
@@ -92,7 +94,7 @@ def test_scale_that_is_stated_moves_heights_and_lengths_as_it_should(write_resul
     ball = np.sqrt(20_000.0**2 - (column - 600.0) ** 2 - (row - 450.0) ** 2) - 20_000.0
     recipe = Recipe(
         form="none",
-        scale=StatedScale(pixel_pitch_share=0.01),
+        scale=StatedScale(pixel_pitch_share=0.01, unlike_balls_share=0.0),
         radius=(RadiusTable(name="ball", region_um=(0.0, 0.0, 1100.0, 850.0)),),
         distance=(DistanceTable(name="d", from_um=(0.0, 450.0), to_um=(1000.0, 450.0)),),
     )
@@ -107,6 +109,16 @@ def test_scale_that_is_stated_moves_heights_and_lengths_as_it_should(write_resul
     # What the calibration measured is in the draws' heights already, which are zero here.
     assert number(measure_result(folder, recipe), "Sq").uncertainty is None
     assert number(measure_result(folder, recipe), "along the skin", "d").uncertainty is not None
+
+
+def test_a_surface_unlike_the_balls_is_less_sure_by_the_share_that_is_said(
+    write_result: Write, wave: np.ndarray
+) -> None:
+    folder = write_result(wave - 0.01 * np.arange(SHAPE[0])[:, None], error_um=0.0)
+    found = measure_result(folder, Recipe(parameters=("Sq", "Ssk"), scale=StatedScale(unlike_balls_share=0.05)))
+    sq = number(found, "Sq")
+    assert sq.uncertainty / sq.value == pytest.approx(0.05, rel=1e-3)
+    assert any("5.0% is in, for surfaces unlike the balls" in note for note in found.notes)
 
 
 def test_an_unknown_pitch_leaves_a_length_without_uncertainty(write_result: Write, wave: np.ndarray) -> None:
@@ -151,7 +163,7 @@ def test_lines_and_steps_carry_their_own_uncertainty(write_result: Write, wave: 
     edge = number(found, "height", "edge")
     assert edge.value == pytest.approx(12.0, abs=0.05)
     assert edge.uncertainty is not None
-    assert 0.02 < edge.uncertainty < 1.0
+    assert 0.02 < edge.uncertainty < 2.0
     assert number(found, "Ra", "line").uncertainty is not None
     assert number(found, "Pt", "raw").value == pytest.approx(12.0, rel=0.6)
     assert found.profiles[0].sigma_um is not None
