@@ -77,8 +77,9 @@ def shares(cases: Mapping[str, list[Case]]) -> Iterator[tuple[str, int, float, f
     uncertainty, and of error over truth."""
     for number, some in cases.items():
         ratio = np.abs([case.ratio for case in some])
-        share = np.array([case.value / case.truth - 1.0 if case.truth else np.nan for case in some])
-        spread, off = (float(np.sqrt(np.nanmean(one**2))) for one in (ratio, share))
+        # Of a number that may be zero there is no share: then the error over its own size is shown.
+        share = np.array([(case.value - case.truth) / (abs(case.truth) or abs(case.value) or 1.0) for case in some])
+        spread, off = (float(np.sqrt((one**2).mean())) for one in (ratio, share))
         yield number, len(some), float((ratio <= 1.0).mean()), float((ratio <= 2.0).mean()), spread, off
 
 

@@ -32,7 +32,7 @@ def gage_command(
     recipe: Path | None = None,
     number: str = "surface/Sa",
     tolerance: float | None = None,
-    json: OutputFile | None = None,
+    json: OutputFile = None,
 ) -> int:
     """Judge the gage from repeated scans of the same parts (crossed ANOVA): repeatability, reproducibility, categories.
 

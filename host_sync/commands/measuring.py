@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
     from host_sync.measurement.recipe import Recipe
 
-OutputFile = Annotated[Path, Parameter(allow_leading_hyphen=True)]
+OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
 """A file to write; - is the output."""
 
 Region = tuple[float, float, float, float]
@@ -41,12 +41,8 @@ def measure_command(
     parameters: Annotated[tuple[str, ...] | None, Parameter(consume_multiple=True)] = None,
     spectrum: bool | None = None,
     coverage_factor: Annotated[Literal[1, 2] | None, Parameter(name=("--coverage-factor", "-k"))] = None,
-    json: Annotated[
-        Path | None, Parameter(help="Write everything to this file too; - writes it alone, to the output.")
-    ] = None,
-    csv: Annotated[
-        Path | None, Parameter(help="Write all numbers to this file too; - writes them alone, to the output.")
-    ] = None,
+    json: OutputFile = None,
+    csv: OutputFile = None,
 ) -> int:
     """Measure results: form off, S-filter, L-filter, then ISO 25178 and what a recipe names, each number with its ±.
 

@@ -26,6 +26,9 @@ TRIALS: Final = 20_000
 CONFIDENCE: Final = 0.95
 SEED: Final = 5
 
+COPIES_SHARE: Final = 1e-15
+"""Share of all squares that rounding alone leaves between repeats."""
+
 
 class Estimate(msgspec.Struct, frozen=True):
     """A figure with the ends of its confidence interval; None where it has no bound."""
@@ -109,7 +112,7 @@ def study(
             f"a gage study needs two parts and two repeats, and there are {sizes[0]} and {sizes[2]}: scan more"
         )
     anova = _analyse(values)
-    if not anova.sums["repeats"] > 0.0:
+    if not anova.sums["repeats"] > COPIES_SHARE * sum(anova.sums.values()):
         raise MeasurementError("repeats do not differ at all: these are not measurements repeated, but copies")
     names = [name for name in anova.sums if anova.freedoms[name]]
     mean = {name: np.array(anova.sums[name] / anova.freedoms[name]) for name in names}

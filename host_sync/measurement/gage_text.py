@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 from host_sync.measurement.gage import Estimate, GageStudy
-from host_sync.measurement.quantity import decimals
 
 GOOD_PERCENT: Final = 10.0
 USABLE_PERCENT: Final = 30.0
@@ -60,12 +59,8 @@ def verdict(study: GageStudy) -> str:
 
 def _shown(one: Estimate, unit: str) -> str:
     unit = f" {unit}" if unit else ""
-    if one.value is None:
-        return "without bound"
-    width = (one.high if one.high is not None else one.value) - (one.low if one.low is not None else one.value)
-    places = min(decimals(width / 2.0), 6) if width > 0.0 and not one.value.is_integer() else 0
-    ends = ["0" if one.low is None else f"{one.low:.{places}f}", "∞" if one.high is None else f"{one.high:.{places}f}"]
-    return f"{one.value:.{places}f}{unit} ({ends[0]} to {ends[1]})"
+    value, low, high = ("∞" if end is None else f"{end:.4g}" for end in (one.value, one.low, one.high))
+    return f"{value}{unit} ({low} to {high})"
 
 
 def _share(one: Estimate | None) -> str:

@@ -137,7 +137,8 @@ def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:
 def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
-    axes.grid(visible=grid, linewidth=0.3, alpha=0.5)
+    if grid:
+        axes.grid(visible=True, linewidth=0.3, alpha=0.5)
     return figure, axes
 
 
