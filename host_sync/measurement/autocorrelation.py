@@ -113,14 +113,15 @@ def texture_direction_deg(correlation: Float32Array) -> float:
     reach = min(middle, width)
     if reach < 4:
         return float("nan")
-    half = np.nan_to_num(correlation[middle - reach : middle + reach + 1, : reach + 1]).astype(np.float64)
+    half = np.nan_to_num(correlation[middle - reach : middle + reach + 1, : reach + 1])
     whole = np.concatenate([half[::-1, :0:-1], half], axis=1)
-    lag = np.arange(-reach, reach + 1) / (reach + 1.0)
-    taper = np.clip(1.0 - np.hypot(lag[:, None], lag), 0.0, None)
-    power = np.abs(np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(whole * taper))))
+    lag = np.arange(-reach, reach + 1, dtype=np.float32) / np.float32(reach + 1.0)
+    taper = np.maximum(np.float32(1.0) - np.hypot(lag[:, None], lag), np.float32(0.0))
+    # Magnitudes only: where the middle of the shifts lies in the array does not matter.
+    power = np.abs(scipy.fft.fftshift(scipy.fft.rfft2(whole * taper), axes=0))
     angle = np.radians(np.arange(-90.0, 90.0, STD_STEP_DEG))
     radius = np.arange(1.5, reach, 0.5)
     row = reach - radius * np.sin(angle)[:, None]
-    column = reach + radius * np.cos(angle)[:, None]
+    column = radius * np.cos(angle)[:, None]
     along = map_coordinates(power, [row, column], order=1).sum(axis=1)
     return float(np.degrees(angle[int(along.argmax())]))

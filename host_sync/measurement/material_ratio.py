@@ -1,7 +1,8 @@
 """Functional parameters of ISO 25178-2 from the areal material ratio curve.
 
 The curve is the heights, sorted from the highest down: at a share p of the area stands the height that p of it reaches.
-It is used as it is, every valid pixel one point; nothing is binned.
+Every valid pixel is one point of it; of more than a million, neighbours on the curve are averaged, which keeps every
+volume and tells shares to a millionth.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ CORE_END_SHARE: Final = 0.8
 """The standard's defaults: peaks up to 10 % of material ratio, valleys from 80 %."""
 
 SXP_SHARES: Final = (0.025, 0.5)
+MOST_POINTS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialRatioCurve:
     """Heights from the mean, sorted.
 
-    falling_um : float64 array of shape (N,), µm, the highest first
+    falling_um : float64 array of shape (N,), µm, the highest first, each for an equal share of the area
     volume_um : float64 array of shape (N + 1,), µm: sum of the first heights over N
     """
 
@@ -37,7 +39,7 @@ class MaterialRatioCurve:
     @classmethod
     def of(cls, z_um: Float32Array) -> MaterialRatioCurve:
         """The curve of the valid pixels of a surface."""
-        heights = np.sort(z_um[np.isfinite(z_um)])[::-1].astype(np.float64)
+        heights = _thinned(np.sort(z_um[np.isfinite(z_um)]))[::-1]
         if heights.size:
             heights -= heights.mean()
         return cls(heights, np.concatenate([[0.0], np.cumsum(heights)]) / max(heights.size, 1))
@@ -63,6 +65,15 @@ class MaterialRatioCurve:
     def _sum(self, share: float) -> float:
         at = share * self.falling_um.size
         return float(np.interp(at, np.arange(self.volume_um.size), self.volume_um))
+
+
+def _thinned(rising: Float32Array) -> Float64Array:
+    """Sorted heights, neighbours averaged so that at most `MOST_POINTS` are left: float64 array."""
+    if rising.size <= MOST_POINTS:
+        return rising.astype(np.float64)
+    starts = np.arange(MOST_POINTS) * rising.size // MOST_POINTS
+    counts = np.diff(starts, append=rising.size)
+    return np.asarray(np.add.reduceat(rising, starts, dtype=np.float64) / counts)
 
 
 def functional_parameters(z_um: Float32Array) -> dict[str, float]:
