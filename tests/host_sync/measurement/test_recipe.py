@@ -80,6 +80,12 @@ def test_others_are_refused_by_key(tmp_path: Path, text: str, words: tuple[str, 
         assert word in str(refused.value)
 
 
+def test_the_recipe_of_the_documents_is_whole() -> None:
+    recipe = read_recipe(Path(__file__).parents[3] / "docs" / "measurement" / "recipe.toml")
+    tables = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.volume)
+    assert all(len(table) == 1 for table in tables)
+
+
 def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match=r"none\.toml: cannot be read"):
         read_recipe(tmp_path / "none.toml")
