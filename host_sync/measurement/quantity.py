@@ -52,7 +52,9 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
         if self.uncertainty is None:
             return f"{self.value:.4g}{unit}, ± not known"
         places = decimals(self.uncertainty)
-        return f"{self.value:.{places}f} ± {self.uncertainty:.{places}f}{unit}"
+        value, uncertainty = (round(one, places) for one in (self.value, self.uncertainty))
+        shown = max(places, 0)
+        return f"{value:.{shown}f} ± {uncertainty:.{shown}f}{unit}"
 
     @property
     def sentence(self) -> str:
@@ -62,10 +64,10 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def decimals(uncertainty: float) -> int:
-    """Digits after the point that show two figures of an uncertainty; 4 of none at all."""
+    """Digits after the point that show two figures of an uncertainty, less than 0 of a large one; 4 of none at all."""
     if not 0.0 < uncertainty < float("inf"):
         return 4
-    return int(np.clip(1 - np.floor(np.log10(uncertainty)), 0, 9))
+    return int(np.clip(1 - np.floor(np.log10(uncertainty)), -12, 9))
 
 
 def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:

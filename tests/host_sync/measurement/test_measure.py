@@ -43,6 +43,32 @@ def test_a_sentence_says_it_all(write_result: Write, wave: np.ndarray) -> None:
     assert any("16 draws" in note and "18%" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "words"),
+    [
+        (1.8349, 0.0612, "1.835 ± 0.061 µm"),
+        (10_276_514.0, 1_279_768.0, "10300000 ± 1300000 µm"),
+        (-96.4, 12.3, "-96 ± 12 µm"),
+        (0.00012, 0.0000034, "0.0001200 ± 0.0000034 µm"),
+        (3.0, None, "3 µm, ± not known"),
+        (None, None, "not defined"),
+    ],
+)
+def test_two_figures_of_the_uncertainty_are_shown(value: float | None, uncertainty: float | None, words: str) -> None:
+    shown = Quantity(
+        subject="s",
+        name="n",
+        unit="µm",
+        value=value,
+        uncertainty=uncertainty,
+        coverage_factor=1,
+        offset=None,
+        draws=16,
+        masked_share=0.0,
+    )
+    assert shown.number == words
+
+
 def test_k_2_doubles_the_uncertainty_and_says_so(write_result: Write, wave: np.ndarray) -> None:
     folder = write_result(wave)
     once, twice = (number(measure_result(folder, Recipe(coverage_factor=k)), "Sq") for k in (1, 2))
