@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+AREAL_SUBJECT: Final = "surface"
+"""What areal numbers are measured on, beside the names of a recipe."""
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterKind:

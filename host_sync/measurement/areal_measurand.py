@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from device.surface import Float32Array, HeightMap, MaskArray, surface_slopes
-from host_sync.measurement.areal_catalogue import AREAL, GROUPS, ParameterKind
+from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, ParameterKind
 from host_sync.measurement.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
 from host_sync.measurement.geometry import Region
 from host_sync.measurement.height_parameters import height_parameters
@@ -39,7 +39,7 @@ class ArealMeasurand:
     steepest_deg : slope up to which the calibration's balls taught it, if that is known
     """
 
-    name = "surface"
+    name = AREAL_SUBJECT
 
     def __init__(self, recipe: Recipe, height: HeightMap, steepest_deg: float | None) -> None:
         self._recipe = recipe

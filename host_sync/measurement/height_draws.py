@@ -32,7 +32,7 @@ SEED: Final = 25178
 
 UNLIKE_BALLS_SHARE: Final = 0.11
 """Root mean square error of step heights and amplitudes of raised faces on the twin, whose lights are 25 mm away
-(`docs/accuracy/measurement.py`); what an instrument of your own does, a step of known height tells."""
+(`docs/accuracy/measured_coverage.py`); what an instrument of your own does, a step of known height tells."""
 
 Share = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 

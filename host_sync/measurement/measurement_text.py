@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.plain_text import printable
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 
@@ -52,7 +53,8 @@ def as_text(measurement: Measurement) -> str:
     for subject, quantities in groupby(measurement.quantities, key=lambda one: one.subject):
         group = list(quantities)
         factor = f"k = {group[0].coverage_factor}"
-        lines.append(f"\n{subject}  ({factor}, {100.0 * group[0].masked_share:.2g} % masked)")
+        lines.append("")
+        lines.append(f"{subject}  ({factor}, {100.0 * group[0].masked_share:.2g} % masked)")
         width = max(len(one.name) for one in group)
         for one in group:
             lines.append(f"  {one.name:<{width}}  {one.number}")
@@ -60,7 +62,8 @@ def as_text(measurement: Measurement) -> str:
                 f"  {'':<{width}}    doubtful: {doubt}" for doubt in one.doubts if doubt not in shared_doubts(group)
             )
         lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
-    return "\n".join([*lines, "", *(f"- {note}" for note in measurement.notes)])
+    lines += ["", *(f"- {note}" for note in measurement.notes)]
+    return "\n".join(printable(line) for line in lines)
 
 
 def as_record(measurement: Measurement) -> dict[str, Any]:
@@ -103,11 +106,11 @@ def as_csv(measurements: Sequence[Measurement]) -> str:
 
 def _row(measurement: Measurement, one: Quantity) -> list[object]:
     record = measurement.record
-    row: list[object] = [
-        str(measurement.folder),
-        record.scan_id or "",
-        one.subject,
-        one.name,
+    return [
+        _harmless(str(measurement.folder)),
+        _harmless(record.scan_id or ""),
+        _harmless(one.subject),
+        _harmless(one.name),
         "" if one.value is None else repr(one.value),
         "" if one.uncertainty is None else repr(one.uncertainty),
         one.coverage_factor,
@@ -115,14 +118,13 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
         f"{100.0 * one.masked_share:.4g}",
         one.draws,
         "" if one.offset is None else repr(one.offset),
-        "; ".join(one.doubts),
+        _harmless("; ".join(one.doubts)),
     ]
-    return [_harmless(cell) for cell in row]
 
 
-def _harmless(cell: object) -> object:
+def _harmless(text: str) -> str:
     """A text that no spreadsheet takes for a formula."""
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in "=@\t\r" and cell else cell
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 def shared_doubts(group: Sequence[Quantity]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import msgspec
 
 from device.records import explain_validation
 from host_sync.errors import MeasurementError
-from host_sync.measurement.areal_catalogue import AREAL, GROUPS
+from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
 from host_sync.measurement.form import HIGHEST_DEGREE
 from host_sync.measurement.height_draws import StatedScale
 from host_sync.measurement.step_height import StepKind
@@ -59,7 +59,7 @@ class StepTable(_Table, frozen=True):
     to_um: Place
     width_um: Annotated[float, msgspec.Meta(ge=0, le=1e6)] = 0.0
     kind: StepKind = "step"
-    edges_um: tuple[float, ...] | None = None
+    edges_um: tuple[Coordinate, ...] | None = None
 
 
 class DistanceTable(_Table, frozen=True):
@@ -113,7 +113,7 @@ class Recipe(_Table, frozen=True):
     s_filter_um: Length | None = None
     l_filter_um: Length | None = None
     parameters: tuple[str, ...] = tuple(GROUPS)
-    smr_um: tuple[float, ...] = ()
+    smr_um: tuple[Coordinate, ...] = ()
     smc_percent: tuple[Percent, ...] = ()
     spectrum: bool = False
     scale: StatedScale = StatedScale()
@@ -197,6 +197,7 @@ def checked(recipe: Recipe, source: str) -> Recipe:
                 f"{source}: {where}s_filter_um: {s_um:g} takes away all that l_filter_um = {l_um:g} leaves: "
                 "accepted is less than that"
             )
+    _check_names(recipe, source)
     for i, step in enumerate(recipe.step):
         wanted = 1 if step.kind == "step" else 2
         if step.edges_um is not None and (
@@ -206,6 +207,16 @@ def checked(recipe: Recipe, source: str) -> Recipe:
                 f"{source}: step[{i}].edges_um: a {step.kind} has {wanted}: accepted is a list of so many, rising"
             )
     return recipe
+
+
+def _check_names(recipe: Recipe, source: str) -> None:
+    """Refuse two lines, places or regions of one name: nobody could tell their numbers apart."""
+    named = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume)
+    seen = {AREAL_SUBJECT}
+    for table in (table for tables in named for table in tables):
+        if table.name in seen:
+            raise MeasurementError(f"{source}: name: {table.name!r} is there twice: accepted is a name of its own")
+        seen.add(table.name)
 
 
 def _accepted(problem: str) -> str:

@@ -6,9 +6,10 @@ Every text goes through `escape`, and a content policy forbids what a text might
 from __future__ import annotations
 
 import base64
-from html import escape
+from html import escape as escape_markup
 from typing import Final
 
+from host_sync.measurement.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -53,6 +54,11 @@ def html_page(report: Report) -> str:
             "</body>\n</html>\n",
         ]
     )
+
+
+def escape(text: str) -> str:
+    """The text in which nothing is markup."""
+    return escape_markup(printable(text))
 
 
 def _facts(facts: tuple[tuple[str, str], ...]) -> str:

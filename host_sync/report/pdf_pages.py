@@ -28,6 +28,7 @@ from reportlab.platypus import (
     TableStyle,
 )
 
+from host_sync.measurement.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
 
 WIDTH: Final = A4[0] - 30.0 * mm - 12.0
@@ -81,9 +82,8 @@ def _story(report: Report) -> list[Flowable]:
 
 
 def _words(text: str, style: ParagraphStyle) -> Paragraph:
-    """A paragraph in which nothing is markup; control characters have no glyph and are left out."""
-    shown = "".join(one if one.isprintable() else " " for one in text)
-    return Paragraph(escape(shown, quote=False), style)
+    """A paragraph in which nothing is markup."""
+    return Paragraph(escape(printable(text), quote=False), style)
 
 
 def _table(table: Table, shares: tuple[float, ...] | None = None, style: ParagraphStyle = _SMALL) -> list[Flowable]:
@@ -117,8 +117,7 @@ def _foot(title: str) -> Any:
     def draw(canvas: Any, document: Any) -> None:
         canvas.setFont("Report", 7)
         canvas.setFillColor(colors.HexColor("#555555"))
-        shown = "".join(one if one.isprintable() else " " for one in title)
-        canvas.drawString(15.0 * mm, 9.0 * mm, shown[:90])
+        canvas.drawString(15.0 * mm, 9.0 * mm, printable(title)[:90])
         canvas.drawRightString(A4[0] - 15.0 * mm, 9.0 * mm, f"page {document.page}")
 
     return draw

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterator
 from typing import Final
 
@@ -17,6 +18,7 @@ from device.scan_bundle import ScanBundle
 from device.surface import Float32Array, HeightMap
 from host_sync.measurement.material_ratio import MaterialRatioCurve
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
+from host_sync.measurement.plain_text import printable
 from host_sync.render.relief_axes import draw_relief
 from host_sync.render.relief_sheet import WIDEST_PX
 from host_sync.render.shading import reduced
@@ -144,11 +146,14 @@ def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, 
 
 def _plain(text: str) -> str:
     """A text that matplotlib takes for no formula."""
-    return text.replace("$", r"\$")
+    return printable(text).replace("$", r"\$")
 
 
 def _picture(figure: Figure, caption: str) -> Picture:
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+    with warnings.catch_warnings():
+        # A name in a script that the typeface lacks is drawn as boxes; the report's text has it.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
     size = figure.get_size_inches() * DPI
     return Picture(caption, stream.getvalue(), (round(float(size[0])), round(float(size[1]))))

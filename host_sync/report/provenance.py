@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +17,8 @@ from host_sync.measurement.result_surface import ResultRecord
 
 CALIBRATION_REPORT: Final = "report.json"
 MOST_BYTES: Final = 64 << 20
+
+_BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,7 @@ def origin_of(folder: Path, record: ResultRecord) -> Origin:
         except DeviceError:
             scan = None  # a damaged bundle is for `verify`; the report says that there is none
     places = [folder.absolute().parent / "calibration" / CALIBRATION_REPORT]
-    if record.calibration_bundle and "/" not in record.calibration_bundle:
+    if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
         bundle = above.parent.parent / "calibrations" / record.calibration_bundle / "results"
         places += sorted(bundle.glob(f"*/{CALIBRATION_REPORT}"))
     for place in places:

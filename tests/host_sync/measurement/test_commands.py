@@ -42,6 +42,18 @@ def test_numbers_are_printed_with_unit_uncertainty_and_what_was_done(
     assert "Ssk" not in out
 
 
+def test_a_name_moves_no_cursor_and_starts_no_formula(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(wave, "bell", scan_id="=cmd()", warnings=["\x1b[2J\x07"])
+    table = tmp_path / "numbers.csv"
+    assert main(["measure", str(folder), "--parameters", "Ssk", "--csv", str(table)]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+    row = next(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8"))))
+    assert row["scan_id"] == "'=cmd()"
+    assert np.isfinite(float(row["value"]))
+
+
 def test_json_and_csv_hold_every_number(
     write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,7 +177,9 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     out = tmp_path / "reports"
     scans = [path.name for path in sorted((store.root / "scans").iterdir())][-2:]
     assert main(["report", *scans, *library, "--out", str(out)]) == 0
-    assert {path.stem for path in out.glob("*.html")} == {path.stem for path in out.glob("*.pdf")} == set(scans)
+    stems = [{path.stem for path in out.glob(f"*{ending}")} for ending in (".html", ".pdf")]
+    assert stems[0] == stems[1]
+    assert len(stems[0]) == 2
     page = next(iter(out.glob("*.html"))).read_text(encoding="utf-8")
     assert "<b>bob" not in page
     assert "Frame: one exposure" in page

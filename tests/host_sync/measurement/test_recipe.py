@@ -70,6 +70,8 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ),
         ('[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nedges_um = [3, 4]', ("edges_um", "a step has 1")),
         ("[scale]\npixel_pitch_share = -0.1", ("scale.pixel_pitch_share",)),
+        (2 * '[[distance]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [1, 1]\n', ("'a' is there twice",)),
+        ("smr_um = [nan]", ("smr_um",)),
         ("form = ", ("not TOML",)),
     ],
 )

@@ -1,6 +1,6 @@
 """How often stated intervals hold the truth of measured numbers, over presses on the calibrated twin.
 
-usage: PYTHONPATH=. python docs/accuracy/measurement.py [--skins diffuse flake sharp-flake] [--repeats 3] [--keep DIR]
+usage: PYTHONPATH=. python docs/accuracy/measured_coverage.py [--skins SKIN…] [--repeats 3] [--keep DIR] [--like-balls]
 
 Prints, for each number: presses, share of them within one and within two stated standard uncertainties (68 % and 95 %
 when they are right), root mean square of error over uncertainty, and root mean square of the error over the truth.
