@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from device.errors import DeviceError
-from host_sync.commands import devices, exporting, offload
+from host_sync.commands import devices, exporting, gaging, measuring, offload, reporting
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, say, telling
 from host_sync.compile_notice import tell_of_compiling
@@ -69,6 +69,9 @@ offload.register(app)
 devices.register(app)
 library_commands.register(app)
 exporting.register(app)
+measuring.register(app)
+gaging.register(app)
+reporting.register(app)
 
 
 @app.command
