@@ -209,7 +209,8 @@ def _map(
     ]
     learner, share = learners[-1]
     light = None if learner.light is None else LightCurve(learner.light, curves[-1], share)
-    return InverseMap(shape, domain, curves[0], steepest, light)
+    leverage = learners[0][0].leverage(state.slope, state.weight, state.kept)
+    return InverseMap(shape, domain, curves[0], steepest, light, leverage)
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from device.colour_domain import ColourDomain
 from device.errors import CalibrationMismatch, RecordError
+from device.leverage import Leverage
 from device.light_field import LightField
 from device.photometry import IntensityImage
 from device.polynomials import field_position
@@ -62,6 +63,7 @@ class InverseMap:
     curve : the polynomial that reads intensity
     steepest : slope up to which the balls taught it; what lies beyond is extrapolated
     light : the polynomial that reads light, None where it would not help
+    leverage : of the curve that reads intensity, None where one ball alone taught it
     """
 
     shape: tuple[int, int]
@@ -69,6 +71,7 @@ class InverseMap:
     curve: SlopeCurve
     steepest: float
     light: LightCurve | None = None
+    leverage: Leverage | None = None
 
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
         """Refuse an image that is not of this field's size divided by `binning`.
@@ -132,6 +135,8 @@ class InverseMap:
         if self.light is not None:
             lit = self.light.curve.arrays() | self.light.field.arrays() | {"share": np.array(self.light.share)}
             named |= {f"light_{name}": array for name, array in lit.items()}
+        if self.leverage is not None:
+            named |= {f"leverage_{name}": array for name, array in self.leverage.arrays().items()}
         return named | {"shape": np.array(self.shape), "steepest": np.array(self.steepest)}
 
     @classmethod
@@ -149,9 +154,11 @@ class InverseMap:
             steepest = float(arrays["steepest"])
             curve = SlopeCurve.from_arrays(arrays, source)
             light = _light_from(with_prefix(arrays, "light_"), source)
+            named = with_prefix(arrays, "leverage_")
+            leverage = Leverage.from_arrays(named, curve) if named else None
         except (KeyError, IndexError, ValueError, TypeError) as error:
             raise RecordError(f"{source} holds no inverse map ({error}): calibrate again") from error
-        return cls((rows, columns), domain, curve, steepest, light)
+        return cls((rows, columns), domain, curve, steepest, light, leverage)
 
 
 def _light_from(arrays: Mapping[str, NDArray[Any]], source: str) -> LightCurve | None:

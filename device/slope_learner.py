@@ -10,11 +10,12 @@ import numpy as np
 from device.ball import BallSamples
 from device.colour_space import ColourSpace
 from device.held_out_ridge import HeldOutRidge
+from device.leverage import Leverage
 from device.light_field import LightField
 from device.polynomials import colour_exponents, field_position, position_exponents
 from device.slope_curve import SlopeCurve, design_matrix
 from device.stereographic import slope_from_stereographic
-from device.surface import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array, MaskArray
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 FLAT_SHARE: Final = 0.1
@@ -64,6 +65,13 @@ class SlopeLearner:
     light: LightField | None
     penalty: float
     ridge: HeldOutRidge
+
+    def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
+        """The leverage of its features among those of the living balls; arguments as for the ridge."""
+        root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
+        found = Leverage.of(root, self.ridge.design[alive[self.ridge.ball]])
+        scaled = (found.root * self.form.term_scale()[:, None]).astype(np.float32)
+        return replace(found, root=scaled)
 
     def curve(self, solution: Float64Array) -> SlopeCurve:
         """The curve with the coefficients that `ridge` found, array of shape (F, 2)."""
