@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal, cast, get_args
 
@@ -59,7 +58,7 @@ def export_command(
         shelf = Library(library or default_library())
         scan = shelf.find(source)
         if set(forms) - set(RAW):
-            place = _newest(shelf.results(scan), scan.scan_id)
+            place = shelf.newest_result(scan)
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
     of_surface = tuple(form for form in forms if form not in raw)
     written = _export_surface(place, of_surface, out, mesh_step, line_um, overwrite) if of_surface else []
@@ -96,11 +95,3 @@ def _is_surface(place: Path) -> bool:
         return place.is_file() or (place.is_dir() and not (place / SCAN_MANIFEST).is_file())
     except OSError:
         return False
-
-
-def _newest(results: Sequence[Path], scan_id: str) -> Path:
-    if not results:
-        raise ExportError(
-            f"{scan_id}: has no result yet, and its raw frame goes to dng and tiff alone: retrosync reconstruct first"
-        )
-    return max(results, key=lambda folder: folder.stat().st_mtime_ns)

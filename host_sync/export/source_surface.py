@@ -7,20 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
 import numpy as np
-import tifffile
 
-from device.errors import DeviceError
-from device.records import explain_validation, read_small
 from device.surface import Float32Array
-from device.tiff_reading import TIFF_READ_ERRORS, quiet_tiff_log
 from host_sync.errors import ExportError
+from host_sync.measurement.result_surface import HEIGHT_SIGMA_FILE, read_beside, read_height, read_record
 
-SCHEMA: Final = "retrograph.result/1"
-RECORD_FILE: Final = "result.json"
-HEIGHT_FILE: Final = "height_um.tif"
-SIGMA_FILE: Final = "height_sigma_um.tif"
 LONGEST_PITCH_UM: Final = 1e6
 
 
@@ -52,38 +44,25 @@ class SourceSurface:
         return int(self.z_um.shape[1])
 
 
-class _Record(msgspec.Struct, frozen=True):
-    """What exports take from `result.json`."""
-
-    schema: str
-    name: str
-    rows: int
-    columns: int
-    pixel_pitch_um: float
-    program: str = ""
-    written_utc: str = ""
-    calibration_id: str = ""
-    warnings: tuple[str, ...] = ()
-
-
 def read_surface(folder: Path) -> SourceSurface:
     """The surface of a result folder.
 
     Raises
     ------
+    MeasurementError
+        A file is missing or damaged, or does not fit the record.
     ExportError
-        A file is missing, damaged or does not fit the record, or no height is valid.
+        No height is valid.
     """
-    record = _read_record(folder)
-    shape = (record.rows, record.columns)
-    sigma = folder / SIGMA_FILE
+    record = read_record(folder)
+    height = read_height(folder, record)
     parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *record.warnings)
     return checked_surface(
         SourceSurface(
             name=one_line(record.name),
-            z_um=_read_field(folder / HEIGHT_FILE, shape),
-            pitch_um=record.pixel_pitch_um,
-            sigma_um=_read_field(sigma, shape) if sigma.exists() else None,
+            z_um=height.z_um,
+            pitch_um=height.pitch_um,
+            sigma_um=read_beside(folder / HEIGHT_SIGMA_FILE, height.z_um.shape),
             written_utc=one_line(record.written_utc),
             origin=one_line("; ".join(part for part in parts if part)),
         ),
@@ -119,43 +98,3 @@ def ascii_line(text: str) -> bytes:
     """The same in ASCII, for formats that name no encoding: letters without their accents, else a question mark."""
     plain = "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return plain.encode("ascii", "replace")
-
-
-def _read_record(folder: Path) -> _Record:
-    path = folder / RECORD_FILE
-    if not path.is_file():
-        raise ExportError(f"{folder}: holds no {RECORD_FILE}: name a folder that retrosync reconstruct wrote")
-    try:
-        record = msgspec.json.decode(read_small(path, "reconstruct the scan again"), type=_Record)
-    except DeviceError as error:
-        raise ExportError(str(error)) from error
-    except msgspec.ValidationError as error:
-        raise ExportError(f"{path}: {explain_validation(error)}: reconstruct the scan again") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ExportError(f"{path}: is no JSON ({error}): reconstruct the scan again") from error
-    if record.schema != SCHEMA:
-        raise ExportError(f"{path}: schema {record.schema!r} is not {SCHEMA!r}: use the program that wrote it")
-    return record
-
-
-def _read_field(path: Path, shape: tuple[int, int]) -> Float32Array:
-    """A float32 field, writable.
-
-    Raises
-    ------
-    ExportError
-        The file is missing, damaged or of another size.
-    """
-    try:
-        with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
-            page = tiff.pages.first
-            fits = page.shape == shape and page.dtype == np.float32
-            values: Float32Array | None = page.asarray() if fits else None
-    except FileNotFoundError as error:
-        raise ExportError(f"{path}: is missing: reconstruct the scan again") from error
-    except TIFF_READ_ERRORS as error:
-        raise ExportError(f"{path}: is truncated or damaged: reconstruct the scan again") from error
-    if values is None:
-        size = f"{shape[1]}x{shape[0]}"
-        raise ExportError(f"{path}: is no float32 field of {size} pixels, as its record says: reconstruct it again")
-    return values

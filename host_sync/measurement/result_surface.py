@@ -110,27 +110,46 @@ def read_result(folder: Path) -> ResultSurface:
         A file is missing or damaged, or does not fit the record.
     """
     record = read_record(folder)
-    shape = (record.rows, record.columns)
-    z_um = _read_field(folder / HEIGHT_FILE, 2)
-    if z_um.shape != shape:
-        raise MeasurementError(
-            f"{folder / HEIGHT_FILE}: has {z_um.shape[1]}x{z_um.shape[0]} pixels and the record says "
-            f"{shape[1]}x{shape[0]}: reconstruct the scan again"
-        )
+    height = read_height(folder, record)
     draws = folder / DRAWS_FILE
-    slope_sigma, sigma_um = (_read_beside(folder / file, shape) for file in (SLOPE_SIGMA_FILE, HEIGHT_SIGMA_FILE))
+    slope_sigma, sigma_um = (
+        read_beside(folder / file, height.z_um.shape) for file in (SLOPE_SIGMA_FILE, HEIGHT_SIGMA_FILE)
+    )
     return ResultSurface(
         folder=folder,
         record=record,
-        height=HeightMap(z_um, record.pixel_pitch_um),
+        height=height,
         draws_um=_read_field(draws, 3) if draws.is_file() else None,
         slope_sigma=slope_sigma,
         sigma_um=sigma_um,
     )
 
 
-def _read_beside(path: Path, shape: tuple[int, int]) -> Float32Array | None:
-    """A field of the height map's size, None if the result is of a version that did not write it."""
+def read_height(folder: Path, record: ResultRecord) -> HeightMap:
+    """The height map alone of a result folder.
+
+    Raises
+    ------
+    MeasurementError
+        The file is missing or damaged, or does not fit the record.
+    """
+    z_um = _read_field(folder / HEIGHT_FILE, 2)
+    if z_um.shape != (record.rows, record.columns):
+        raise MeasurementError(
+            f"{folder / HEIGHT_FILE}: has {z_um.shape[1]}x{z_um.shape[0]} pixels and the record says "
+            f"{record.columns}x{record.rows}: reconstruct the scan again"
+        )
+    return HeightMap(z_um, record.pixel_pitch_um)
+
+
+def read_beside(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
+    """A field of the height map's size, None if the result is of a version that did not write it.
+
+    Raises
+    ------
+    MeasurementError
+        The file is damaged, or of another size.
+    """
     if not path.is_file():
         return None
     values = _read_field(path, 2)
