@@ -139,4 +139,6 @@ def _publish(path: Path, write: Writer) -> None:
     except ExportError:
         raise
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written {explain_refusal(error)}") from error
+        # numpy counts what a full disk did not take and names no number for it.
+        reason = explain_refusal(error) if error.errno else "(the disk took no more): free space on it"
+        raise ExportError(f"{path}: cannot be written {reason}") from error

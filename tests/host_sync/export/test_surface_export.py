@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -173,6 +174,23 @@ def test_what_a_format_cannot_count_leaves_no_file(
 ) -> None:
     assert export(write_result(np.ones((2, 66_000), np.float32)), tmp_path / "out", "sdf") == 2
     assert "use x3p" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("form", SURFACE_FORMATS)
+def test_a_disk_that_takes_no_more_leaves_no_file(
+    form: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (700, hard))
+    try:
+        code = export(result, tmp_path / "out", form)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 2
+    said = capsys.readouterr().err
+    assert "cannot be written (" in said
+    assert said.count("\n") == 1
     assert list((tmp_path / "out").iterdir()) == []
 
 
