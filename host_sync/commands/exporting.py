@@ -63,7 +63,7 @@ def export_command(
     of_surface = tuple(form for form in forms if form not in raw)
     written = _export_surface(place, of_surface, out, mesh_step, line_um, overwrite) if of_surface else []
     if scan:
-        written += [export_raw(scan, form, out) for form in raw]
+        written += [export_raw(scan, form, out, overwrite=overwrite) for form in raw]
     for path in written:
         say(str(path))
     return DONE

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, TypeAlias, cast, get_args
+from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
 
-from device.disk_advice import explain_refusal
-from host_sync.errors import ExportError
 from host_sync.export.al3d import write_al3d
 from host_sync.export.csv_profile import LineUm, pixels_on_line, write_csv_profile
 from host_sync.export.float_tiff import write_float_tiff
@@ -21,6 +18,7 @@ from host_sync.export.npz import write_npz
 from host_sync.export.obj import write_obj
 from host_sync.export.ply import write_ply
 from host_sync.export.png16 import write_png16, write_png_scale
+from host_sync.export.publishing import Writer, check_free, publish
 from host_sync.export.sdf import write_sdf
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.stl import write_stl
@@ -32,7 +30,6 @@ FieldFormat = Literal["gsf", "gwy", "x3p", "sur", "sdf", "al3d", "tmd", "tiff", 
 MeshFormat = Literal["ply", "stl", "obj", "glb"]
 SurfaceFormat = Literal[FieldFormat, MeshFormat, "csv"]
 Rest = ParamSpec("Rest")
-Writer: TypeAlias = Callable[[BinaryIO], None]
 
 LONGEST_NAME: Final = 120
 """Bytes of a file's name before its suffix."""
@@ -86,11 +83,10 @@ def export_surface(
     """
     stem = file_stem(surface.name)
     files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
-    taken = [path for path in files if os.path.lexists(path)]
-    if taken and not choices.overwrite:
-        raise ExportError(f"{taken[0]}: is there already: add --overwrite or choose another folder")
+    if not choices.overwrite:
+        check_free(files)
     for path, write in files.items():
-        _publish(path, write)
+        publish(path, write)
     return tuple(files)
 
 
@@ -121,24 +117,3 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
 def _bound(write: Callable[Concatenate[BinaryIO, Rest], None], *rest: Rest.args, **named: Rest.kwargs) -> Writer:
     """The writer with all that follows its file given."""
     return lambda file: write(file, *rest, **named)
-
-
-def _publish(path: Path, write: Writer) -> None:
-    """Write under another name first, then rename."""
-    partial_path = path.with_name(f".{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial_path.open("wb") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            partial_path.replace(path)
-        finally:
-            partial_path.unlink(missing_ok=True)
-    except ExportError:
-        raise
-    except OSError as error:
-        # numpy counts what a full disk did not take and names no number for it.
-        reason = explain_refusal(error) if error.errno else "(the disk took no more): free space on it"
-        raise ExportError(f"{path}: cannot be written {reason}") from error
