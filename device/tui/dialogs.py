@@ -1,0 +1,91 @@
+"""The small dialogs: a few fields to edit, or a question to confirm; Escape always leaves things as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Button, Input, Static
+
+
+class FieldsDialog(ModalScreen[dict[str, str] | None]):
+    """A field a line; what comes back are the texts by name, or None when nothing is to change.
+
+    Parameters
+    ----------
+    title : what is edited
+    fields : names and what they hold now
+    hint : one sentence below
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "leave as it is")]
+
+    def __init__(self, title: str, fields: Mapping[str, str], hint: str) -> None:
+        super().__init__()
+        self._title, self._fields, self._hint = title, dict(fields), hint
+
+    def compose(self) -> ComposeResult:
+        """The fields, and two buttons."""
+        with Vertical(classes="dialog"):
+            yield Static(self._title, classes="dialog-title", markup=False)
+            for name, text in self._fields.items():
+                with Horizontal(classes="dialog-field"):
+                    yield Static(name, classes="dialog-label", markup=False)
+                    yield Input(text, name=name, compact=True, max_length=80)
+            yield Static(self._hint, classes="dialog-hint", markup=False)
+            with Horizontal(classes="dialog-buttons"):
+                yield Button("Keep", id="keep", compact=True)
+                yield Button("Leave as it is", id="leave", compact=True)
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Enter leads to the next field, and from the last one keeps all."""
+        inputs = list(self.query(Input))
+        if event.input is inputs[-1]:
+            self._keep()
+        else:
+            self.focus_next()
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Keep, or leave as it is."""
+        if event.button.id == "keep":
+            self._keep()
+        else:
+            self.dismiss(None)
+
+    def _keep(self) -> None:
+        self.dismiss({field.name or "": field.value.strip() for field in self.query(Input)})
+
+
+class ConfirmDialog(ModalScreen[bool]):
+    """A question that is answered yes or no; no is what a careless Enter gives.
+
+    Parameters
+    ----------
+    question : what is about to happen
+    yes : the word on the button that does it
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("y", "dismiss(True)", "yes"),
+        Binding("n,escape", "dismiss(False)", "no"),
+    ]
+
+    def __init__(self, question: str, yes: str) -> None:
+        super().__init__()
+        self._question, self._yes = question, yes
+
+    def compose(self) -> ComposeResult:
+        """The question, and two buttons."""
+        with Vertical(classes="dialog"):
+            yield Static(self._question, classes="dialog-title", markup=False)
+            with Horizontal(classes="dialog-buttons"):
+                yield Button("No (n)", id="no", compact=True)
+                yield Button(f"{self._yes} (y)", id="yes", compact=True)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Answer."""
+        self.dismiss(event.button.id == "yes")

@@ -1,0 +1,32 @@
+"""The line that says what happened last: what failed says so in a word, and stays until something else happens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from textual.content import Content
+from textual.widgets import Static
+
+Weight = Literal["told", "done", "failed"]
+
+_SIGNS: Final[dict[Weight, str]] = {"told": "", "done": "", "failed": "! "}
+_STYLES: Final[dict[Weight, str]] = {"told": "", "done": "$success", "failed": "$error bold"}
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A sentence and its weight."""
+
+    sentence: str
+    weight: Weight = "told"
+
+
+class NoticeLine(Static):
+    """The last notice; nothing is shown while there is none."""
+
+    def show(self, notice: Notice | None) -> None:
+        """Show a notice, or none."""
+        self.display = notice is not None
+        if notice:
+            self.update(Content.styled(_SIGNS[notice.weight] + notice.sentence, _STYLES[notice.weight]))

@@ -1,0 +1,103 @@
+"""Set-up: a list of things to do on the left, and on the right the sheet that belongs to the chosen one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar, Final, Literal
+
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, VerticalScroll
+from textual.widget import Widget
+from textual.widgets import OptionList, Static
+from textual.widgets.option_list import Option
+
+from device.session.state import InstrumentState
+from device.tui.dialogs import ConfirmDialog
+from device.tui.instrument_screen import InstrumentScreen
+from device.tui.sheets import MachineFacts, instrument_sheet, pairing_sheet, selftest_sheet
+
+Errand = Literal["back", "facts", "pair", "test", "off"]
+
+ERRANDS: Final[tuple[tuple[Errand, str], ...]] = (
+    ("back", "Back to Scan"),
+    ("facts", "This instrument"),
+    ("pair", "Pair a workstation"),
+    ("test", "Self-test"),
+    ("off", "Power off"),
+)
+
+
+class SetUpScreen(InstrumentScreen):
+    """What is done once in a while."""
+
+    PLACE = "set-up"
+    AUTO_FOCUS = "#errands"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter", "choose", "do it"),
+    ]
+
+    def body(self) -> Iterable[Widget]:
+        """The list and the sheet."""
+        with Horizontal(id="set-up"):
+            yield OptionList(*(Option(title, id=errand) for errand, title in ERRANDS), id="errands", markup=False)
+            with VerticalScroll(id="sheet-side", can_focus=False):
+                yield Static(id="sheet", markup=False)
+
+    def follow(self, state: InstrumentState) -> None:
+        """The sheet of what is chosen."""
+        self.query_one("#sheet", Static).update(self._sheet(state))
+
+    def on_screen_resume(self) -> None:
+        """Arrive at the top of the list."""
+        self.retroscan.look()
+
+    def on_option_list_option_highlighted(self) -> None:
+        """Show the sheet of the chosen errand."""
+        self.follow(self.instrument.state)
+
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
+        """Do it."""
+        event.stop()
+        self.action_choose()
+
+    def action_choose(self) -> None:
+        """Do what is chosen."""
+        match self._chosen():
+            case "pair":
+                self.instrument.open_pairing()
+            case "test":
+                self.retroscan.findings.clear()
+                self.instrument.run_selftest()
+            case "off":
+                question = "Power off? Scans that are still in work are stored first."
+                self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
+            case _:
+                self.retroscan.go("scan")
+
+    async def short_push(self) -> None:
+        """The next errand; after the last, the first."""
+        self.query_one("#errands", OptionList).action_cursor_down()
+
+    async def long_push(self) -> bool:
+        """Do it."""
+        self.action_choose()
+        return True
+
+    def _chosen(self) -> Errand:
+        return ERRANDS[self.query_one("#errands", OptionList).highlighted or 0][0]
+
+    def _power_off(self, yes: bool | None) -> None:
+        if yes:
+            self.instrument.power_off()
+
+    def _sheet(self, state: InstrumentState) -> str:
+        machine: MachineFacts = self.retroscan.machine
+        match self._chosen():
+            case "pair":
+                return pairing_sheet(state.pairing, machine, self.retroscan.now_ns())
+            case "test":
+                return selftest_sheet(self.retroscan.findings, state.activity == "self-test")
+            case "off":
+                return "Stores what is in work, darkens the lights and switches the instrument off."
+            case _:
+                return instrument_sheet(state, machine)
