@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import cv2
 import numpy as np
 
+from device.health_limits import CLIPPED_DOUBTFUL, CLIPPED_RETAKE, LEAST_CONTACT, SHADED
 from device.photometry import BLACK_FRAME, IntensityImage, LinearFrame
 from device.scan_bundle import VerdictRecord
-
-CLIPPED_RETAKE: Final = 0.05
-CLIPPED_DOUBTFUL: Final = 0.005
-"""Shares of clipped pixels from which a press is to be retaken, or doubted."""
-
-LEAST_CONTACT: Final = 0.005
-"""A press that shades a smaller share of the field has hardly touched anything."""
-
-SHADED: Final = 0.06
-"""Intensity this far from that of flat skin, in any channel, counts as shaded."""
 
 
 def judge(frame: LinearFrame, intensity: IntensityImage | None) -> VerdictRecord:

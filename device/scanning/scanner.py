@@ -36,6 +36,14 @@ class ScanOutcome:
     quick_look_fault: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenFrame:
+    """One press in memory, not yet on the disk: the frame, and the supply as it was."""
+
+    frame: RawFrame
+    power: PowerRecord
+
+
 class Scanner:
     """Scans under the active calibration of a store.
 
@@ -57,6 +65,31 @@ class Scanner:
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
 
+    @property
+    def calibration(self) -> CalibrationBundle:
+        """The calibration that scans are taken under."""
+        return self._calibration
+
+    @property
+    def plan(self) -> CapturePlan:
+        """Exposure and currents of every scan."""
+        return self._plan
+
+    @property
+    def model(self) -> QuickLookModel:
+        """The calibration at quick-look size."""
+        return self._model
+
+    def scans_left(self) -> int:
+        """How many more scans fit.
+
+        Raises
+        ------
+        StoreError
+            The disk cannot be asked.
+        """
+        return self._store.scans_left(self._bytes_per_scan)
+
     def check_room(self) -> int:
         """How many more scans fit; when none does, scans that a workstation vouches for make room, oldest first.
 
@@ -65,14 +98,17 @@ class Scanner:
         StoreError
             Not one more fits: the press is refused before it is made.
         """
-        rows, columns = self._hardware.camera.shape
-        bytes_per_scan = int(BYTES_PER_PIXEL * rows * columns)
-        left = self._store.scans_left(bytes_per_scan)
-        if left < 1 and self._store.make_room(bytes_per_scan):
-            left = self._store.scans_left(bytes_per_scan)
+        left = self.scans_left()
+        if left < 1 and self._store.make_room(self._bytes_per_scan):
+            left = self.scans_left()
         if left < 1:
             raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space first")
         return left
+
+    @property
+    def _bytes_per_scan(self) -> int:
+        rows, columns = self._hardware.camera.shape
+        return int(BYTES_PER_PIXEL * rows * columns)
 
     def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
         """Capture, judge, look and publish; `may_lift` is called as soon as the frame is in memory.
@@ -85,8 +121,29 @@ class Scanner:
             No frame could be taken.
         """
         self.check_room()
-        frame = capture(self._hardware, self._plan)
+        taken = self.take()
         may_lift()
+        return self.publish(taken, annotations)
+
+    def take(self) -> TakenFrame:
+        """One proven frame in memory: from here on the object may be lifted. Touches hardware, not the disk.
+
+        Raises
+        ------
+        FrameNotProven, HalError
+            No frame could be taken.
+        """
+        return TakenFrame(capture(self._hardware, self._plan), _power(self._hardware))
+
+    def publish(self, taken: TakenFrame, annotations: Annotations) -> ScanOutcome:
+        """Judge, look and publish a frame that was taken. Touches the disk, not the hardware.
+
+        Raises
+        ------
+        StoreError
+            The disk is full; nothing is left behind.
+        """
+        frame = taken.frame
         binned = bin_bayer(frame, self._model.binning)
         look, fault = None, ""
         try:
@@ -94,7 +151,7 @@ class Scanner:
         except DeviceError as error:
             fault = str(error)
         verdict = judge(binned, look.intensity if look else None)
-        record = self._record(frame, annotations, verdict)
+        record = self._record(taken, annotations, verdict)
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
@@ -103,8 +160,8 @@ class Scanner:
 
         return ScanOutcome(self._store.publish_scan(record, write), look, fault)
 
-    def _record(self, frame: RawFrame, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
-        profile = self._hardware.profile
+    def _record(self, taken: TakenFrame, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+        profile, frame = self._hardware.profile, taken.frame
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
             identity=self._store.next_identity("scans"),
@@ -120,7 +177,7 @@ class Scanner:
             calibration_id=self._calibration.calibration_id,
             verdict=verdict,
             annotations=annotations,
-            power=_power(self._hardware),
+            power=taken.power,
         )
 
 

@@ -1,0 +1,15 @@
+"""Cues on the indicator: an indicator that fails never costs a scan."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from hal.errors import HalError
+from hal.hardware import Hardware
+from hal.interfaces import Cue
+
+
+def show(hardware: Hardware, cue: Cue) -> None:
+    """Play a cue."""
+    with suppress(HalError):
+        hardware.indicator.show(cue)

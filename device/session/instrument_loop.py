@@ -1,0 +1,224 @@
+"""The thread that owns the hardware: button, live stream, calibration and commands, one step after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import Final
+
+from device.bundle_store import BundleStore
+from device.coaching.coach import CoachModel
+from device.errors import DeviceError
+from device.scanning.capture import CapturePlan
+from device.scanning.guided_calibration import GuidedCalibration
+from device.scanning.scanner import Scanner
+from device.scanning.selftest import selftest
+from device.session.calibration_run import CalibrationRun
+from device.session.cues import show
+from device.session.events import Failed, PowerOffAsked, SelfTested, Told
+from device.session.live_loop import LiveLoop
+from device.session.noticeboard import Noticeboard
+from device.session.press_cycle import PressCycle, Source
+from device.session.state import CalibrationState
+from hal.errors import HalError
+from hal.hardware import Hardware
+
+RETRY_S: Final = 1.0
+"""A part that does not answer is tried again so often."""
+
+HOUSEKEEPING_S: Final = 5.0
+"""Room and supply are read again so often."""
+
+Command = Callable[["InstrumentLoop"], None]
+
+
+class InstrumentLoop:
+    """What only one thread may do; commands are queued by any thread and carried out by the next step."""
+
+    def __init__(self, hardware: Hardware, store: BundleStore, board: Noticeboard, executor: Executor) -> None:
+        self.hardware = hardware
+        self.board = board
+        self._store = store
+        self._executor = executor
+        self._commands: SimpleQueue[Command] = SimpleQueue()
+        self._live = LiveLoop(hardware, board)
+        self._presses = PressCycle(hardware, board, executor, self._in_force, self._long_push)
+        self._scanner: Scanner | None = None
+        self._fault: DeviceError | HalError | None = None
+        self._run: CalibrationRun | None = None
+        self._is_open = False
+        self._house_ns: int | None = None
+
+    def ask(self, command: Command) -> None:
+        """Queue a command."""
+        self._commands.put(command)
+
+    def step(self) -> None:
+        """Carry out commands, see to the button and to finished work, and take one live frame."""
+        if not self._is_open:
+            self.open()
+        with suppress(Empty):
+            while True:
+                self._commands.get_nowait()(self)
+        if not self._is_open or self.board.state.activity == "off":
+            self.hardware.clock.sleep(RETRY_S)
+            return
+        try:
+            self._look()
+        except (HalError, DeviceError) as error:
+            self._out_of_order(error)
+        self._keep_house()
+
+    def open(self) -> None:
+        """Acquire the hardware and prepare the calibration in force; what fails is told and tried again."""
+        if self.board.state.activity == "off":
+            return
+        try:
+            self.hardware.__enter__()
+        except HalError as error:
+            self._out_of_order(error)
+            return
+        self._is_open = True
+        self.prepare()
+        self.board.change(activity="ready")
+        show(self.hardware, "idle")
+
+    def close(self) -> None:
+        """Wait for what is in work and give the hardware back, lights dark."""
+        self._executor.shutdown(wait=True)
+        self._presses.collect()
+        self._release()
+
+    def prepare(self) -> None:
+        """Put the store's active calibration in force, or say why there is none."""
+        try:
+            self._scanner, self._fault = Scanner(self.hardware, self._store), None
+        except (DeviceError, HalError) as error:
+            self._scanner, self._fault = None, error
+        profile = self.hardware.profile
+        if self._scanner is None:
+            self._live.begin(CapturePlan.of_board(self.hardware), None)
+            self.board.change(calibration=CalibrationState(fault=str(self._fault)))
+            return
+        record = self._scanner.calibration.record
+        slab_um = 1e3 * profile.gel.slab_thickness_mm
+        model = CoachModel.prepare(
+            self._scanner.calibration.reference(), self._scanner.model.slopes, record.pixel_pitch_um, slab_um
+        )
+        self._live.begin(self._scanner.plan, model)
+        age_s = (self._store.wall_time() - record.created).total_seconds()
+        self.board.change(
+            calibration=CalibrationState(
+                calibration_id=record.calibration_id,
+                gel_id=record.gel_id,
+                age_s=age_s if age_s >= 0.0 else None,
+                held_out_deg=record.figures.get("held_out_error_deg"),
+            )
+        )
+
+    def press(self) -> None:
+        """A push of the screen's button."""
+        self._live.wake()
+        if self._run:
+            self._run.press()
+        else:
+            self._scan("screen")
+
+    def start_calibration(self, ball_radius_mm: float) -> None:
+        """Begin the guided calibration."""
+        if self._run:
+            self.board.tell(Told("A calibration is going on: end it first."))
+            return
+        plan = CapturePlan.of_board(self.hardware)
+        guide = GuidedCalibration(self.hardware.profile, ball_radius_mm)
+        self._run = CalibrationRun(
+            self.hardware, self._store, self.board, self._executor, guide, plan, self._end_calibration
+        )
+        self._live.begin(plan, None)
+        self._run.begin()
+
+    def cancel_calibration(self) -> None:
+        """Stop the guided calibration."""
+        if self._run:
+            self._run.cancel()
+
+    def selftest(self) -> None:
+        """Test every part by itself; the hardware is opened anew afterwards."""
+        self.board.change(activity="self-test")
+        self._release()
+        before = None
+        for finding in selftest(self.hardware):
+            if before:
+                self.board.tell(SelfTested(before, ended=False))
+            before = finding
+        if before:
+            self.board.tell(SelfTested(before, ended=True))
+        self.open()
+
+    def power_off(self) -> None:
+        """Finish what is in work, go dark and say so."""
+        self.close()
+        self.board.change(activity="off", live=None)
+        self.board.tell(PowerOffAsked())
+
+    def _look(self) -> None:
+        self._presses.collect()
+        if self._run:
+            self._step_calibration(self._run)
+        else:
+            if self._presses.watch_button():
+                self._live.darkened()
+                self._live.wake()
+        reading = self._live.step()
+        if reading and not self._run and self.board.state.auto_shutter and self._live.fires(reading):
+            self._scan("auto-shutter")
+
+    def _scan(self, source: Source) -> None:
+        self._presses.scan(source)
+        self._live.darkened()
+
+    def _step_calibration(self, run: CalibrationRun) -> None:
+        if self.hardware.button.wait_for_press(0.0):
+            run.press()
+            self._live.darkened()
+        run.step()
+
+    def _end_calibration(self) -> None:
+        self._run = None
+        self.board.change(activity="ready")
+        self.prepare()
+
+    def _in_force(self) -> Scanner:
+        if self._scanner is None:
+            raise self._fault or DeviceError("the instrument is not ready yet: wait a moment")
+        return self._scanner
+
+    def _long_push(self) -> None:
+        self.board.tell(Told(self.board.state.sentence))
+
+    def _out_of_order(self, error: Exception) -> None:
+        """A part does not answer: let go of everything and try again later."""
+        self._release()
+        if self.board.state.activity != "out of order" or self.board.state.sentence != str(error):
+            self.board.tell(Failed(str(error)))
+        self.board.change(activity="out of order", sentence=str(error), live=None)
+        self.hardware.clock.sleep(RETRY_S)
+
+    def _release(self) -> None:
+        self._is_open = False
+        with suppress(HalError):
+            self.hardware.__exit__(None, None, None)
+
+    def _keep_house(self) -> None:
+        """Read room and supply again from time to time."""
+        now_ns = self.hardware.clock.monotonic_ns()
+        if self._house_ns is not None and now_ns - self._house_ns < HOUSEKEEPING_S * 1e9:
+            return
+        self._house_ns = now_ns
+        with suppress(HalError):
+            self.board.change(power=self.hardware.power.read())
+        if self._scanner:
+            with suppress(DeviceError):
+                self.board.change(scans_left=self._scanner.scans_left())
