@@ -97,6 +97,13 @@ class PairingChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class ButtonPushed:
+    """The button was pushed and no scan came of it: it was held long, or is lent to the face."""
+
+    held_long: bool
+
+
+@dataclass(frozen=True, slots=True)
 class PowerOffAsked:
     """The instrument has come to rest (lights dark, nothing unwritten): the machine may be switched off."""
 
@@ -112,5 +119,6 @@ Event = (
     | ZeroChecked
     | SelfTested
     | PairingChanged
+    | ButtonPushed
     | PowerOffAsked
 )

@@ -71,6 +71,10 @@ class Instrument:
         """Job, part, operator and note of every scan from now on."""
         self._board.change(sticky=annotations)
 
+    def lend_button(self, lent: bool) -> None:
+        """Let pushes of the button be told as `ButtonPushed` alone: a face leads through its screens with them."""
+        self._loop.ask(lambda loop: loop.lend_button(lent))
+
     def set_auto_shutter(self, on: bool) -> None:
         """Scan by itself when a contact is still."""
         self._board.change(auto_shutter=on)

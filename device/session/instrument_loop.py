@@ -17,10 +17,10 @@ from device.scanning.scanner import Scanner
 from device.scanning.selftest import selftest
 from device.session.calibration_run import CalibrationRun
 from device.session.cues import show
-from device.session.events import Failed, PowerOffAsked, SelfTested, Told
+from device.session.events import ButtonPushed, Failed, PowerOffAsked, SelfTested, Told
 from device.session.live_loop import LiveLoop
 from device.session.noticeboard import Noticeboard
-from device.session.press_cycle import PressCycle, Source
+from device.session.press_cycle import LONG_PUSH_S, PressCycle, Source
 from device.session.state import CalibrationState
 from hal.errors import HalError
 from hal.hardware import Hardware
@@ -49,6 +49,7 @@ class InstrumentLoop:
         self._fault: DeviceError | HalError | None = None
         self._run: CalibrationRun | None = None
         self._is_open = False
+        self._button_lent = False
         self._house_ns: int | None = None
 
     def ask(self, command: Command) -> None:
@@ -126,6 +127,10 @@ class InstrumentLoop:
         else:
             self._scan("screen")
 
+    def lend_button(self, lent: bool) -> None:
+        """Lend the button to the face, or take it back."""
+        self._button_lent = lent
+
     def start_calibration(self, ball_radius_mm: float) -> None:
         """Begin the guided calibration."""
         if self._run:
@@ -167,6 +172,9 @@ class InstrumentLoop:
         self._presses.collect()
         if self._run:
             self._step_calibration(self._run)
+        elif self._button_lent:
+            if press := self.hardware.button.wait_for_press(0.0):
+                self.board.tell(ButtonPushed(press.held_s >= LONG_PUSH_S))
         else:
             if self._presses.watch_button():
                 self._live.darkened()
@@ -197,6 +205,7 @@ class InstrumentLoop:
 
     def _long_push(self) -> None:
         self.board.tell(Told(self.board.state.sentence))
+        self.board.tell(ButtonPushed(held_long=True))
 
     def _out_of_order(self, error: Exception) -> None:
         """A part does not answer: let go of everything and try again later."""
