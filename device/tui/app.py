@@ -7,28 +7,25 @@ from typing import ClassVar, Final
 
 from textual.app import App
 from textual.binding import Binding, BindingType
-from textual.screen import Screen
 
+from device.scanning.guided_calibration import CalibrationProgress
 from device.scanning.selftest import Finding
 from device.session.events import (
+    ButtonPushed,
     CalibrationStep,
     Event,
-    Failed,
-    MayLift,
-    PairingChanged,
     PowerOffAsked,
-    PressRefused,
     PressSeen,
     ScanFinished,
     SelfTested,
-    Told,
-    ZeroChecked,
 )
 from device.session.instrument import Instrument
 from device.tui.calibration_screen import CalibrationScreen
+from device.tui.dialogs import Dialog
+from device.tui.hearing import notice_of
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_pace import LivePace
-from device.tui.navigation import Place
+from device.tui.navigation import Place, place_after
 from device.tui.notice import Notice
 from device.tui.scan_screen import ScanScreen
 from device.tui.scans_screen import ScansScreen
@@ -36,6 +33,7 @@ from device.tui.setup_screen import SetUpScreen
 from device.tui.sheets import MachineFacts
 from device.tui.terminal import ColourDepth
 from device.tui.theme import theme_for
+from hal.board_profile import SensorFacts
 
 LOOKS_PER_S: Final = 10.0
 SHOWN_OBJECTS: Final = ("coin", "texture", "sphere-grid", "sinusoid", "step", "groove")
@@ -47,10 +45,12 @@ class RetroscanApp(App[str]):
 
     Parameters
     ----------
-    instrument : already running on another thread, or stepped by a test
+    instrument : running on another thread, or stepped by a test
     machine : name, addresses and key of this machine
-    field_mm : width of the field, mm
+    depth : the terminal's colours
+    sensor : pitch and columns of its pixels on the skin
     is_twin : whether objects can be asked for
+    looks_per_s : how often the state is looked at; None when a test calls `look` itself
     """
 
     CSS_PATH = "screens.tcss"
@@ -65,28 +65,108 @@ class RetroscanApp(App[str]):
     ]
 
     def __init__(
-        self, instrument: Instrument, machine: MachineFacts, depth: ColourDepth, field_mm: float, is_twin: bool
+        self,
+        instrument: Instrument,
+        machine: MachineFacts,
+        depth: ColourDepth,
+        sensor: SensorFacts,
+        is_twin: bool,
+        looks_per_s: float | None = LOOKS_PER_S,
     ) -> None:
-        super().__init__()
+        super().__init__(ansi_color=depth != "full")
         self.instrument = instrument
         self.machine = machine
-        self.depth: ColourDepth = depth
-        self.field_mm = field_mm
+        self.pitch_um = sensor.pixel_pitch_um
+        self.field_um = sensor.pixel_pitch_um * sensor.columns
         self.is_twin = is_twin
         self.findings: list[Finding] = []
         self.notice: Notice | None = None
-        self._shown = 0
+        self._depth: ColourDepth = depth
+        self._looks_per_s = looks_per_s
         self._pace = LivePace(1.0 / LOOKS_PER_S)
         self._due_s: float | None = None
+        self._demonstrated = 0
         theme = theme_for(depth)
         self.register_theme(theme)
         self.theme = theme.name
 
-    def on_mount(self) -> None:
-        """Make the screens and begin to look."""
-        self.add_mode("scan", lambda: ScanScreen(self.instrument, self.depth))
-        self.add_mode("calibrate", lambda: CalibrationScreen(self.instrument, self.depth))
-        self.add_mode("scans", lambda: ScansScreen(self.instrument, self.depth))
-        self.add_mode("set-up", lambda: SetUpScreen(self.instrument, self.depth))
-        self.switch_mode("scan")
-        self.set_interval(1.0 / LOOKS_PER_S, self._tick)
+    async def on_mount(self) -> None:
+        """Make the screens, open the first and begin to look."""
+        for kind in (ScanScreen, CalibrationScreen, ScansScreen, SetUpScreen):
+            self.add_mode(kind.PLACE, lambda kind=kind: kind(self.instrument, self._depth))  # type: ignore[misc]
+        await self.go("scan")
+        if self._looks_per_s:
+            self.set_interval(1.0 / self._looks_per_s, self._tick)
+
+    async def look(self) -> None:
+        """Show the present state and what happened since the last look."""
+        for event in self.instrument.take_events():
+            await self._hear(event)
+        if screen := self._current():
+            screen.look(self.instrument.state, self.notice)
+
+    def look_live(self) -> None:
+        """Show the live picture."""
+        if screen := self._current():
+            screen.look_live(self.instrument.state)
+
+    def now_ns(self) -> int:
+        """The machine's monotonic time, as pairing windows count it."""
+        return time.monotonic_ns()
+
+    def tell_failure(self, sentence: str) -> None:
+        """Say what failed."""
+        self.notice = Notice(sentence, "failed")
+
+    def demonstrate(self) -> None:
+        """Have the twin press its next object."""
+        self.instrument.demonstrate(SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)])
+        self._demonstrated += 1
+
+    async def action_go(self, place: Place) -> None:
+        """Open a screen."""
+        await self.go(place)
+
+    async def go(self, place: Place) -> None:
+        """Open a screen; the button scans on the first one and leads through the others."""
+        await self.switch_mode(place)
+        self.instrument.lend_button(place != "scan")
+        await self.look()
+        self.look_live()
+
+    async def _tick(self) -> None:
+        """Look; and where the terminal keeps up, show the live picture."""
+        now_s = time.monotonic()
+        if self._due_s is not None:
+            self._pace.tick(now_s - self._due_s)
+        self._due_s = now_s + 1.0 / LOOKS_PER_S
+        await self.look()
+        if self._pace.is_due(now_s):
+            self.look_live()
+
+    async def _hear(self, event: Event) -> None:
+        self.notice = notice_of(event) or self.notice
+        match event:
+            case PressSeen() | ScanFinished(fault="") | CalibrationStep(progress=CalibrationProgress(is_over=False)):
+                self.notice = None
+            case ButtonPushed(held_long=held_long):
+                await self._pushed(held_long)
+            case SelfTested(finding=finding):
+                self.findings.append(finding)
+            case PowerOffAsked():
+                self.exit("off")
+
+    async def _pushed(self, held_long: bool) -> None:
+        """The instrument's one button: a short push is the next choice, a long one does it or goes on."""
+        front, screen = self.screen, self._current()
+        if isinstance(front, Dialog):
+            front.pushed(held_long)
+        elif screen and not held_long:
+            await screen.short_push()
+        elif screen and not await screen.long_push():
+            await self.go(place_after(screen.PLACE))
+
+    def _current(self) -> InstrumentScreen | None:
+        """The instrument's screen, also when a dialog stands before it."""
+        screens = (screen for screen in self.screen_stack if isinstance(screen, InstrumentScreen))
+        return next((screen for screen in screens if screen.is_mounted), None)

@@ -1,4 +1,4 @@
-"""Calibrate: one instruction at a time, the found circle on the live picture, coverage filling up, numbers at the end."""
+"""Calibrate: one instruction at a time, the found circle on the picture, coverage filling up, numbers at last."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from device.scanning.guided_calibration import CalibrationProgress
-from device.session.state import InstrumentState, LiveView as LivePicture
+from device.session.state import InstrumentState
+from device.session.state import LiveView as LivePicture
 from device.tui.coverage_text import check_lines, coverage_lines
 from device.tui.frame_picture import Circle
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_view import LiveView
-from device.tui.words import gauge_text
+from device.tui.words import gauge_text, hanging
 
 RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Radii of balls that are easy to buy; chosen, never typed."""
@@ -60,10 +61,12 @@ class CalibrationScreen(InstrumentScreen):
         guide = state.guide
         self.query_one("#instruction", Static).update(self._instruction(state))
         taken, wanted = (guide.accepted, guide.wanted) if guide else (0, 12)
-        width = max(self.query_one("#progress").size.width, 12)
-        self.query_one("#progress", Static).update(gauge_text("presses", taken / wanted, width))
+        width = max(self.query_one("#progress").size.width, 24)
+        gauge = gauge_text("presses", taken / wanted, width, f" {taken} of {wanted}")
+        self.query_one("#progress", Static).update(gauge)
         self.query_one("#coverage", Static).update("\n".join(coverage_lines(guide.coverage if guide else None)))
-        self.query_one("#details", Static).update("\n".join(self._details(guide)))
+        details = [hanging(line, width, indent) for line, indent in self._details(guide)]
+        self.query_one("#details", Static).update("\n".join(details))
         self.refresh_bindings()
 
     def look_live(self, state: InstrumentState) -> None:
@@ -72,7 +75,7 @@ class CalibrationScreen(InstrumentScreen):
         if state.live is None:
             view.show(None, sentence=state.sentence or "Waiting for the camera.")
             return
-        view.show(state.live.picture, circles_of(state.guide, state.live, self._wanted_share(state.live)))
+        view.show(state.live.picture, circles_of(state.guide, state.live, self._wanted_share()))
 
     def action_go_on(self) -> None:
         """Begin, or take the frame that is asked for."""
@@ -85,7 +88,7 @@ class CalibrationScreen(InstrumentScreen):
         """Choose the next radius of the ball."""
         larger = [radius for radius in RADII_MM if radius > self._radius_mm]
         self._radius_mm = larger[0] if larger else RADII_MM[0]
-        self.retroscan.look()
+        self.follow(self.instrument.state)
 
     def action_stop(self) -> None:
         """Stop; the calibration before stays in force."""
@@ -106,18 +109,28 @@ class CalibrationScreen(InstrumentScreen):
         if state.guide and (self._is_running(state) or state.guide.is_over):
             again = "" if self._is_running(state) else " Push the button to calibrate again."
             complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""
-            return f" {state.guide.instruction}{complaint}{again}"
-        return f" Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
+            return f"{state.guide.instruction}{complaint}{again}"
+        return f"Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
 
-    def _details(self, guide: CalibrationProgress | None) -> list[str]:
+    def _details(self, guide: CalibrationProgress | None) -> list[tuple[str, int]]:
+        """Lines, and how far their second lines are indented."""
         if guide is None:
-            return [*_INTRODUCTION]
-        return check_lines(guide.checks) or [*guide.next_presses]
+            return [(line, 0) for line in _INTRODUCTION]
+        if guide.is_over:
+            return [(line, 6) for line in check_lines(guide.checks)] + [(line, 2) for line in guide.next_presses]
+        return [(line, 2) for line in self._last_press(guide)]
 
-    def _wanted_share(self, live: LivePicture) -> float:
+    def _last_press(self, guide: CalibrationProgress) -> list[str]:
+        """What the last press showed."""
+        pitch_mm = self.retroscan.pitch_um * 1e-3
+        found = [
+            f"Ball found, contact {2.0 * ball.contact_radius_px * pitch_mm:.1f} mm across." for ball in guide.circles
+        ]
+        return found + [f"Not used: {ball.reason}." for ball in guide.rejected]
+
+    def _wanted_share(self) -> float:
         """Radius of the wanted contact as a share of the field's columns."""
-        field_mm = self.retroscan.field_mm
-        return _CONTACT_SHARE * self._radius_mm / field_mm
+        return _CONTACT_SHARE * self._radius_mm / (self.retroscan.field_um * 1e-3)
 
     @staticmethod
     def _is_running(state: InstrumentState) -> bool:
@@ -133,8 +146,6 @@ def circles_of(guide: CalibrationProgress | None, live: LivePicture, wanted: flo
         Circle("found", ball.column / columns, ball.row / rows, ball.contact_radius_px / columns)
         for ball in guide.circles
     ]
-    refused = [
-        Circle("refused", ball.column / columns, ball.row / rows, wanted / 2.0) for ball in guide.rejected
-    ]
+    refused = [Circle("refused", ball.column / columns, ball.row / rows, wanted / 2.0) for ball in guide.rejected]
     place = [Circle("wanted", *guide.place, wanted, "press here")] if guide.place else []
     return tuple(found + refused + place)

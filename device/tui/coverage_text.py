@@ -1,4 +1,4 @@
-"""What a calibration covers, as a few lines of text: nine sectors of the field, eight directions, the steepest slope."""
+"""What a calibration covers, as a few lines: nine sectors of the field, eight directions, the steepest slope."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def coverage_lines(coverage: Coverage | None) -> list[str]:
     field = [" ".join(_sign(covered) for covered in sectors[SIDES * row : SIDES * (row + 1)]) for row in range(SIDES)]
     slopes = [" ".join(_sign(directions[name]) if name else " " for name in row) for row in _COMPASS]
     steepest = f"{coverage.steepest_deg:.0f}" if coverage else "0"
-    beside = ("steepest slope", f"{steepest} of {PASSED_STEEPEST_DEG:.0f} degrees", "")
-    lines = [f"  {a}     {b}     {c}".rstrip() for a, b, c in zip(field, slopes, beside, strict=True)]
-    return ["  field     slopes", *lines]
+    beside = (f"{steepest}°", f"{PASSED_STEEPEST_DEG:.0f}° needed", "")
+    lines = [f"{a}     {b}      {c}".rstrip() for a, b, c in zip(field, slopes, beside, strict=True)]
+    return ["field     slopes    steepest", *lines]
 
 
 def check_lines(checks: tuple[Check, ...]) -> list[str]:

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
+from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static
 
+Answer = TypeVar("Answer")
 
-class FieldsDialog(ModalScreen[dict[str, str] | None]):
+
+class Dialog(ModalScreen[Answer]):
+    """A dialog that the instrument's one button can answer too."""
+
+    def pushed(self, held_long: bool) -> None:
+        """A short push goes to the next field or button, a long one presses the button that has the focus."""
+        if not held_long:
+            self.focus_next()
+        elif isinstance(self.focused, Button):
+            self.focused.press()
+
+
+class FieldsDialog(Dialog[dict[str, str] | None]):
     """A field a line; what comes back are the texts by name, or None when nothing is to change.
 
     Parameters
@@ -38,8 +52,8 @@ class FieldsDialog(ModalScreen[dict[str, str] | None]):
                     yield Input(text, name=name, compact=True, max_length=80)
             yield Static(self._hint, classes="dialog-hint", markup=False)
             with Horizontal(classes="dialog-buttons"):
-                yield Button("Keep", id="keep", compact=True)
-                yield Button("Leave as it is", id="leave", compact=True)
+                yield Button(_framed("Keep"), id="keep", compact=True)
+                yield Button(_framed("Leave as it is"), id="leave", compact=True)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Enter leads to the next field, and from the last one keeps all."""
@@ -60,7 +74,7 @@ class FieldsDialog(ModalScreen[dict[str, str] | None]):
         self.dismiss({field.name or "": field.value.strip() for field in self.query(Input)})
 
 
-class ConfirmDialog(ModalScreen[bool]):
+class ConfirmDialog(Dialog[bool]):
     """A question that is answered yes or no; no is what a careless Enter gives.
 
     Parameters
@@ -83,9 +97,14 @@ class ConfirmDialog(ModalScreen[bool]):
         with Vertical(classes="dialog"):
             yield Static(self._question, classes="dialog-title", markup=False)
             with Horizontal(classes="dialog-buttons"):
-                yield Button("No (n)", id="no", compact=True)
-                yield Button(f"{self._yes} (y)", id="yes", compact=True)
+                yield Button(_framed("No, n"), id="no", compact=True)
+                yield Button(_framed(f"{self._yes}, y"), id="yes", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Answer."""
         self.dismiss(event.button.id == "yes")
+
+
+def _framed(word: str) -> Content:
+    """A button's word between brackets, so that it is seen to be one without colour."""
+    return Content(f"[ {word} ]")

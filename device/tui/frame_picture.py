@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +18,8 @@ from device.tui.terminal import ColourDepth
 
 Mark = Literal["found", "wanted", "refused"]
 
-_LUMA: Final = np.array([0.299, 0.587, 0.114], np.float32)
+_SLOWLY: Final = 0.2
+_LEAST_CONTRAST: Final = 0.25
 _GLYPHS: Final[dict[Mark, str]] = {"found": "o", "wanted": ".", "refused": "x"}
 _INKS: Final[dict[Mark, int]] = {"found": 0x7FE0A0, "wanted": 0xFFD27F, "refused": 0xFF8F8F}
 _BRIGHT: Final[dict[Mark, int]] = {"found": 10, "wanted": 11, "refused": 9}
@@ -51,12 +53,23 @@ def frame_cells(
 
 
 def _cells(colours: Float32Array, depth: ColourDepth) -> Cells:
-    """In colour, or as the brightness that an eye sees; colours in steps of 8, so that few styles are needed."""
+    """In colour, in steps of 8, so that few styles are needed; in grey as one light shows it."""
     valid = np.ones(colours.shape[:2], np.bool_)
     if depth != "full":
-        return grey_cells(np.asarray(colours @ _LUMA / np.float32(255.0), np.float32), valid, depth)
+        return grey_cells(_one_light(colours[..., 0]), valid, depth)
     red, green, blue = np.moveaxis(colours.astype(np.int32) & 0xF8, -1, 0)
     return colour_cells(np.asarray((red << 16) | (green << 8) | blue, np.int32), valid)
+
+
+def _one_light(red: Float32Array) -> Float32Array:
+    """Brightness from 0 to 1 under the red light alone: the three together hardly show a relief without their colours.
+
+    What varies slowly is the light's own fall-off and divided out.
+    """
+    even = red / np.maximum(cv2.GaussianBlur(red, (0, 0), _SLOWLY * red.shape[1]), np.float32(1.0))
+    low, high = (float(value) for value in np.percentile(even, (1, 99)))
+    span = max(high - low, _LEAST_CONTRAST)
+    return np.asarray(np.float32(0.5) + (even - np.float32((low + high) / 2.0)) / np.float32(span), np.float32)
 
 
 def _draw(cells: Cells, circle: Circle) -> None:

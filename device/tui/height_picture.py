@@ -59,6 +59,13 @@ def relief_shape(height: HeightMap, room: RoomForHeight, cursor: ProfileCursor |
     return fitted_shape(height.z_um.shape, room.rows - below, room.columns - LEGEND_COLUMNS)
 
 
+def picture_rows(height: HeightMap, room: RoomForHeight, cursor: ProfileCursor | None) -> int:
+    """Rows that the picture fills of the room."""
+    rows = relief_shape(height, room, cursor)[0]
+    below = 0 if _is_small(room) else 1 + (PROFILE_ROWS if cursor and _fits_profile(room) else 0)
+    return min(rows + below, room.rows)
+
+
 def sentence_cells(sentence: str, room: RoomForHeight) -> Cells:
     """A sentence in the middle of the room, for want of a map."""
     cells = Cells.blank(room.rows, room.columns, room.depth)

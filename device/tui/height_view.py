@@ -11,7 +11,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from device.surface import HeightMap
-from device.tui.height_picture import RoomForHeight, height_picture, relief_shape, sentence_cells
+from device.tui.height_picture import RoomForHeight, height_picture, picture_rows, relief_shape, sentence_cells
 from device.tui.profile import ProfileCursor
 from device.tui.strips import strips
 from device.tui.terminal import ColourDepth
@@ -25,6 +25,7 @@ class HeightView(Widget, can_focus=True):
     Parameters
     ----------
     depth : the terminal's colours
+    below : rows to keep free below, for what belongs to the map
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -36,8 +37,9 @@ class HeightView(Widget, can_focus=True):
         Binding("right", "move(0, 1)", show=False),
     ]
 
-    def __init__(self, depth: ColourDepth, *, id: str | None = None) -> None:  # noqa: A002 (textual's own name)
+    def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id)
+        self._below = below
         self._depth: ColourDepth = depth
         self._height: HeightMap | None = None
         self._sentence = ""
@@ -46,6 +48,8 @@ class HeightView(Widget, can_focus=True):
 
     def show(self, height: HeightMap | None, sentence: str = "") -> None:
         """Show a map, or the sentence that says why there is none."""
+        if height is self._height and sentence == self._sentence:
+            return
         self._height, self._sentence = height, sentence
         self._redraw()
 
@@ -92,6 +96,11 @@ class HeightView(Widget, can_focus=True):
             self._cursor = ProfileCursor(cursor.axis, line, point)
             self._redraw()
 
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002 (textual's own)
+        """As high as the picture becomes, so that what stands below joins it."""
+        room = RoomForHeight(max(container.height - self._below, 1), max(width, 1), self._depth)
+        return room.rows if self._height is None else picture_rows(self._height, room, self._cursor)
+
     def on_resize(self, _event: Resize) -> None:
         """Draw anew at the new size."""
         self._lines = None
@@ -104,7 +113,7 @@ class HeightView(Widget, can_focus=True):
 
     def _redraw(self) -> None:
         self._lines = None
-        self.refresh()
+        self.refresh(layout=True)
         self.refresh_bindings()
 
     def _draw(self, size: Size) -> list[Strip]:

@@ -55,7 +55,7 @@ class InstrumentScreen(Screen[None]):
         """Show the present state."""
         self.query_one(NavigationBar).show_device(state.device_id)
         self.query_one("#notice", NoticeLine).show(notice)
-        self.query_one("#state", Static).update(state_text(state, self.size.width))
+        self.query_one("#state", Static).update(state_text(state, self.size.width - 2))
         self.follow(state)
 
     def follow(self, state: InstrumentState) -> None:
@@ -66,4 +66,8 @@ class InstrumentScreen(Screen[None]):
         """Show the live picture, when this screen has one; called less often where the terminal is slow."""
 
     async def short_push(self) -> None:
-        """What a short push of the button does here, beside a scan."""
+        """What a short push of the button does here, where it does not scan."""
+
+    async def long_push(self) -> bool:
+        """Whether a long push of the button did something here; else it opens the next screen."""
+        return False

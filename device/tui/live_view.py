@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from textual.events import Resize
+from textual.geometry import Size
 from textual.strip import Strip
 from textual.widget import Widget
 
 from device.tui.cells import Cells
 from device.tui.frame_picture import Circle, frame_cells
 from device.tui.height_picture import RoomForHeight, sentence_cells
+from device.tui.resampling import fitted_shape
 from device.tui.strips import strips
 from device.tui.terminal import ColourDepth
 
@@ -21,10 +23,12 @@ class LiveView(Widget):
     Parameters
     ----------
     depth : the terminal's colours
+    below : rows to keep free below, for what belongs to the picture
     """
 
-    def __init__(self, depth: ColourDepth, *, id: str | None = None) -> None:  # noqa: A002 (textual's own name)
+    def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id)
+        self._below = below
         self._depth: ColourDepth = depth
         self._picture: NDArray[np.uint8] | None = None
         self._circles: tuple[Circle, ...] = ()
@@ -33,9 +37,15 @@ class LiveView(Widget):
 
     def show(self, picture: NDArray[np.uint8] | None, circles: tuple[Circle, ...] = (), sentence: str = "") -> None:
         """Show a picture, uint8 array of shape (h, w, 3), and circles; or the sentence that says why there is none."""
-        self._picture, self._circles, self._sentence = picture, circles, sentence
-        self._lines = None
-        self.refresh()
+        before, self._picture = self._picture, picture
+        self._circles, self._sentence, self._lines = circles, sentence, None
+        shapes = [None if shown is None else shown.shape for shown in (before, picture)]
+        self.refresh(layout=shapes[0] != shapes[1])
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002 (textual's own)
+        """As high as the picture becomes, so that what stands below joins it."""
+        rows = max(container.height - self._below, 1)
+        return rows if self._picture is None else fitted_shape(self._picture.shape[:2], rows, max(width, 1))[0]
 
     def on_resize(self, _event: Resize) -> None:
         """Draw anew at the new size."""

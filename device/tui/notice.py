@@ -23,10 +23,9 @@ class Notice:
 
 
 class NoticeLine(Static):
-    """The last notice; nothing is shown while there is none."""
+    """The last notice; an empty line while there is none, so that nothing jumps."""
 
     def show(self, notice: Notice | None) -> None:
         """Show a notice, or none."""
-        self.display = notice is not None
-        if notice:
-            self.update(Content.styled(_SIGNS[notice.weight] + notice.sentence, _STYLES[notice.weight]))
+        text = Content.styled(_SIGNS[notice.weight] + notice.sentence, _STYLES[notice.weight]) if notice else ""
+        self.update(text)

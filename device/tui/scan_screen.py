@@ -37,10 +37,10 @@ class ScanScreen(InstrumentScreen):
         """Live view, gauges and cue; quick look and verdict; what is sticky."""
         with Horizontal(id="pictures"):
             with Vertical(id="live-side"):
-                yield LiveView(self.depth, id="live")
+                yield LiveView(self.depth, below=4, id="live")
                 yield Static(id="gauges", markup=False)
             with Vertical(id="scan-side"):
-                yield HeightView(self.depth, id="quick-look")
+                yield HeightView(self.depth, below=3, id="quick-look")
                 yield Static(id="verdict", markup=False)
         yield Static(id="cue", markup=False)
         yield Static(id="sticky", markup=False)
@@ -50,7 +50,7 @@ class ScanScreen(InstrumentScreen):
         self.query_one("#cue", Static).update(cue_text(state))
         self.query_one("#cue").set_class(_is_ready(state), "-ready")
         auto = " · auto-shutter on" if state.auto_shutter else ""
-        self.query_one("#sticky", Static).update(f" {sticky_text(state.sticky)}{auto}")
+        self.query_one("#sticky", Static).update(f"{sticky_text(state.sticky)}{auto}")
         self._show_last(state)
 
     def look_live(self, state: InstrumentState) -> None:
@@ -74,7 +74,7 @@ class ScanScreen(InstrumentScreen):
     def action_auto(self) -> None:
         """Switch the auto-shutter."""
         self.instrument.set_auto_shutter(not self.instrument.state.auto_shutter)
-        self.retroscan.look()
+        self.follow(self.instrument.state)
 
     def action_demonstrate(self) -> None:
         """Have the twin press its next object."""
@@ -97,7 +97,7 @@ class ScanScreen(InstrumentScreen):
         note = self.instrument.state.sticky.note
         job, part, operator = (fields[name] or None for name in ("Job", "Part", "Operator"))
         self.instrument.set_sticky(Annotations(job=job, part=part, operator=operator, note=note))
-        self.retroscan.look()
+        self.follow(self.instrument.state)
 
     def _show_last(self, state: InstrumentState) -> None:
         last, view = state.last, self.query_one("#quick-look", HeightView)
@@ -120,13 +120,13 @@ def verdict_text(last: LastScan) -> Content:
 def cue_text(state: InstrumentState) -> str:
     """What to do now, in one sentence."""
     if state.activity != "ready":
-        return f" {state.activity.capitalize()} ..."
+        return f"{state.activity.capitalize()} ..."
     if state.calibration.fault:
-        return f" {state.calibration.fault}"
+        return f"{state.calibration.fault}"
     if state.live is None:
-        return " Push the button to wake the lights."
+        return "Push the button to wake the lights."
     sign = "> " if _is_ready(state) else ""
-    return f" {sign}{state.live.reading.sentence}"
+    return f"{sign}{state.live.reading.sentence}"
 
 
 def idle_sentence(state: InstrumentState) -> str:

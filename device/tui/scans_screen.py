@@ -9,8 +9,7 @@ from typing import ClassVar
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widget import Widget
-from textual.widgets import OptionList, Static
-from textual.widgets.option_list import Option
+from textual.widgets import Static
 
 from device.errors import DeviceError
 from device.scan_marks import Opinion
@@ -20,9 +19,10 @@ from device.surface import HeightMap
 from device.tui.dialogs import FieldsDialog
 from device.tui.height_view import HeightView
 from device.tui.instrument_screen import InstrumentScreen
-from device.tui.words import shortened, sticky_text
+from device.tui.line_list import LineList
+from device.tui.words import sticky_text
 
-HEADING = "   # verdict  mark sent part"
+HEADING = "     # verdict  mark sent part"
 
 
 class ScansScreen(InstrumentScreen):
@@ -49,9 +49,9 @@ class ScansScreen(InstrumentScreen):
         with Horizontal(id="review"):
             with Vertical(id="history-side"):
                 yield Static(HEADING, id="history-heading", markup=False)
-                yield OptionList(id="history", compact=True, markup=False)
+                yield LineList(id="history")
             with Vertical(id="scan-side"):
-                yield HeightView(self.depth, id="quick-look")
+                yield HeightView(self.depth, below=6, id="quick-look")
                 yield Static(id="words", markup=False)
 
     def follow(self, state: InstrumentState) -> None:
@@ -90,15 +90,14 @@ class ScansScreen(InstrumentScreen):
 
     async def short_push(self) -> None:
         """The next older scan; after the oldest, the newest."""
-        listing = self.query_one("#history", OptionList)
-        listing.action_cursor_down()
+        self.query_one("#history", LineList).choose_next()
 
-    def on_option_list_option_highlighted(self, event: OptionList.OptionHighlighted) -> None:
+    def on_line_list_chosen(self, event: LineList.Chosen) -> None:
         """Show the scan that was chosen."""
-        self._show(event.option_index)
+        self._show(event.index)
 
     def _entry(self) -> ScanEntry | None:
-        chosen = self.query_one("#history", OptionList).highlighted
+        chosen = self.query_one("#history", LineList).chosen
         return self._history.scans[chosen] if chosen is not None and chosen < len(self._history.scans) else None
 
     def _read_history(self) -> None:
@@ -110,20 +109,18 @@ class ScansScreen(InstrumentScreen):
         self.app.call_from_thread(self._show_history, history)
 
     def _show_history(self, history: History) -> None:
-        listing = self.query_one("#history", OptionList)
+        listing = self.query_one("#history", LineList)
         chosen = self._entry()
         self._history = history
-        lines = [Option(scan_line(entry), id=entry.scan_id) for entry in history.scans]
-        damaged = [Option(shortened(f"damaged: {sentence}", 200), disabled=True) for sentence in history.damaged]
-        listing.clear_options()
-        listing.add_options(lines + damaged)
         if not history.scans:
             self.query_one("#quick-look", HeightView).show(None, "There are no scans yet.")
             self.query_one("#words", Static).update("\n".join(history.damaged))
             return
         ids = [entry.scan_id for entry in history.scans]
-        listing.highlighted = ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0
-        self._show(listing.highlighted)
+        lines = [scan_line(entry) for entry in history.scans]
+        listing.show(lines, ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0)
+        if history.damaged:
+            self.retroscan.tell_failure(history.damaged[0])
 
     def _show(self, index: int) -> None:
         if index >= len(self._history.scans):
@@ -171,7 +168,7 @@ def scan_line(entry: ScanEntry) -> str:
 
 def words_of(entry: ScanEntry) -> str:
     """What there is to say of a scan."""
-    sent = "verified on a workstation" if entry.offloaded else "only on this instrument"
+    sent = "verified on a workstation" if entry.offloaded else "only here"
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
     return (
         f"{entry.verdict.level}: {entry.verdict.reason}\n{sticky_text(entry.annotations)}\n"

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar, Final, Literal
+from typing import Final, Literal
 
-from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
-from textual.widgets import OptionList, Static
-from textual.widgets.option_list import Option
+from textual.widgets import Static
 
 from device.session.state import InstrumentState
 from device.tui.dialogs import ConfirmDialog
 from device.tui.instrument_screen import InstrumentScreen
+from device.tui.line_list import ChoiceList
 from device.tui.sheets import MachineFacts, instrument_sheet, pairing_sheet, selftest_sheet
 
 Errand = Literal["back", "facts", "pair", "test", "off"]
@@ -32,14 +31,11 @@ class SetUpScreen(InstrumentScreen):
 
     PLACE = "set-up"
     AUTO_FOCUS = "#errands"
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("enter", "choose", "do it"),
-    ]
 
     def body(self) -> Iterable[Widget]:
         """The list and the sheet."""
         with Horizontal(id="set-up"):
-            yield OptionList(*(Option(title, id=errand) for errand, title in ERRANDS), id="errands", markup=False)
+            yield ChoiceList([title for _, title in ERRANDS], id="errands")
             with VerticalScroll(id="sheet-side", can_focus=False):
                 yield Static(id="sheet", markup=False)
 
@@ -47,24 +43,13 @@ class SetUpScreen(InstrumentScreen):
         """The sheet of what is chosen."""
         self.query_one("#sheet", Static).update(self._sheet(state))
 
-    def on_screen_resume(self) -> None:
-        """Arrive at the top of the list."""
-        self.retroscan.look()
-
-    def on_option_list_option_highlighted(self) -> None:
+    def on_line_list_chosen(self) -> None:
         """Show the sheet of the chosen errand."""
         self.follow(self.instrument.state)
 
-    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """Do it."""
-        event.stop()
-        self.action_choose()
-
-    def action_choose(self) -> None:
+    async def on_choice_list_done(self) -> None:
         """Do what is chosen."""
         match self._chosen():
-            case "pair":
-                self.instrument.open_pairing()
             case "test":
                 self.retroscan.findings.clear()
                 self.instrument.run_selftest()
@@ -72,19 +57,19 @@ class SetUpScreen(InstrumentScreen):
                 question = "Power off? Scans that are still in work are stored first."
                 self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
             case _:
-                self.retroscan.go("scan")
+                await self.retroscan.go("scan")
 
     async def short_push(self) -> None:
         """The next errand; after the last, the first."""
-        self.query_one("#errands", OptionList).action_cursor_down()
+        self.query_one("#errands", ChoiceList).choose_next()
 
     async def long_push(self) -> bool:
         """Do it."""
-        self.action_choose()
+        await self.on_choice_list_done()
         return True
 
     def _chosen(self) -> Errand:
-        return ERRANDS[self.query_one("#errands", OptionList).highlighted or 0][0]
+        return ERRANDS[self.query_one("#errands", ChoiceList).chosen or 0][0]
 
     def _power_off(self, yes: bool | None) -> None:
         if yes:
@@ -92,12 +77,13 @@ class SetUpScreen(InstrumentScreen):
 
     def _sheet(self, state: InstrumentState) -> str:
         machine: MachineFacts = self.retroscan.machine
+        columns = self.query_one("#sheet").size.width
         match self._chosen():
             case "pair":
-                return pairing_sheet(state.pairing, machine, self.retroscan.now_ns())
+                return pairing_sheet(state.pairing, machine, self.retroscan.now_ns(), columns)
             case "test":
-                return selftest_sheet(self.retroscan.findings, state.activity == "self-test")
+                return selftest_sheet(self.retroscan.findings, state.activity == "self-test", columns)
             case "off":
                 return "Stores what is in work, darkens the lights and switches the instrument off."
             case _:
-                return instrument_sheet(state, machine)
+                return instrument_sheet(state, machine, columns)

@@ -9,9 +9,13 @@ from typing import Final
 from device.scanning.selftest import Finding
 from device.session.state import HealthState, InstrumentState, PairingState
 from device.tui.state_line import calibration_text
-from device.tui.words import share_text
+from device.tui.words import hanging, share_text
 
-_LABEL: Final = 13
+_LABEL: Final = 12
+_PAIRING: Final = "A workstation that knows the code may fetch scans from now on.\nEnter shows a code for two minutes."
+_SELFTEST: Final = (
+    "Every part is tried, and each light is looked at through the camera.\nTouch nothing with the gel. Enter starts."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,7 @@ class MachineFacts:
     version: str
 
 
-def instrument_sheet(state: InstrumentState, machine: MachineFacts) -> str:
+def instrument_sheet(state: InstrumentState, machine: MachineFacts, columns: int) -> str:
     """Everything that one reads out on the telephone."""
     calibration, gel = state.calibration, state.gel
     error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
@@ -39,7 +43,7 @@ def instrument_sheet(state: InstrumentState, machine: MachineFacts) -> str:
         ("Device", f"{state.device_id} ({state.board})"),
         ("Name", machine.host),
         *_address_lines(machine),
-        ("Key", machine.fingerprint),
+        ("Key", _breakable(machine.fingerprint, columns)),
         ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
         ("Calibration", calibration.fault or f"{calibration_text(calibration)}{error}"),
         ("Lights", lights_text(state.health)),
@@ -47,7 +51,7 @@ def instrument_sheet(state: InstrumentState, machine: MachineFacts) -> str:
         ("Folder", machine.store),
         ("Version", machine.version),
     ]
-    return "\n".join(f"{name:<{_LABEL}}{text}" for name, text in lines)
+    return _labelled(lines, columns)
 
 
 def lights_text(health: HealthState) -> str:
@@ -58,11 +62,11 @@ def lights_text(health: HealthState) -> str:
     return f"{', '.join(seen)} since calibration"
 
 
-def pairing_sheet(pairing: PairingState | None, machine: MachineFacts, now_ns: int) -> str:
+def pairing_sheet(pairing: PairingState | None, machine: MachineFacts, now_ns: int, columns: int) -> str:
     """How to pair; while the window is open, the code in large."""
     if pairing is None or not pairing.is_open:
         ended = f"\n\n{pairing.sentence}" if pairing and pairing.sentence else ""
-        return f"A workstation that knows the code may fetch scans from now on.\nEnter shows a code for two minutes.{ended}"
+        return f"{_PAIRING}{ended}"
     half = len(pairing.code) // 2
     code = "   ".join(" ".join(part) for part in (pairing.code[:half], pairing.code[half:]))
     left_s = max(round((pairing.open_until_ns - now_ns) * 1e-9), 0)
@@ -75,16 +79,16 @@ def pairing_sheet(pairing: PairingState | None, machine: MachineFacts, now_ns: i
         f"{left_s} s left. The workstation shows this key:",
         f"  {machine.fingerprint}",
         "",
-        *(f"{name:<{_LABEL}}{text}" for name, text in _address_lines(machine)),
+        _labelled(_address_lines(machine), columns),
     ]
     return "\n".join(lines)
 
 
-def selftest_sheet(findings: Sequence[Finding], is_running: bool) -> str:
+def selftest_sheet(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
     """The findings so far, each with a word for its state."""
     if not findings and not is_running:
-        return "Every part is tried, and each light is looked at through the camera.\nTouch nothing with the gel. Enter starts."
-    lines = [f"{_state(finding):<5}{finding.part}: {finding.sentence}" for finding in findings]
+        return _SELFTEST
+    lines = [hanging(f"{_state(finding):<5}{finding.part}: {finding.sentence}", columns, 5) for finding in findings]
     if is_running:
         return "\n".join([*lines, "..."])
     failed = sum(finding.state == "failed" for finding in findings)
@@ -93,6 +97,15 @@ def selftest_sheet(findings: Sequence[Finding], is_running: bool) -> str:
 
 def _state(finding: Finding) -> str:
     return {"ok": "ok", "warning": "!", "failed": "FAIL", "skipped": "-"}[finding.state]
+
+
+def _breakable(fingerprint: str, columns: int) -> str:
+    """The fingerprint, in two pieces where there is no room for one."""
+    return fingerprint if len(fingerprint) + _LABEL <= columns else fingerprint.replace(":", ": ", 1)
+
+
+def _labelled(lines: Sequence[tuple[str, str]], columns: int) -> str:
+    return "\n".join(hanging(f"{name:<{_LABEL}}{text}", columns, _LABEL) for name, text in lines)
 
 
 def _address_lines(machine: MachineFacts) -> list[tuple[str, str]]:

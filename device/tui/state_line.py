@@ -14,7 +14,7 @@ def state_text(state: InstrumentState, columns: int) -> str:
         parts.insert(1, f"{state.processing} in work")
     if state.health.level != "good" and state.health.sentence:
         parts.insert(0, f"! {state.health.sentence}")
-    return shortened(" " + " · ".join(part for part in parts if part), columns)
+    return shortened(" · ".join(part for part in parts if part), columns)
 
 
 def calibration_text(calibration: CalibrationState) -> str:
@@ -24,7 +24,7 @@ def calibration_text(calibration: CalibrationState) -> str:
     if calibration.age_s is None:
         return "calibrated, age unknown"
     old = ", check it" if calibration.is_old else ""
-    return f"calibrated {age_text(calibration.age_s)} ago{old}"
+    return f"calibrated {age_text(calibration.age_s)}{old}"
 
 
 def _room(state: InstrumentState) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Final
 
 from device.scan_bundle import Annotations, VerdictLevel
 
-GAUGE_FULL: Final = "█"
-GAUGE_EMPTY: Final = "░"
+GAUGE_FULL: Final = "■"
+GAUGE_EMPTY: Final = "·"
 
 _LEVELS: Final[dict[VerdictLevel, str]] = {"good": "GOOD", "doubtful": "DOUBTFUL", "retake": "RETAKE"}
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
@@ -18,23 +19,23 @@ def verdict_word(level: VerdictLevel) -> str:
     return _LEVELS[level]
 
 
-def age_text(age_s: float | None) -> str:
-    """An age such as "3 h" or "2 days"; "age unknown" where the clock says something impossible."""
-    if age_s is None or age_s < 0.0:
-        return "age unknown"
+def age_text(age_s: float) -> str:
+    """An age such as "3 h ago"."""
+    if age_s < _MINUTE:
+        return "just now"
     if age_s < _HOUR:
-        return f"{max(int(age_s // _MINUTE), 0)} min"
-    return f"{int(age_s // _HOUR)} h" if age_s < 2 * _DAY else f"{int(age_s // _DAY)} days"
+        return f"{int(age_s // _MINUTE)} min ago"
+    return f"{int(age_s // _HOUR)} h ago" if age_s < 2 * _DAY else f"{int(age_s // _DAY)} days ago"
 
 
 def share_text(share: float | None) -> str:
-    """A share in per cent; a dash where it was not measured."""
-    return "-" if share is None else f"{share:.0%}".replace("%", " %")
+    """A share in per cent; a dash where nothing was measured."""
+    return "-" if share is None else f"{share:.0%}"
 
 
-def gauge_text(name: str, share: float | None, columns: int) -> str:
-    """A name, a bar and a number in so many columns, such as "contact ████░░░░  52 %"."""
-    label, number = f"{name:<9}", f"{share_text(share):>6}"
+def gauge_text(name: str, share: float | None, columns: int, words: str | None = None) -> str:
+    """A name, a bar and a number in so many columns, such as "contact ■■■■····  52%"; `words` in the number's place."""
+    label, number = f"{name:<9}", f"{words or share_text(share):>6}"
     room = columns - len(label) - len(number)
     if room < 3:
         return (label + number)[:columns]
@@ -45,6 +46,12 @@ def gauge_text(name: str, share: float | None, columns: int) -> str:
 def sticky_text(sticky: Annotations) -> str:
     """Job, part and operator in a line; a dash for what is not set."""
     return f"Job {sticky.job or '-'} · Part {sticky.part or '-'} · Operator {sticky.operator or '-'}"
+
+
+def hanging(text: str, columns: int, indent: int) -> str:
+    """The text in lines of so many columns, all but the first of them indented."""
+    wrapped = textwrap.wrap(text, max(columns, indent + 8), subsequent_indent=" " * indent, drop_whitespace=True)
+    return "\n".join(wrapped) or text
 
 
 def shortened(text: str, columns: int) -> str:
