@@ -10,6 +10,7 @@ from device.bundle_store import BundleStore
 from device.errors import DeviceError
 from device.scan_bundle import Annotations
 from device.scanning.scanner import Scanner, ScanOutcome
+from device.scanning.supervision import Supervisor
 from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import Cue
@@ -25,8 +26,11 @@ def watch(
     report: Callable[[ScanOutcome], None],
     complain: Callable[[object], None],
     tell: Callable[[str], None],
+    supervisor: Supervisor,
 ) -> None:
     """Scan at every push until the button says no more; what fails is complained of, and the next push is heard.
+
+    supervisor : is told when the loop begins and in each of its turns, and how it is watched bounds each wait
 
     Raises
     ------
@@ -36,9 +40,15 @@ def watch(
         The button cannot be read any more.
     """
     scanner = Scanner(hardware, store)
-    tell(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
+    room = f"room for {scanner.check_room()} scans"
+    tell(f"Ready: {room}. Push the button to scan, Ctrl-C to stop.")
     _show(hardware, "idle")
-    while press := hardware.button.wait_for_press(None):
+    supervisor.ready(f"ready, {room}")
+    while True:
+        press = hardware.button.wait_for_press(supervisor.longest_wait_s)
+        supervisor.alive()
+        if press is None:
+            continue
         if press.held_s >= LONG_PUSH_S:
             tell(f"Held {press.held_s:.0f} s, no scan. {_state(hardware, scanner)}")
             continue
