@@ -29,6 +29,7 @@ from device.scanning.service_commands import add_service_commands
 from device.scanning.supervision import Supervisor
 from device.scanning.watching import watch
 from device.store_location import default_store
+from device.tui.commands import add_screen_command, run_screens
 from hal.board_profile import load_board_profile, profile_names
 from hal.clock import SystemClock
 from hal.errors import BoardProfileError, HalError, OperatorError
@@ -67,7 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
     parser.add_argument("--store", type=_folder, help="folder of scans and calibrations")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    parser.set_defaults(command=run_screens)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", description="without one: the screens")
+    add_screen_command(commands)
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
     guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import ClassVar, Final
 
 from textual.app import App
@@ -21,7 +22,7 @@ from device.session.events import (
 )
 from device.session.instrument import Instrument
 from device.tui.calibration_screen import CalibrationScreen
-from device.tui.dialogs import Dialog
+from device.tui.dialogs import ConfirmDialog, Dialog
 from device.tui.hearing import notice_of
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_pace import LivePace
@@ -50,6 +51,7 @@ class RetroscanApp(App[str]):
     depth : the terminal's colours
     sensor : pitch and columns of its pixels on the skin
     is_twin : whether objects can be asked for
+    is_over : whether the instrument has stopped for good, so that nothing is left to be shown
     looks_per_s : how often the state is looked at; None when a test calls `look` itself
     """
 
@@ -61,7 +63,7 @@ class RetroscanApp(App[str]):
         Binding("2", "go('calibrate')", show=False),
         Binding("3", "go('scans')", show=False),
         Binding("4", "go('set-up')", show=False),
-        Binding("q", "quit", "quit"),
+        Binding("q,ctrl+c", "quit", "quit"),
     ]
 
     def __init__(
@@ -71,6 +73,7 @@ class RetroscanApp(App[str]):
         depth: ColourDepth,
         sensor: SensorFacts,
         is_twin: bool,
+        is_over: Callable[[], bool] = lambda: False,
         looks_per_s: float | None = LOOKS_PER_S,
     ) -> None:
         super().__init__(ansi_color=depth != "full")
@@ -79,6 +82,7 @@ class RetroscanApp(App[str]):
         self.pitch_um = sensor.pixel_pitch_um
         self.field_um = sensor.pixel_pitch_um * sensor.columns
         self.is_twin = is_twin
+        self._is_over = is_over
         self.findings: list[Finding] = []
         self.notice: Notice | None = None
         self._depth: ColourDepth = depth
@@ -118,6 +122,14 @@ class RetroscanApp(App[str]):
         """Say what failed."""
         self.notice = Notice(sentence, "failed")
 
+    async def action_quit(self) -> None:
+        """Leave the screens; a calibration that is going on is only given up when that is meant."""
+        if self.instrument.state.activity != "calibrating":
+            self.exit()
+            return
+        question = "Give up the calibration? The one before stays in force."
+        self.push_screen(ConfirmDialog(question, "Give up"), lambda yes: self.exit() if yes else None)
+
     def demonstrate(self) -> None:
         """Have the twin press its next object."""
         self.instrument.demonstrate(SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)])
@@ -140,6 +152,8 @@ class RetroscanApp(App[str]):
         if self._due_s is not None:
             self._pace.tick(now_s - self._due_s)
         self._due_s = now_s + 1.0 / LOOKS_PER_S
+        if self._is_over():
+            self.exit()
         await self.look()
         if self._pace.is_due(now_s):
             self.look_live()
