@@ -11,12 +11,14 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from device.scanning.guided_calibration import CalibrationProgress
+from device.session.instrument import Instrument
 from device.session.state import InstrumentState
 from device.session.state import LiveView as LivePicture
 from device.tui.coverage_text import check_lines, coverage_lines
 from device.tui.frame_picture import Circle
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_view import LiveView
+from device.tui.terminal import ColourDepth
 from device.tui.words import gauge_text, hanging
 
 RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
@@ -42,40 +44,44 @@ class CalibrationScreen(InstrumentScreen):
         Binding("x", "stop", "stop"),
     ]
 
-    def __init__(self, *arguments: object, radius_mm: float = 3.0) -> None:
-        super().__init__(*arguments)  # type: ignore[arg-type]
+    def __init__(self, instrument: Instrument, depth: ColourDepth, radius_mm: float = 3.0) -> None:
+        super().__init__(instrument, depth)
         self._radius_mm = radius_mm
+        self._live = LiveView(depth)
+        self._instructions = Static(id="instruction", markup=False)
+        self._progress = Static(id="progress", markup=False)
+        self._coverage = Static(id="coverage", markup=False)
+        self._figures = Static(id="details", markup=False)
 
     def body(self) -> Iterable[Widget]:
         """Live picture with circles; instruction, coverage and numbers."""
-        yield Static(id="instruction", markup=False)
+        yield self._instructions
         with Horizontal(id="guide"):
-            yield LiveView(self.depth, id="live")
+            yield self._live
             with Vertical(id="guide-side"):
-                yield Static(id="progress", markup=False)
-                yield Static(id="coverage", markup=False)
-                yield Static(id="details", markup=False)
+                yield self._progress
+                yield self._coverage
+                yield self._figures
 
     def follow(self, state: InstrumentState) -> None:
         """Instruction, progress, coverage, and in the end the numbers."""
         guide = state.guide
-        self.query_one("#instruction", Static).update(self._instruction(state))
+        self._instructions.update(self._instruction(state))
         taken, wanted = (guide.accepted, guide.wanted) if guide else (0, 12)
-        width = max(self.query_one("#progress").size.width, 24)
+        width = max(self._progress.size.width, 24)
         gauge = gauge_text("presses", taken / wanted, width, f" {taken} of {wanted}")
-        self.query_one("#progress", Static).update(gauge)
-        self.query_one("#coverage", Static).update("\n".join(coverage_lines(guide.coverage if guide else None)))
+        self._progress.update(gauge)
+        self._coverage.update("\n".join(coverage_lines(guide.coverage if guide else None)))
         details = [hanging(line, width, indent) for line, indent in self._details(guide)]
-        self.query_one("#details", Static).update("\n".join(details))
+        self._figures.update("\n".join(details))
         self.refresh_bindings()
 
     def look_live(self, state: InstrumentState) -> None:
         """Live picture, the circle that was found and the place that is wanted."""
-        view = self.query_one("#live", LiveView)
         if state.live is None:
-            view.show(None, sentence=state.sentence or "Waiting for the camera.")
+            self._live.show(None, sentence=state.sentence or "Waiting for the camera.")
             return
-        view.show(state.live.picture, circles_of(state.guide, state.live, self._wanted_share()))
+        self._live.show(state.live.picture, circles_of(state.guide, state.live, self._wanted_share()))
 
     def action_go_on(self) -> None:
         """Begin, or take the frame that is asked for."""

@@ -24,7 +24,13 @@ if TYPE_CHECKING:
 
 
 class InstrumentScreen(Screen[None]):
-    """A screen of the instrument: subclasses give it a body and follow the state."""
+    """A screen of the instrument: subclasses give it a body and follow the state.
+
+    Parameters
+    ----------
+    instrument : what is shown and told what to do
+    depth : the terminal's colours
+    """
 
     PLACE: ClassVar[Place]
 
@@ -32,6 +38,9 @@ class InstrumentScreen(Screen[None]):
         super().__init__()
         self.instrument = instrument
         self.depth: ColourDepth = depth
+        self._bar = NavigationBar(self.PLACE)
+        self._notice = NoticeLine(id="notice", markup=False)
+        self._state = Static(id="state", markup=False)
 
     @property
     def retroscan(self) -> RetroscanApp:
@@ -40,11 +49,11 @@ class InstrumentScreen(Screen[None]):
 
     def compose(self) -> ComposeResult:
         """Bar, body, notice, state, keys."""
-        yield NavigationBar(self.PLACE)
+        yield self._bar
         with Container(id="body"):
             yield from self.body()
-        yield NoticeLine(id="notice", markup=False)
-        yield Static(id="state", markup=False)
+        yield self._notice
+        yield self._state
         yield KeyHints()
 
     def body(self) -> Iterable[Widget]:
@@ -53,9 +62,9 @@ class InstrumentScreen(Screen[None]):
 
     def look(self, state: InstrumentState, notice: Notice | None) -> None:
         """Show the present state."""
-        self.query_one(NavigationBar).show_device(state.device_id)
-        self.query_one("#notice", NoticeLine).show(notice)
-        self.query_one("#state", Static).update(state_text(state, self.size.width - 2))
+        self._bar.show_device(state.device_id)
+        self._notice.show(notice)
+        self._state.update(state_text(state, self.size.width - 2))
         self.follow(state)
 
     def follow(self, state: InstrumentState) -> None:

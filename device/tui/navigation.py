@@ -37,16 +37,17 @@ class NavigationBar(Horizontal):
     def __init__(self, current: Place) -> None:
         super().__init__()
         self._current: Place = current
+        self._device = Static(id="device-name", markup=False)
 
     def compose(self) -> ComposeResult:
         """An item a screen, and the name of the device."""
         for number, (place, title) in enumerate(PLACES, start=1):
             yield NavigationItem(place, number, title, place == self._current)
-        yield Static("", id="device-name", markup=False)
+        yield self._device
 
     def show_device(self, name: str) -> None:
         """Show which instrument this is."""
-        self.query_one("#device-name", Static).update(name)
+        self._device.update(name)
 
 
 class NavigationItem(Static):

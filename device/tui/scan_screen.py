@@ -12,11 +12,13 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from device.scan_bundle import Annotations
+from device.session.instrument import Instrument
 from device.session.state import InstrumentState, LastScan
 from device.tui.dialogs import FieldsDialog
 from device.tui.height_view import HeightView
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_view import LiveView
+from device.tui.terminal import ColourDepth
 from device.tui.words import gauge_text, sticky_text, verdict_word
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
@@ -33,39 +35,46 @@ class ScanScreen(InstrumentScreen):
         Binding("d", "demonstrate", "press an object"),
     ]
 
+    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+        super().__init__(instrument, depth)
+        self._live = LiveView(depth, below=4)
+        self._gauges = Static(id="gauges", markup=False)
+        self._relief = HeightView(depth, below=3)
+        self._verdict = Static(id="verdict", markup=False)
+        self._cue = Static(id="cue", markup=False)
+        self._sticky = Static(id="sticky", markup=False)
+
     def body(self) -> Iterable[Widget]:
         """Live view, gauges and cue; quick look and verdict; what is sticky."""
         with Horizontal(id="pictures"):
             with Vertical(id="live-side"):
-                yield LiveView(self.depth, below=4, id="live")
-                yield Static(id="gauges", markup=False)
+                yield self._live
+                yield self._gauges
             with Vertical(id="scan-side"):
-                yield HeightView(self.depth, below=3, id="quick-look")
-                yield Static(id="verdict", markup=False)
-        yield Static(id="cue", markup=False)
-        yield Static(id="sticky", markup=False)
+                yield self._relief
+                yield self._verdict
+        yield self._cue
+        yield self._sticky
 
     def follow(self, state: InstrumentState) -> None:
         """The last scan, the cue and what is sticky."""
-        self.query_one("#cue", Static).update(cue_text(state))
-        self.query_one("#cue").set_class(_is_ready(state), "-ready")
+        self._cue.update(cue_text(state))
+        self._cue.set_class(_is_ready(state), "-ready")
         auto = " · auto-shutter on" if state.auto_shutter else ""
-        self.query_one("#sticky", Static).update(f"{sticky_text(state.sticky)}{auto}")
+        self._sticky.update(f"{sticky_text(state.sticky)}{auto}")
         self._show_last(state)
 
     def look_live(self, state: InstrumentState) -> None:
         """Live picture and gauges."""
-        view = self.query_one("#live", LiveView)
-        gauges = self.query_one("#gauges", Static)
         if state.live is None:
-            view.show(None, sentence=idle_sentence(state))
-            gauges.update("")
+            self._live.show(None, sentence=idle_sentence(state))
+            self._gauges.update("")
             return
         reading = state.live.reading
-        view.show(state.live.picture)
-        width = max(gauges.size.width, 0)
+        self._live.show(state.live.picture)
+        width = self._gauges.size.width
         lines = (("contact", reading.contact_share), ("exposure", reading.exposure), ("depth", reading.depth_share))
-        gauges.update("\n".join(gauge_text(name, share, width) for name, share in lines))
+        self._gauges.update("\n".join(gauge_text(name, share, width) for name, share in lines))
 
     def action_scan(self) -> None:
         """The same as a push of the button."""
@@ -100,13 +109,13 @@ class ScanScreen(InstrumentScreen):
         self.follow(self.instrument.state)
 
     def _show_last(self, state: InstrumentState) -> None:
-        last, view = state.last, self.query_one("#quick-look", HeightView)
+        last = state.last
         if last is None:
-            view.show(None, "The relief of a scan appears here.")
-            self.query_one("#verdict", Static).update("")
+            self._relief.show(None, state.calibration.fault or "The relief of a scan appears here.")
+            self._verdict.update("")
             return
-        view.show(last.height, last.fault and f"No quick look: {last.fault}")
-        self.query_one("#verdict", Static).update(verdict_text(last))
+        self._relief.show(last.height, last.fault and f"No quick look: {last.fault}")
+        self._verdict.update(verdict_text(last))
 
 
 def verdict_text(last: LastScan) -> Content:
@@ -121,8 +130,8 @@ def cue_text(state: InstrumentState) -> str:
     """What to do now, in one sentence."""
     if state.activity != "ready":
         return f"{state.activity.capitalize()} ..."
-    if state.calibration.fault:
-        return f"{state.calibration.fault}"
+    if state.calibration.calibration_id is None:
+        return "Not calibrated: open Calibrate (key 2, or hold the button)."
     if state.live is None:
         return "Push the button to wake the lights."
     sign = "> " if _is_ready(state) else ""

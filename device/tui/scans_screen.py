@@ -14,12 +14,14 @@ from textual.widgets import Static
 from device.errors import DeviceError
 from device.scan_marks import Opinion
 from device.session.history import History, ScanEntry
+from device.session.instrument import Instrument
 from device.session.state import InstrumentState
 from device.surface import HeightMap
 from device.tui.dialogs import FieldsDialog
 from device.tui.height_view import HeightView
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.line_list import LineList
+from device.tui.terminal import ColourDepth
 from device.tui.words import sticky_text
 
 HEADING = "     # verdict  mark sent part"
@@ -38,8 +40,11 @@ class ScansScreen(InstrumentScreen):
         Binding("p", "profile", "profile"),
     ]
 
-    def __init__(self, *arguments: object) -> None:
-        super().__init__(*arguments)  # type: ignore[arg-type]
+    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+        super().__init__(instrument, depth)
+        self._list = LineList(id="history")
+        self._relief = HeightView(depth, below=6)
+        self._words = Static(id="words", markup=False)
         self._history = History((), ())
         self._known: tuple[object, ...] | None = None
         self._shown: str | None = None
@@ -49,10 +54,10 @@ class ScansScreen(InstrumentScreen):
         with Horizontal(id="review"):
             with Vertical(id="history-side"):
                 yield Static(HEADING, id="history-heading", markup=False)
-                yield LineList(id="history")
+                yield self._list
             with Vertical(id="scan-side"):
-                yield HeightView(self.depth, below=6, id="quick-look")
-                yield Static(id="words", markup=False)
+                yield self._relief
+                yield self._words
 
     def follow(self, state: InstrumentState) -> None:
         """Read the history anew when there is a scan more."""
@@ -84,20 +89,19 @@ class ScansScreen(InstrumentScreen):
 
     def action_profile(self) -> None:
         """Show or hide the profile, and hand the arrow keys to whom they serve."""
-        view = self.query_one("#quick-look", HeightView)
-        view.action_profile()
-        self.set_focus(view if view.has_profile else self.query_one("#history"))
+        self._relief.action_profile()
+        self.set_focus(self._relief if self._relief.has_profile else self._list)
 
     async def short_push(self) -> None:
         """The next older scan; after the oldest, the newest."""
-        self.query_one("#history", LineList).choose_next()
+        self._list.choose_next()
 
     def on_line_list_chosen(self, event: LineList.Chosen) -> None:
         """Show the scan that was chosen."""
         self._show(event.index)
 
     def _entry(self) -> ScanEntry | None:
-        chosen = self.query_one("#history", LineList).chosen
+        chosen = self._list.chosen
         return self._history.scans[chosen] if chosen is not None and chosen < len(self._history.scans) else None
 
     def _read_history(self) -> None:
@@ -109,16 +113,15 @@ class ScansScreen(InstrumentScreen):
         self.app.call_from_thread(self._show_history, history)
 
     def _show_history(self, history: History) -> None:
-        listing = self.query_one("#history", LineList)
         chosen = self._entry()
         self._history = history
         if not history.scans:
-            self.query_one("#quick-look", HeightView).show(None, "There are no scans yet.")
-            self.query_one("#words", Static).update("\n".join(history.damaged))
+            self._relief.show(None, "There are no scans yet.")
+            self._words.update("\n".join(history.damaged))
             return
         ids = [entry.scan_id for entry in history.scans]
         lines = [scan_line(entry) for entry in history.scans]
-        listing.show(lines, ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0)
+        self._list.show(lines, ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0)
         if history.damaged:
             self.retroscan.tell_failure(history.damaged[0])
 
@@ -126,7 +129,7 @@ class ScansScreen(InstrumentScreen):
         if index >= len(self._history.scans):
             return
         entry = self._history.scans[index]
-        self.query_one("#words", Static).update(words_of(entry))
+        self._words.update(words_of(entry))
         if entry.scan_id != self._shown:
             self._shown = entry.scan_id
             self.run_worker(partial(self._read_quick_look, entry.scan_id), thread=True, group="look", exclusive=True)
@@ -141,7 +144,7 @@ class ScansScreen(InstrumentScreen):
 
     def _show_quick_look(self, scan_id: str, height: HeightMap | None, sentence: str) -> None:
         if scan_id == self._shown:
-            self.query_one("#quick-look", HeightView).show(height, sentence)
+            self._relief.show(height, sentence)
 
     def _keep_note(self, entry: ScanEntry, fields: dict[str, str] | None) -> None:
         if fields is not None:

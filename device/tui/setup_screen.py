@@ -9,11 +9,13 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
 from textual.widgets import Static
 
+from device.session.instrument import Instrument
 from device.session.state import InstrumentState
 from device.tui.dialogs import ConfirmDialog
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.line_list import ChoiceList
 from device.tui.sheets import MachineFacts, instrument_sheet, pairing_sheet, selftest_sheet
+from device.tui.terminal import ColourDepth
 
 Errand = Literal["back", "facts", "pair", "test", "off"]
 
@@ -32,16 +34,21 @@ class SetUpScreen(InstrumentScreen):
     PLACE = "set-up"
     AUTO_FOCUS = "#errands"
 
+    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+        super().__init__(instrument, depth)
+        self._errands = ChoiceList([title for _, title in ERRANDS], id="errands")
+        self._sheet = Static(id="sheet", markup=False)
+
     def body(self) -> Iterable[Widget]:
         """The list and the sheet."""
         with Horizontal(id="set-up"):
-            yield ChoiceList([title for _, title in ERRANDS], id="errands")
+            yield self._errands
             with VerticalScroll(id="sheet-side", can_focus=False):
-                yield Static(id="sheet", markup=False)
+                yield self._sheet
 
     def follow(self, state: InstrumentState) -> None:
         """The sheet of what is chosen."""
-        self.query_one("#sheet", Static).update(self._sheet(state))
+        self._sheet.update(self._text(state))
 
     def on_line_list_chosen(self) -> None:
         """Show the sheet of the chosen errand."""
@@ -61,7 +68,7 @@ class SetUpScreen(InstrumentScreen):
 
     async def short_push(self) -> None:
         """The next errand; after the last, the first."""
-        self.query_one("#errands", ChoiceList).choose_next()
+        self._errands.choose_next()
 
     async def long_push(self) -> bool:
         """Do it."""
@@ -69,15 +76,15 @@ class SetUpScreen(InstrumentScreen):
         return True
 
     def _chosen(self) -> Errand:
-        return ERRANDS[self.query_one("#errands", ChoiceList).chosen or 0][0]
+        return ERRANDS[self._errands.chosen or 0][0]
 
     def _power_off(self, yes: bool | None) -> None:
         if yes:
             self.instrument.power_off()
 
-    def _sheet(self, state: InstrumentState) -> str:
+    def _text(self, state: InstrumentState) -> str:
         machine: MachineFacts = self.retroscan.machine
-        columns = self.query_one("#sheet").size.width
+        columns = self._sheet.size.width
         match self._chosen():
             case "pair":
                 return pairing_sheet(state.pairing, machine, self.retroscan.now_ns(), columns)
