@@ -37,7 +37,6 @@ class InstrumentScreen(Screen[None]):
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
         super().__init__()
         self.instrument = instrument
-        self.depth: ColourDepth = depth
         self._bar = NavigationBar(self.PLACE)
         self._notice = NoticeLine(id="notice", markup=False)
         self._state = Static(id="state", markup=False)
