@@ -44,8 +44,8 @@ STILL_S: Final = 0.4
 MOTION_DOUBTFUL: Final = 0.10
 """The same change between the last live frame and the frame of the scan: above, the scan may be smeared."""
 
-SHARP: Final = 0.22
-"""Share of fine contrast in a frame's contrast, noise removed: below, it is out of focus or smeared."""
+SHARP: Final = 0.4
+"""Fine over coarser contrast of the strongest edges: below, the frame is far out of focus or smeared."""
 
 DRIFTED: Final = 0.02
 """A light or the reference that has changed by this share since calibration costs about half a degree of slope."""

@@ -1,34 +1,126 @@
-"""The verdict on a press, from its binned frame alone: it never waits for a reconstruction to succeed."""
+"""The verdict on a press: what its binned frame and the state of lights and gel say. It never waits for a
+reconstruction to succeed."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final
 
 import cv2
 import numpy as np
 
-from device.health_limits import CLIPPED_DOUBTFUL, CLIPPED_RETAKE, LEAST_CONTACT, SHADED
+from device.health_limits import (
+    CLIPPED_DOUBTFUL,
+    CLIPPED_RETAKE,
+    DEEPEST_SHARE,
+    DEFECTS_DOUBTFUL,
+    DRIFTED,
+    DRIFTED_FAR,
+    LEAST_CONTACT,
+    MOTION_DOUBTFUL,
+    SHADED,
+    SHARP,
+)
 from device.photometry import BLACK_FRAME, IntensityImage, LinearFrame
-from device.scan_bundle import VerdictRecord
+from device.scan_bundle import VerdictLevel, VerdictRecord
+from device.sharpness import sharpness
+
+_WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 
 
-def judge(frame: LinearFrame, intensity: IntensityImage | None) -> VerdictRecord:
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What is known beside the frame itself; None is "not seen", never 0.
+
+    motion : change of intensity between the last live frame and the scan's
+    light_change : of each light by name since calibration, relative
+    reference_change : of the resting skin's pattern since calibration, root mean square
+    defect_share : of the field under scratches, dust or stains
+    gel_presses : how often this gel was pressed
+    depth_share : of the slab's thickness to which the skin is pushed up
+    """
+
+    motion: float | None = None
+    light_change: Mapping[str, float | None] = field(default_factory=dict)
+    reference_change: float | None = None
+    defect_share: float | None = None
+    gel_presses: int | None = None
+    depth_share: float | None = None
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """The same as a scan's record keeps them."""
+        lights = {f"light_change_{name}": change for name, change in self.light_change.items()}
+        return lights | {
+            "motion": self.motion,
+            "reference_change": self.reference_change,
+            "defect_share": self.defect_share,
+            "gel_presses": None if self.gel_presses is None else float(self.gel_presses),
+            "depth_share": self.depth_share,
+        }
+
+
+def judge(
+    frame: LinearFrame, intensity: IntensityImage | None, circumstances: Circumstances | None = None
+) -> VerdictRecord:
     """Level, reason and figures; `intensity` is None when the frame could not be divided by a reference."""
+    known = circumstances or Circumstances()
     exposure = float(np.percentile(frame.rgb[::2, ::2], 99))
     clipped = float(frame.clipped.mean())
     contact = None if intensity is None else shaded_share(intensity)
-    figures = {"exposure_p99": exposure, "clipped_share": clipped, "contact_share": contact}
-    if exposure < BLACK_FRAME:
-        return VerdictRecord(level="retake", reason="the frame is black: check the lights", figures=figures)
-    if clipped > CLIPPED_RETAKE:
-        reason = f"{clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
-        return VerdictRecord(level="retake", reason=reason, figures=figures)
-    if contact is not None and contact < LEAST_CONTACT:
-        reason = "hardly anything presses the skin: press harder or check the place"
-        return VerdictRecord(level="doubtful", reason=reason, figures=figures)
-    if clipped > CLIPPED_DOUBTFUL:
-        reason = f"{clipped:.1%} of the frame is saturated: slopes there are guessed from their neighbours"
-        return VerdictRecord(level="doubtful", reason=reason, figures=figures)
+    sharp = None if intensity is None else sharpness(intensity)
+    figures = {"exposure_p99": exposure, "clipped_share": clipped, "contact_share": contact, "sharpness": sharp}
+    figures |= known.figures
+    complaints = [*_of_frame(exposure, clipped, contact, sharp), *_of_circumstances(known)]
+    for level in _WORST_FIRST:
+        for found, reason in complaints:
+            if found == level:
+                return VerdictRecord(level=level, reason=reason, figures=figures)
     relief = "" if contact is None else f", relief over {contact:.0%} of the field"
     return VerdictRecord(level="good", reason=f"exposure {exposure:.0%}{relief}", figures=figures)
+
+
+def _of_frame(
+    exposure: float, clipped: float, contact: float | None, sharp: float | None
+) -> Iterator[tuple[VerdictLevel, str]]:
+    """What is wrong with the frame, the most telling first."""
+    if exposure < BLACK_FRAME:
+        yield "retake", "the frame is black: check the lights"
+    if clipped > CLIPPED_RETAKE:
+        yield "retake", f"{clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
+    if contact is not None and contact < LEAST_CONTACT:
+        yield "doubtful", "hardly anything presses the skin: press harder or check the place"
+    if clipped > CLIPPED_DOUBTFUL:
+        yield "doubtful", f"{clipped:.1%} of the frame is saturated: slopes there are guessed from their neighbours"
+    if sharp is not None and sharp < SHARP:
+        yield "doubtful", f"no edge is sharp ({sharp:.2f}, {SHARP:g} is usual): hold still, check the lens"
+
+
+def _of_circumstances(known: Circumstances) -> Iterator[tuple[VerdictLevel, str]]:
+    """What is wrong with hand, lights and gel."""
+    if known.motion is not None and known.motion > MOTION_DOUBTFUL:
+        yield "doubtful", f"the contact moved by {known.motion:.0%} of intensity as the frame was taken: hold still"
+    if known.depth_share is not None and known.depth_share > DEEPEST_SHARE:
+        yield "doubtful", f"pressed to {known.depth_share:.0%} of the gel's thickness: press less, the gel may tear"
+    yield from drift_complaints(known.light_change, known.reference_change)
+    if known.defect_share is not None and known.defect_share > DEFECTS_DOUBTFUL:
+        yield "doubtful", f"{known.defect_share:.1%} of the skin is scratched or dirty: wipe the gel or change it"
+
+
+def drift_complaints(
+    light_change: Mapping[str, float | None], reference_change: float | None
+) -> Iterator[tuple[VerdictLevel, str]]:
+    """What has drifted since calibration, the worst light first."""
+    changes = {name: change for name, change in light_change.items() if change is not None}
+    for name, change in sorted(changes.items(), key=lambda item: -abs(item[1])):
+        if abs(change) > DRIFTED:
+            how = f"{abs(change):.1%} {'weaker' if change < 0.0 else 'stronger'} than at calibration"
+            lost = abs(change) > DRIFTED_FAR
+            advice = "calibrate before the next scan" if lost else "calibrate soon, heights are off by as much"
+            yield "doubtful", f"light {name} is {how}: {advice}"
+    if reference_change is not None and reference_change > DRIFTED:
+        yield "doubtful", f"the resting skin has changed by {reference_change:.1%}: wipe the gel, or calibrate anew"
 
 
 def shaded_share(intensity: IntensityImage) -> float:

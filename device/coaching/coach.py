@@ -57,19 +57,24 @@ class Coach:
 
     def __init__(self, model: CoachModel | None) -> None:
         self._model = model
+        self._divisor = model.divisor if model else None
         self._before: Float32Array | None = None
         self._still_since_ns: int | None = None
 
-    @property
-    def before(self) -> Float32Array | None:
-        """Smoothed intensity of the frame before, float32 array of shape (h, w, 3), or None."""
-        return self._before
+    def expect(self, levels: tuple[float, float, float]) -> None:
+        """Take the lights' present levels, R, G, B over the reference's, for those of untouched skin."""
+        if self._model:
+            self._divisor = self._model.divisor * np.array(levels, np.float32)
+
+    def motion(self, frame: ThinFrame) -> float | None:
+        """How much a frame differs from the one that was looked at last, in intensity; None when there was none."""
+        return None if self._before is None else change(self._before, self._smooth(frame))
 
     def look(self, frame: ThinFrame) -> CoachReading:
         """The reading of the next live frame."""
-        began_s = time.process_time()
+        began_s = time.thread_time()
         model = self._model
-        smooth = box_smoothed(frame.rgb if model is None else frame.rgb / model.divisor)
+        smooth = self._smooth(frame)
         motion = None if self._before is None else change(self._before, smooth)
         self._before = smooth
         contact, depth_um, lean = (None, None, None) if model is None else _touched(smooth, model)
@@ -91,7 +96,10 @@ class Coach:
             sentence="",
             cpu_ms=0.0,
         )
-        return advise(reading, 1e3 * (time.process_time() - began_s))
+        return advise(reading, 1e3 * (time.thread_time() - began_s))
+
+    def _smooth(self, frame: ThinFrame) -> Float32Array:
+        return box_smoothed(frame.rgb if self._divisor is None else frame.rgb / self._divisor)
 
     def _still_s(self, at_ns: int, motion: float | None, share: float | None) -> float:
         if motion is None or motion > MOVING or share is None or share < LEAST_CONTACT:

@@ -18,6 +18,7 @@ from device.quick_look_files import write_quick_look
 from device.raw_file import write_raw
 from device.scan_bundle import Annotations, PowerRecord, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
 from device.scanning.capture import CapturePlan, capture
+from device.scanning.scan_health import ScanHealth
 from device.verdict import judge
 from hal.errors import PowerError
 from hal.frame import RawFrame
@@ -38,10 +39,11 @@ class ScanOutcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TakenFrame:
-    """One press in memory, not yet on the disk: the frame, and the supply as it was."""
+    """One press in memory, not yet on the disk: frame, supply, and how much the contact moved (None: not seen)."""
 
     frame: RawFrame
     power: PowerRecord
+    motion: float | None = None
 
 
 class Scanner:
@@ -63,7 +65,9 @@ class Scanner:
         self._plan = CapturePlan.of_calibration(hardware, record.fingerprint)
         _check_belongs(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
-        self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
+        reference = self._calibration.reference()
+        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um)
+        self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
 
     @property
     def calibration(self) -> CalibrationBundle:
@@ -150,7 +154,8 @@ class Scanner:
             look = quick_look(binned, self._model)
         except DeviceError as error:
             fault = str(error)
-        verdict = judge(binned, look.intensity if look else None)
+        intensity = look.intensity if look else None
+        verdict = judge(binned, intensity, self.health.circumstances(intensity, look, taken.motion))
         record = self._record(taken, annotations, verdict)
 
         def write(directory: Path) -> None:

@@ -98,7 +98,7 @@ class PairingChanged:
 
 @dataclass(frozen=True, slots=True)
 class ButtonPushed:
-    """The button was pushed and no scan came of it: it was held long, or is lent to the face."""
+    """The button is lent to a face and was pushed; no scan came of it."""
 
     held_long: bool
 

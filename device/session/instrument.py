@@ -11,13 +11,19 @@ from threading import Event as Flag
 from typing import Self
 
 from device.bundle_store import BundleStore
+from device.calibration_shelf.shelf import CalibrationShelf, Shelved
+from device.gel_log import known_gels
 from device.scan_bundle import Annotations
 from device.scan_marks import Opinion, ScanMark, write_mark
 from device.session.at_once import AtOnce
+from device.session.described import gel_state
 from device.session.events import Event
 from device.session.history import History, read_history, read_quick_look
+from device.session.in_force import InForce
 from device.session.instrument_loop import InstrumentLoop
+from device.session.network import NetworkFacts, network_facts
 from device.session.noticeboard import Noticeboard
+from device.session.pairing_run import PairingPlace, PairingRun
 from device.session.state import CalibrationState, GelState, HealthState, InstrumentState
 from device.surface import HeightMap
 from hal.clock import VirtualClock
@@ -33,14 +39,24 @@ class Instrument:
     hardware : not entered; the instrument enters and leaves it
     store : where scans and calibrations are
     executor : does what takes the processor; a thread of its own when none is given, and none in virtual time
+    place : how workstations reach it; as the installed service has it when none is given
     """
 
-    def __init__(self, hardware: Hardware, store: BundleStore, executor: Executor | None = None) -> None:
+    def __init__(
+        self,
+        hardware: Hardware,
+        store: BundleStore,
+        executor: Executor | None = None,
+        place: PairingPlace | None = None,
+    ) -> None:
+        self._hardware = hardware
+        self._place = place or PairingPlace.beside(store.root)
         virtual = isinstance(hardware.clock, VirtualClock)
         self._store = store
         self._board = Noticeboard(_first_state(hardware, store))
         working = executor or (AtOnce() if virtual else ThreadPoolExecutor(1, "processing"))
-        self._loop = InstrumentLoop(hardware, store, self._board, working)
+        pairing = PairingRun(self._board, self._place, store.device_id)
+        self._loop = InstrumentLoop(hardware, store, self._board, working, pairing)
 
     # What it is and what happens: from any thread.
 
@@ -71,9 +87,10 @@ class Instrument:
         """Job, part, operator and note of every scan from now on."""
         self._board.change(sticky=annotations)
 
-    def lend_button(self, lent: bool) -> None:
-        """Let pushes of the button be told as `ButtonPushed` alone: a face leads through its screens with them."""
-        self._loop.ask(lambda loop: loop.lend_button(lent))
+    def lend_button(self, short_too: bool) -> None:
+        """Tell long pushes of the button as `ButtonPushed`, and short ones too in the place of a scan: a face leads
+        through its screens with them."""
+        self._loop.ask(lambda loop: loop.lend_button(short_too))
 
     def set_auto_shutter(self, on: bool) -> None:
         """Scan by itself when a contact is still."""
@@ -90,6 +107,26 @@ class Instrument:
     def run_selftest(self) -> None:
         """Test every part; findings come as events."""
         self._loop.ask(InstrumentLoop.selftest)
+
+    def zero_check(self) -> None:
+        """Take a frame of the untouched skin: `ZeroChecked` says how flat it reads."""
+        self._loop.ask(lambda loop: loop.maintain(InForce.check_zero))
+
+    def change_gel(self, gel_id: str, slab_thickness_mm: float | None = None) -> None:
+        """Another gel is mounted: its calibration comes into force (`Told`), or scans are refused (`Failed`)."""
+        self._loop.ask(lambda loop: loop.maintain(lambda now: now.change_gel(gel_id, slab_thickness_mm)))
+
+    def roll_back(self) -> None:
+        """Put the calibration before this one in force: `Told`, or `Failed` when there is none."""
+        self._loop.ask(lambda loop: loop.maintain(InForce.roll_back))
+
+    def put_in_force(self, calibration_id: str) -> None:
+        """Put a calibration of the shelf in force: `Told`, or `Failed` when it is foreign, stale or damaged."""
+        self._loop.ask(lambda loop: loop.maintain(lambda now: now.put_in_force(calibration_id)))
+
+    def open_pairing(self) -> None:
+        """Open the pairing window for two minutes: `PairingChanged`, and the code in the state."""
+        self._loop.ask(InstrumentLoop.open_pairing)
 
     def power_off(self) -> None:
         """Finish what is in work, go dark and say so with `PowerOffAsked`."""
@@ -108,6 +145,19 @@ class Instrument:
     def mark(self, scan_id: str, opinion: Opinion | None, note: str = "") -> None:
         """Mark a scan good or bad (None: neither) and note something; errors as for `write_mark`."""
         write_mark(self._store.root, ScanMark(scan_id=scan_id, opinion=opinion, note=note))
+
+    def gels(self) -> tuple[GelState, ...]:
+        """Every gel that was mounted here."""
+        known = known_gels(self._store.root)
+        return tuple(GelState(gel.gel_id, gel.slab_thickness_mm, gel.presses) for gel in known)
+
+    def calibrations(self) -> tuple[Shelved, ...]:
+        """Every calibration of the store by place and version; errors as for `CalibrationShelf.shelved`."""
+        return CalibrationShelf(self._store, self._hardware.profile).shelved()
+
+    def network(self) -> NetworkFacts:
+        """Name, addresses and key fingerprint of this instrument."""
+        return network_facts(self._place.host_key)
 
     # The thread that owns the hardware.
 
@@ -129,13 +179,12 @@ class Instrument:
 
 
 def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
-    gel = hardware.profile.gel
     return InstrumentState(
         activity="out of order",
         board=hardware.profile.name,
         device_id=store.device_id,
         calibration=CalibrationState(),
-        gel=GelState(gel.id, gel.slab_thickness_mm, 0),
+        gel=gel_state(store.root, hardware),
         health=HealthState(dict.fromkeys(hardware.profile.currents_ma)),
         scans_stored=len(store.scans().bundles),
         sentence="starting",

@@ -9,19 +9,18 @@ from queue import Empty, SimpleQueue
 from typing import Final
 
 from device.bundle_store import BundleStore
-from device.coaching.coach import CoachModel
 from device.errors import DeviceError
 from device.scanning.capture import CapturePlan
 from device.scanning.guided_calibration import GuidedCalibration
-from device.scanning.scanner import Scanner
 from device.scanning.selftest import selftest
 from device.session.calibration_run import CalibrationRun
 from device.session.cues import show
 from device.session.events import ButtonPushed, Failed, PowerOffAsked, SelfTested, Told
+from device.session.in_force import InForce
 from device.session.live_loop import LiveLoop
 from device.session.noticeboard import Noticeboard
+from device.session.pairing_run import PairingRun
 from device.session.press_cycle import LONG_PUSH_S, PressCycle, Source
-from device.session.state import CalibrationState
 from hal.errors import HalError
 from hal.hardware import Hardware
 
@@ -37,19 +36,23 @@ Command = Callable[["InstrumentLoop"], None]
 class InstrumentLoop:
     """What only one thread may do; commands are queued by any thread and carried out by the next step."""
 
-    def __init__(self, hardware: Hardware, store: BundleStore, board: Noticeboard, executor: Executor) -> None:
+    def __init__(
+        self, hardware: Hardware, store: BundleStore, board: Noticeboard, executor: Executor, pairing: PairingRun
+    ) -> None:
         self.hardware = hardware
         self.board = board
         self._store = store
         self._executor = executor
         self._commands: SimpleQueue[Command] = SimpleQueue()
         self._live = LiveLoop(hardware, board)
-        self._presses = PressCycle(hardware, board, executor, self._in_force, self._long_push)
-        self._scanner: Scanner | None = None
-        self._fault: DeviceError | HalError | None = None
+        self._in_force = InForce(hardware, store, board, self._live, executor)
+        self._pairing = pairing
+        self._presses = PressCycle(
+            hardware, board, executor, self._in_force.scanner, self._live.motion, self._long_push
+        )
         self._run: CalibrationRun | None = None
         self._is_open = False
-        self._button_lent = False
+        self._long_lent = self._short_lent = False
         self._house_ns: int | None = None
 
     def ask(self, command: Command) -> None:
@@ -60,9 +63,7 @@ class InstrumentLoop:
         """Carry out commands, see to the button and to finished work, and take one live frame."""
         if not self._is_open:
             self.open()
-        with suppress(Empty):
-            while True:
-                self._commands.get_nowait()(self)
+        self._carry_out()
         if not self._is_open or self.board.state.activity == "off":
             self.hardware.clock.sleep(RETRY_S)
             return
@@ -82,7 +83,7 @@ class InstrumentLoop:
             self._out_of_order(error)
             return
         self._is_open = True
-        self.prepare()
+        self._in_force.prepare()
         self.board.change(activity="ready")
         show(self.hardware, "idle")
 
@@ -92,33 +93,6 @@ class InstrumentLoop:
         self._presses.collect()
         self._release()
 
-    def prepare(self) -> None:
-        """Put the store's active calibration in force, or say why there is none."""
-        try:
-            self._scanner, self._fault = Scanner(self.hardware, self._store), None
-        except (DeviceError, HalError) as error:
-            self._scanner, self._fault = None, error
-        profile = self.hardware.profile
-        if self._scanner is None:
-            self._live.begin(CapturePlan.of_board(self.hardware), None)
-            self.board.change(calibration=CalibrationState(fault=str(self._fault)))
-            return
-        record = self._scanner.calibration.record
-        slab_um = 1e3 * profile.gel.slab_thickness_mm
-        model = CoachModel.prepare(
-            self._scanner.calibration.reference(), self._scanner.model.slopes, record.pixel_pitch_um, slab_um
-        )
-        self._live.begin(self._scanner.plan, model)
-        age_s = (self._store.wall_time() - record.created).total_seconds()
-        self.board.change(
-            calibration=CalibrationState(
-                calibration_id=record.calibration_id,
-                gel_id=record.gel_id,
-                age_s=age_s if age_s >= 0.0 else None,
-                held_out_deg=record.figures.get("held_out_error_deg"),
-            )
-        )
-
     def press(self) -> None:
         """A push of the screen's button."""
         self._live.wake()
@@ -127,9 +101,9 @@ class InstrumentLoop:
         else:
             self._scan("screen")
 
-    def lend_button(self, lent: bool) -> None:
-        """Lend the button to the face, or take it back."""
-        self._button_lent = lent
+    def lend_button(self, short_too: bool) -> None:
+        """Tell a face of long pushes from now on, and of short ones in the place of a scan."""
+        self._long_lent, self._short_lent = True, short_too
 
     def start_calibration(self, ball_radius_mm: float) -> None:
         """Begin the guided calibration."""
@@ -137,10 +111,13 @@ class InstrumentLoop:
             self.board.tell(Told("A calibration is going on: end it first."))
             return
         plan = CapturePlan.of_board(self.hardware)
-        guide = GuidedCalibration(self.hardware.profile, ball_radius_mm)
-        self._run = CalibrationRun(
-            self.hardware, self._store, self.board, self._executor, guide, plan, self._end_calibration
-        )
+        try:
+            fitted = self._in_force.fitted()
+        except DeviceError as error:
+            self.board.tell(Failed(str(error)))
+            return
+        guide = GuidedCalibration(fitted.profile, ball_radius_mm)
+        self._run = CalibrationRun(fitted, self._store, self.board, self._executor, guide, plan, self._end_calibration)
         self._live.begin(plan, None)
         self._run.begin()
 
@@ -168,24 +145,62 @@ class InstrumentLoop:
         self.board.change(activity="off", live=None)
         self.board.tell(PowerOffAsked())
 
+    def maintain(self, work: Callable[[InForce], None]) -> None:
+        """Something that is done with gel, calibration or zero, between presses."""
+        if self._run or not self._is_open:
+            self.board.tell(Failed("not now: a calibration is going on, or a part does not answer"))
+            return
+        self._live.wake()
+        work(self._in_force)
+        self._live.darkened()
+
+    def open_pairing(self) -> None:
+        """Let a workstation come."""
+        self._pairing.open()
+
+    def _carry_out(self) -> None:
+        """What was asked for since the last step; what cannot be done is told."""
+        with suppress(Empty):
+            while True:
+                command = self._commands.get_nowait()
+                try:
+                    command(self)
+                except (DeviceError, HalError) as error:
+                    self.board.tell(Failed(str(error)))
+
     def _look(self) -> None:
-        self._presses.collect()
+        if self._presses.collect():
+            self._in_force.report_health()
         if self._run:
             self._step_calibration(self._run)
-        elif self._button_lent:
+        elif self._short_lent:
             if press := self.hardware.button.wait_for_press(0.0):
                 self.board.tell(ButtonPushed(press.held_s >= LONG_PUSH_S))
-        else:
-            if self._presses.watch_button():
-                self._live.darkened()
-                self._live.wake()
-        reading = self._live.step()
-        if reading and not self._run and self.board.state.auto_shutter and self._live.fires(reading):
+        elif self._presses.watch_button():
+            self._disturbed()
+        live = self._live.step()
+        if live is None or self._run:
+            return
+        self._in_force.look(live)
+        if self.board.state.auto_shutter and self._live.fires(live.reading):
             self._scan("auto-shutter")
+
+    def _long_push(self) -> None:
+        """With a face it leads through the screens; without one it lets a workstation in."""
+        if self._long_lent:
+            self.board.tell(ButtonPushed(held_long=True))
+        else:
+            self.open_pairing()
+
+    def _disturbed(self) -> None:
+        """A press was seen to: the lights may be dark, and untouched skin is worth a look afterwards."""
+        self._live.darkened()
+        self._live.wake()
+        self._in_force.want_look()
 
     def _scan(self, source: Source) -> None:
         self._presses.scan(source)
-        self._live.darkened()
+        self._disturbed()
 
     def _step_calibration(self, run: CalibrationRun) -> None:
         if self.hardware.button.wait_for_press(0.0):
@@ -196,16 +211,7 @@ class InstrumentLoop:
     def _end_calibration(self) -> None:
         self._run = None
         self.board.change(activity="ready")
-        self.prepare()
-
-    def _in_force(self) -> Scanner:
-        if self._scanner is None:
-            raise self._fault or DeviceError("the instrument is not ready yet: wait a moment")
-        return self._scanner
-
-    def _long_push(self) -> None:
-        self.board.tell(Told(self.board.state.sentence))
-        self.board.tell(ButtonPushed(held_long=True))
+        self._in_force.prepare()
 
     def _out_of_order(self, error: Exception) -> None:
         """A part does not answer: let go of everything and try again later."""
@@ -228,6 +234,4 @@ class InstrumentLoop:
         self._house_ns = now_ns
         with suppress(HalError):
             self.board.change(power=self.hardware.power.read())
-        if self._scanner:
-            with suppress(DeviceError):
-                self.board.change(scans_left=self._scanner.scans_left())
+        self.board.change(scans_left=self._in_force.scans_left())

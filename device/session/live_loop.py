@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 from device.coaching.coach import Coach, CoachModel
 from device.coaching.coach_reading import CoachReading
-from device.coaching.thin_frame import ThinFrame, thin, thinning
+from device.coaching.thin_frame import thin, thinning
 from device.health_limits import STILL_S
 from device.scanning.capture import FRAME_TIMEOUT_S, CapturePlan, check_frame
 from device.session.noticeboard import Noticeboard
@@ -18,6 +19,17 @@ ASLEEP_AFTER_S: Final = 120.0
 """Without contact, press or command for so long the lights go dark: they warm the gel and eat the battery."""
 
 DOZE_S: Final = 0.05
+
+LATEST_MOTION_S: Final = 0.5
+"""A live frame that is older says nothing of how the contact moved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveFrame:
+    """A frame of the live stream, whole, and its reading."""
+
+    frame: RawFrame
+    reading: CoachReading
 
 
 class LiveLoop:
@@ -31,8 +43,7 @@ class LiveLoop:
         self._lit = False
         self._awake_ns = hardware.clock.monotonic_ns()
         self._fired = False
-        self.frame: RawFrame | None = None
-        self.thin_frame: ThinFrame | None = None
+        self._at_ns: int | None = None
 
     def begin(self, plan: CapturePlan, model: CoachModel | None) -> None:
         """Stream with these settings from now on, and coach by this model."""
@@ -41,6 +52,17 @@ class LiveLoop:
         self._coach = Coach(model)
         self._lit = False
         self.wake()
+
+    def expect(self, levels: tuple[float, float, float]) -> None:
+        """Take these levels of the lights, over the reference's, for those of untouched skin."""
+        self._coach.expect(levels)
+
+    def motion(self, frame: RawFrame) -> float | None:
+        """How much a frame differs from the last live one; None when that is long ago."""
+        at_ns = self._at_ns
+        if at_ns is None or frame.sensor_timestamp_ns - at_ns > LATEST_MOTION_S * 1e9:
+            return None
+        return self._coach.motion(thin(frame))
 
     def wake(self) -> None:
         """Somebody did something."""
@@ -56,8 +78,8 @@ class LiveLoop:
             self._hardware.lights.dark()
             self._lit = False
 
-    def step(self) -> CoachReading | None:
-        """The reading of the next live frame; None while asleep.
+    def step(self) -> LiveFrame | None:
+        """The next live frame and its reading; None while asleep.
 
         Raises
         ------
@@ -73,15 +95,15 @@ class LiveLoop:
             self._hardware.lights.switch_on(self._plan.currents_ma)
             self._lit = True
         camera = self._hardware.camera
-        self.frame = camera.next_frame(FRAME_TIMEOUT_S)
-        check_frame(self.frame, self._hardware.profile.sensor, camera.camera_id)
-        self.thin_frame = thin(self.frame)
-        reading = self._coach.look(self.thin_frame)
+        frame = camera.next_frame(FRAME_TIMEOUT_S)
+        check_frame(frame, self._hardware.profile.sensor, camera.camera_id)
+        small = thin(frame)
+        reading = self._coach.look(small)
         if not reading.in_air:
             self.wake()
-        step = thinning(self.frame.shape)
-        self._board.change(live=LiveView(self.thin_frame.picture(), step, reading, self.thin_frame.at_ns))
-        return reading
+        self._at_ns = small.at_ns
+        self._board.change(live=LiveView(small.picture(), thinning(frame.shape), reading, small.at_ns))
+        return LiveFrame(frame, reading)
 
     def fires(self, reading: CoachReading) -> bool:
         """Whether an auto-shutter fires now: once a contact, when it is still and nothing speaks against it."""

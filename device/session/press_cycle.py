@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from typing import Final, Literal
 
 from device.errors import DeviceError, NoCalibration, StoreError
@@ -20,6 +21,7 @@ from device.session.events import Failed, MayLift, PressRefused, PressSeen, Refu
 from device.session.noticeboard import Noticeboard
 from device.session.state import LastScan
 from hal.errors import HalError
+from hal.frame import RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 
@@ -45,6 +47,7 @@ class PressCycle:
     Parameters
     ----------
     scanner : the scanner that is in force, asked anew for each press
+    motion : how much a frame differs from the live one before it
     long_push : what a long push does
     """
 
@@ -54,12 +57,14 @@ class PressCycle:
         board: Noticeboard,
         executor: Executor,
         scanner: Callable[[], Scanner],
+        motion: Callable[[RawFrame], float | None],
         long_push: Callable[[], None],
     ) -> None:
         self._hardware = hardware
         self._board = board
         self._executor = executor
         self._scanner = scanner
+        self._motion = motion
         self._long_push = long_push
         self._works: deque[Work] = deque()
         self._held: TakenFrame | None = None
@@ -114,8 +119,9 @@ class PressCycle:
         finally:
             self._busy_until_ns = self._hardware.clock.monotonic_ns()
         self._board.tell(MayLift(self._busy_until_ns))
+        motion = self._motion(taken.frame)
         show(self._hardware, "may lift")
-        return taken
+        return replace(taken, motion=motion)
 
     def submit(self, taken: TakenFrame) -> None:
         """Hand a frame over to be judged and published."""

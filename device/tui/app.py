@@ -142,7 +142,7 @@ class RetroscanApp(App[str]):
     async def go(self, place: Place) -> None:
         """Open a screen; the button scans on the first one and leads through the others."""
         await self.switch_mode(place)
-        self.instrument.lend_button(place != "scan")
+        self.instrument.lend_button(short_too=place != "scan")
         await self.look()
         self.look_live()
 

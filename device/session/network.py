@@ -1,0 +1,54 @@
+"""How this instrument is called and reached: its name, its addresses, and the fingerprint by which to know it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.errors import RecordError
+from device.pairing.authorized_keys import read_host_key
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkFacts:
+    """What to type on the workstation, and what to compare.
+
+    addresses : IPv4, cable and Wi-Fi alike; empty without a network
+    key_fingerprint : of sshd's key as OpenSSH prints it, or why there is none
+    """
+
+    host_name: str
+    addresses: tuple[str, ...]
+    key_fingerprint: str
+
+
+def network_facts(host_key: Path) -> NetworkFacts:
+    """The facts now."""
+    return NetworkFacts(os.uname().nodename, _addresses(), _fingerprint(host_key))
+
+
+def _addresses() -> tuple[str, ...]:
+    """Addresses by which other machines may reach this one; the kernel names the source address of each route."""
+    found = []
+    for target in ("192.0.2.1", "10.55.0.1", "169.254.1.1"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect((target, 9))  # a datagram socket sends nothing by being connected
+            except OSError:
+                continue
+            address = str(probe.getsockname()[0])
+        if address not in found and not address.startswith("127."):
+            found.append(address)
+    return tuple(found)
+
+
+def _fingerprint(host_key: Path) -> str:
+    try:
+        data = base64.b64decode(read_host_key(host_key).split()[1])
+    except (RecordError, ValueError) as error:
+        return str(error)
+    return "SHA256:" + base64.b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
