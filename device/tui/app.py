@@ -31,7 +31,7 @@ from device.tui.notice import Notice
 from device.tui.scan_screen import ScanScreen
 from device.tui.scans_screen import ScansScreen
 from device.tui.setup_screen import SetUpScreen
-from device.tui.sheets import MachineFacts
+from device.tui.sheets import ProgramFacts
 from device.tui.terminal import ColourDepth
 from device.tui.theme import theme_for
 from hal.board_profile import SensorFacts
@@ -47,7 +47,7 @@ class RetroscanApp(App[str]):
     Parameters
     ----------
     instrument : running on another thread, or stepped by a test
-    machine : name, addresses and key of this machine
+    program : its version, and the folder of its scans
     depth : the terminal's colours
     sensor : pitch and columns of its pixels on the skin
     is_twin : whether objects can be asked for
@@ -69,7 +69,7 @@ class RetroscanApp(App[str]):
     def __init__(
         self,
         instrument: Instrument,
-        machine: MachineFacts,
+        program: ProgramFacts,
         depth: ColourDepth,
         sensor: SensorFacts,
         is_twin: bool,
@@ -78,7 +78,7 @@ class RetroscanApp(App[str]):
     ) -> None:
         super().__init__(ansi_color=depth != "full")
         self.instrument = instrument
-        self.machine = machine
+        self.program = program
         self.pitch_um = sensor.pixel_pitch_um
         self.field_um = sensor.pixel_pitch_um * sensor.columns
         self.is_twin = is_twin

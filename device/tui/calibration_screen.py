@@ -45,7 +45,7 @@ class CalibrationScreen(InstrumentScreen):
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth, radius_mm: float = 3.0) -> None:
-        super().__init__(instrument, depth)
+        super().__init__(instrument)
         self._radius_mm = radius_mm
         self._live = LiveView(depth)
         self._instructions = Static(id="instruction", markup=False)

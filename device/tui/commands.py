@@ -19,7 +19,7 @@ from device.scanning.supervision import Supervisor
 from device.session.instrument import Instrument
 from device.store_location import default_store
 from device.tui.instrument_thread import InstrumentThread
-from device.tui.sheets import MachineFacts
+from device.tui.sheets import ProgramFacts
 from device.tui.terminal import colour_depth
 from hal.board_profile import load_board_profile
 from hal.clock import SystemClock
@@ -67,8 +67,8 @@ def run_screens(options: argparse.Namespace) -> int:
         instrument = Instrument(hardware, BundleStore(store_folder, hardware.clock))
         with InstrumentThread(instrument, Supervisor.from_environment(os.environ)) as thread:
             is_twin = profile.driver == "twin"
-            machine = MachineFacts(os.uname().nodename, (), "", str(store_folder), version("retrograph"))
-            app = RetroscanApp(instrument, machine, depth, profile.sensor, is_twin, lambda: thread.has_ended)
+            program = ProgramFacts(version("retrograph"), store_folder)
+            app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended)
             outcome = asyncio.run(_shown(app))
     if outcome == "off":
         power_off(SERVICE_FOLDER)

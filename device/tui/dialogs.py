@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, TypeVar
 
 from textual.app import ComposeResult
@@ -11,6 +11,8 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static
+
+from device.tui.line_list import ChoiceList
 
 Answer = TypeVar("Answer")
 
@@ -103,6 +105,42 @@ class ConfirmDialog(Dialog[bool]):
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Answer."""
         self.dismiss(event.button.id == "yes")
+
+
+class ChoiceDialog(Dialog[int]):
+    """A list to choose from; what comes back is the index, or None when things stay as they are.
+
+    Parameters
+    ----------
+    title : what is chosen
+    lines : what there is to choose from
+    chosen : where to begin
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "leave as it is")]
+
+    def __init__(self, title: str, lines: Sequence[str], chosen: int = 0) -> None:
+        super().__init__()
+        self._title = title
+        self._list = ChoiceList(lines, chosen)
+
+    def compose(self) -> ComposeResult:
+        """The title and the list."""
+        with Vertical(classes="dialog"):
+            yield Static(self._title, classes="dialog-title", markup=False)
+            yield self._list
+            yield Static("Enter: choose · Escape: leave as it is", classes="dialog-hint", markup=False)
+
+    def on_choice_list_done(self) -> None:
+        """Take the chosen line."""
+        self.dismiss(self._list.chosen)
+
+    def pushed(self, held_long: bool) -> None:
+        """A short push is the next line, a long one takes it."""
+        if held_long:
+            self.dismiss(self._list.chosen)
+        else:
+            self._list.choose_next()
 
 
 def _framed(word: str) -> Content:

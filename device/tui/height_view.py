@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar, Final
 
 from textual.binding import Binding, BindingType
 from textual.events import Click, Resize
 from textual.geometry import Size
+from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
@@ -37,6 +39,12 @@ class HeightView(Widget, can_focus=True):
         Binding("right", "move(0, 1)", show=False),
     ]
 
+    @dataclass
+    class ProfileSwitched(Message):
+        """The profile, which takes the arrow keys, was shown or hidden."""
+
+        is_shown: bool
+
     def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id)
         self._below = below
@@ -53,14 +61,10 @@ class HeightView(Widget, can_focus=True):
         self._height, self._sentence = height, sentence
         self._redraw()
 
-    @property
-    def has_profile(self) -> bool:
-        """Whether the cursor's line is shown."""
-        return self._cursor is not None
-
     def action_profile(self) -> None:
         """Show or hide the profile."""
         self._cursor = None if self._cursor else ProfileCursor()
+        self.post_message(self.ProfileSwitched(self._cursor is not None))
         self._redraw()
 
     def action_turn(self) -> None:
@@ -96,7 +100,7 @@ class HeightView(Widget, can_focus=True):
             self._cursor = ProfileCursor(cursor.axis, line, point)
             self._redraw()
 
-    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002 (textual's own)
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
         """As high as the picture becomes, so that what stands below joins it."""
         room = RoomForHeight(max(container.height - self._below, 1), max(width, 1), self._depth)
         return room.rows if self._height is None else picture_rows(self._height, room, self._cursor)

@@ -17,7 +17,6 @@ from device.tui.key_hints import KeyHints
 from device.tui.navigation import NavigationBar, Place
 from device.tui.notice import Notice, NoticeLine
 from device.tui.state_line import state_text
-from device.tui.terminal import ColourDepth
 
 if TYPE_CHECKING:
     from device.tui.app import RetroscanApp
@@ -29,12 +28,11 @@ class InstrumentScreen(Screen[None]):
     Parameters
     ----------
     instrument : what is shown and told what to do
-    depth : the terminal's colours
     """
 
     PLACE: ClassVar[Place]
 
-    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+    def __init__(self, instrument: Instrument) -> None:
         super().__init__()
         self.instrument = instrument
         self._bar = NavigationBar(self.PLACE)

@@ -28,7 +28,7 @@ def legend_cells(heights: HeightRange, rows: int, depth: ColourDepth) -> Cells:
     bar_rows = rows - 1
     share = np.repeat(np.linspace(1.0, 0.0, 2 * bar_rows, dtype=np.float32)[:, np.newaxis], BAR_COLUMNS, axis=1)
     cells.paste(1, 1, _bar(share, depth))
-    for z_um in ticks(heights.lowest_um, heights.highest_um, max(bar_rows // 3, 2)):
+    for z_um in ticks(heights.lowest_um, heights.highest_um, max(bar_rows // 2, 2)):
         share_up = (z_um - heights.lowest_um) / (heights.highest_um - heights.lowest_um)
         cells.write(1 + min(int((1.0 - share_up) * bar_rows), bar_rows - 1), 2 + BAR_COLUMNS, height_text(z_um))
     return cells

@@ -24,6 +24,7 @@ class LineList(ScrollView, can_focus=True):
     Parameters
     ----------
     lines : what there is to choose from
+    chosen : where to begin
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -39,10 +40,10 @@ class LineList(ScrollView, can_focus=True):
 
         index: int
 
-    def __init__(self, lines: Sequence[str] = (), *, id: str | None = None) -> None:  # noqa: A002 (textual's own name)
+    def __init__(self, lines: Sequence[str] = (), chosen: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id)
         self._lines = tuple(lines)
-        self._chosen = 0
+        self._chosen = chosen
 
     @property
     def chosen(self) -> int | None:

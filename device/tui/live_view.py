@@ -42,7 +42,7 @@ class LiveView(Widget):
         shapes = [None if shown is None else shown.shape for shown in (before, picture)]
         self.refresh(layout=shapes[0] != shapes[1])
 
-    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002 (textual's own)
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
         """As high as the picture becomes, so that what stands below joins it."""
         rows = max(container.height - self._below, 1)
         return rows if self._picture is None else fitted_shape(self._picture.shape[:2], rows, max(width, 1))[0]

@@ -32,11 +32,12 @@ class ScanScreen(InstrumentScreen):
         Binding("space", "scan", "scan"),
         Binding("j", "sticky", "job"),
         Binding("a", "auto", "auto"),
+        Binding("z", "zero", "zero check"),
         Binding("d", "demonstrate", "press an object"),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
-        super().__init__(instrument, depth)
+        super().__init__(instrument)
         self._live = LiveView(depth, below=4)
         self._gauges = Static(id="gauges", markup=False)
         self._relief = HeightView(depth, below=3)
@@ -84,6 +85,10 @@ class ScanScreen(InstrumentScreen):
         """Switch the auto-shutter."""
         self.instrument.set_auto_shutter(not self.instrument.state.auto_shutter)
         self.follow(self.instrument.state)
+
+    def action_zero(self) -> None:
+        """See how flat the untouched skin reads."""
+        self.instrument.zero_check()
 
     def action_demonstrate(self) -> None:
         """Have the twin press its next object."""

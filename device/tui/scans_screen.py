@@ -41,7 +41,7 @@ class ScansScreen(InstrumentScreen):
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
-        super().__init__(instrument, depth)
+        super().__init__(instrument)
         self._list = LineList(id="history")
         self._relief = HeightView(depth, below=6)
         self._words = Static(id="words", markup=False)
@@ -88,9 +88,13 @@ class ScansScreen(InstrumentScreen):
             self.app.push_screen(dialog, partial(self._keep_note, entry))
 
     def action_profile(self) -> None:
-        """Show or hide the profile, and hand the arrow keys to whom they serve."""
-        self._relief.action_profile()
-        self.set_focus(self._relief if self._relief.has_profile else self._list)
+        """Show or hide the profile."""
+        if self._relief.check_action("profile", ()):
+            self._relief.action_profile()
+
+    def on_height_view_profile_switched(self, event: HeightView.ProfileSwitched) -> None:
+        """The arrow keys move the profile's cursor while it is there, and choose a scan else."""
+        self.set_focus(self._relief if event.is_shown else self._list)
 
     async def short_push(self) -> None:
         """The next older scan; after the oldest, the newest."""

@@ -4,36 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from device.scanning.selftest import Finding
-from device.session.state import HealthState, InstrumentState, PairingState
+from device.session.network import NetworkFacts
+from device.session.state import CalibrationState, HealthState, InstrumentState, PairingState
 from device.tui.state_line import calibration_text
 from device.tui.words import hanging, share_text
 
 _LABEL: Final = 12
-_PAIRING: Final = "A workstation that knows the code may fetch scans from now on.\nEnter shows a code for two minutes."
-_SELFTEST: Final = (
-    "Every part is tried, and each light is looked at through the camera.\nTouch nothing with the gel. Enter starts."
-)
 
 
 @dataclass(frozen=True, slots=True)
-class MachineFacts:
-    """What the machine says of itself, read once.
+class ProgramFacts:
+    """What does not change while the program runs: its version, and the folder of its scans."""
 
-    addresses : interface and IPv4 address
-    fingerprint : of sshd's key, or why there is none
-    """
-
-    host: str
-    addresses: tuple[tuple[str, str], ...]
-    fingerprint: str
-    store: str
     version: str
+    store: Path
 
 
-def instrument_sheet(state: InstrumentState, machine: MachineFacts, columns: int) -> str:
+def instrument_sheet(state: InstrumentState, program: ProgramFacts, network: NetworkFacts | None, columns: int) -> str:
     """Everything that one reads out on the telephone."""
     calibration, gel = state.calibration, state.gel
     error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
@@ -41,17 +32,21 @@ def instrument_sheet(state: InstrumentState, machine: MachineFacts, columns: int
     stored = "" if state.scans_stored is None else f"{state.scans_stored} scans, "
     lines = [
         ("Device", f"{state.device_id} ({state.board})"),
-        ("Name", machine.host),
-        *_address_lines(machine),
-        ("Key", _breakable(machine.fingerprint, columns)),
+        *_network_lines(network, columns),
         ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
-        ("Calibration", calibration.fault or f"{calibration_text(calibration)}{error}"),
+        ("Skin", skin_text(state.health)),
+        ("Calibration", calibration.fault or f"{calibration_text(calibration)}{_version(calibration)}{error}"),
         ("Lights", lights_text(state.health)),
+        ("Power", battery_text(state)),
         ("Storage", f"{stored}{left}"),
-        ("Folder", machine.store),
-        ("Version", machine.version),
+        ("Folder", str(program.store)),
+        ("Version", program.version),
     ]
     return _labelled(lines, columns)
+
+
+def _version(calibration: CalibrationState) -> str:
+    return "" if calibration.version is None else f", version {calibration.version} ({calibration.slot})"
 
 
 def lights_text(health: HealthState) -> str:
@@ -62,32 +57,26 @@ def lights_text(health: HealthState) -> str:
     return f"{', '.join(seen)} since calibration"
 
 
-def pairing_sheet(pairing: PairingState | None, machine: MachineFacts, now_ns: int, columns: int) -> str:
-    """How to pair; while the window is open, the code in large."""
-    if pairing is None or not pairing.is_open:
-        ended = f"\n\n{pairing.sentence}" if pairing and pairing.sentence else ""
-        return f"{_PAIRING}{ended}"
+def skin_text(health: HealthState) -> str:
+    """Defects of the resting skin, and how flat the last zero check read."""
+    defects = "not looked at yet" if health.defect_share is None else f"{health.defect_share:.1%} under defects"
+    return defects if health.flat_residual_um is None else f"{defects}, flat to {health.flat_residual_um:.1f} µm"
+
+
+def pairing_sheet(pairing: PairingState, network: NetworkFacts | None, now_ns: int, columns: int) -> str:
+    """How to pair while the window is open, the code in large; afterwards what came of it."""
+    if not pairing.is_open:
+        return hanging(pairing.sentence, columns, 0)
     half = len(pairing.code) // 2
     code = "   ".join(" ".join(part) for part in (pairing.code[:half], pairing.code[half:]))
     left_s = max(round((pairing.open_until_ns - now_ns) * 1e-9), 0)
-    lines = [
-        "On the workstation:",
-        f"  retrosync pair {machine.host}",
-        "",
-        f"  Code    {code}",
-        "",
-        f"{left_s} s left. The workstation shows this key:",
-        f"  {machine.fingerprint}",
-        "",
-        _labelled(_address_lines(machine), columns),
-    ]
-    return "\n".join(lines)
+    host = network.host_name if network else "this-instrument"
+    lines = ["On the workstation:", f"  retrosync pair {host}", "", f"  Code    {code}", "", f"{left_s} s left."]
+    return "\n".join([*lines, "", _labelled(_network_lines(network, columns), columns)])
 
 
 def selftest_sheet(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
     """The findings so far, each with a word for its state."""
-    if not findings and not is_running:
-        return _SELFTEST
     lines = [hanging(f"{_state(finding):<5}{finding.part}: {finding.sentence}", columns, 5) for finding in findings]
     if is_running:
         return "\n".join([*lines, "..."])
@@ -108,12 +97,16 @@ def _labelled(lines: Sequence[tuple[str, str]], columns: int) -> str:
     return "\n".join(hanging(f"{name:<{_LABEL}}{text}", columns, _LABEL) for name, text in lines)
 
 
-def _address_lines(machine: MachineFacts) -> list[tuple[str, str]]:
-    """Interfaces and addresses, the first with the label."""
-    if not machine.addresses:
-        return [("Address", "none: connect the cable or join a network")]
-    texts = [f"{address} ({interface})" for interface, address in machine.addresses]
-    return [("Address" if number == 0 else "", text) for number, text in enumerate(texts)]
+def _network_lines(network: NetworkFacts | None, columns: int) -> list[tuple[str, str]]:
+    """Name, addresses and key."""
+    if network is None:
+        return [("Name", "...")]
+    addresses = ", ".join(network.addresses) or "none: connect the cable or join a network"
+    return [
+        ("Name", network.host_name),
+        ("Address", addresses),
+        ("Key", _breakable(network.key_fingerprint, columns)),
+    ]
 
 
 def battery_text(state: InstrumentState) -> str:

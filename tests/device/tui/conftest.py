@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import os
 import shutil
 from collections.abc import Awaitable, Callable, Iterator
@@ -15,8 +16,9 @@ from textual.pilot import Pilot
 
 from device.bundle_store import BundleStore
 from device.session.instrument import Instrument
+from device.session.pairing_run import PairingPlace
 from device.tui.app import RetroscanApp
-from device.tui.sheets import MachineFacts
+from device.tui.sheets import ProgramFacts
 from device.tui.terminal import ColourDepth
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
@@ -24,13 +26,7 @@ from hal.interfaces import ButtonPress
 from hal.twin.bench import Bench, build
 from hal.twin.hardware import twin_hardware
 
-MACHINE = MachineFacts(
-    "retroscan-7f",
-    (("usb0", "10.55.0.1"), ("wlan0", "192.168.1.73")),
-    "SHA256:q1S0l2n9mJmKj7v5bPpY2wq1rT8uV0xZ3aBcDeFgHiJ",
-    "/var/lib/retroscan",
-    "0.1.0",
-)
+PROGRAM = ProgramFacts("0.1.0", Path("/var/lib/retroscan"))
 
 
 @dataclass
@@ -51,27 +47,35 @@ class Stage:
 
     async def show(self) -> None:
         """Show the present state."""
-        await self.settle()
         await self.app.look()
         self.app.look_live()
         await self.settle()
 
     async def settle(self) -> None:
         """Wait for workers and messages."""
-        for _ in range(3):
-            await self.pilot.pause()
-            await self.app.workers.wait_for_complete()
         await self.pilot.pause()
+        while list(self.app.workers):
+            await self.app.workers.wait_for_complete()
+            await self.pilot.pause()
 
     async def press(self, *keys: str) -> None:
         """Press keys, and show what became of it."""
         await self.pilot.press(*keys)
+        await self.settle()
         await self.show()
 
     async def push(self, held_s: float = 0.1) -> None:
         """Push the instrument's button for so long, and let it be seen."""
         self.bench.schedule_button(ButtonPress(self.bench.clock.monotonic_ns(), held_s))
-        await self.live(int(held_s / 0.0167) + 12)
+        self.bench.clock.sleep(held_s + 0.01)
+        await self.live(2)
+
+    async def object_pressed(self) -> None:
+        """Have the twin's operator press its next object and push the button, until the scan is shown."""
+        await self.press("d")
+        await self.live()
+        self.bench.clock.sleep(1.0)
+        await self.live(3)
 
     def lines(self) -> list[str]:
         """What the screen shows, row by row."""
@@ -103,6 +107,15 @@ def root(calibrated_root: Path, empty_root: Path) -> Path:
 
 
 @pytest.fixture
+def host_key(tmp_path: Path) -> Path:
+    """The public key of an SSH server."""
+    path = tmp_path / "ssh_host_ed25519_key.pub"
+    key = b"\0\0\0\x0bssh-ed25519\0\0\0 " + bytes(range(32))
+    path.write_text(f"ssh-ed25519 {base64.b64encode(key).decode()} root@retroscan\n")
+    return path
+
+
+@pytest.fixture
 def no_ambient_colour_wishes() -> Iterator[None]:
     """Whatever the terminal of the person who tests says about colours."""
     kept = {name: value for name, value in os.environ.items() if name not in {"NO_COLOR", "TEXTUAL_COLOR_SYSTEM"}}
@@ -115,15 +128,20 @@ def play(bench: Bench, no_ambient_colour_wishes: None) -> Callable[..., None]:
     """Plays a scenario on a store: `play(scenario, root, size=(80, 24), depth="full")`."""
 
     def run(
-        scenario: Scenario, root: Path, size: tuple[int, int] = (80, 24), depth: ColourDepth = "full"
+        scenario: Scenario,
+        root: Path,
+        size: tuple[int, int] = (80, 24),
+        depth: ColourDepth = "full",
+        host_key: Path = Path("absent.pub"),
     ) -> None:
         async def on_stage() -> None:
             store = BundleStore(root, bench.clock, boot_id="b0075e1f")
-            with Instrument(twin_hardware(bench), store) as instrument:
-                app = RetroscanApp(instrument, MACHINE, depth, bench.profile.sensor, is_twin=True, looks_per_s=None)
+            place = PairingPlace(root.parent / "authorized_keys", host_key, port=0)
+            with Instrument(twin_hardware(bench), store, place=place) as instrument:
+                app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, looks_per_s=None)
                 async with app.run_test(size=size) as pilot:
                     stage = Stage(app, pilot, instrument, bench, store)
-                    await stage.live(2)
+                    await stage.live(5)
                     await scenario(stage)
 
         wishes = {"NO_COLOR": "1"} if depth == "mono" else {}
