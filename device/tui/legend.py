@@ -11,7 +11,7 @@ from device.tui.cells import Cells
 from device.tui.colour_map import height_colours
 from device.tui.half_blocks import colour_cells, grey_cells
 from device.tui.relief import HeightRange
-from device.tui.scale import height_text, length_text, round_step, ticks
+from device.tui.scale import height_text, length_text, round_down, ticks
 from device.tui.terminal import ColourDepth
 
 BAR_COLUMNS: Final = 2
@@ -45,7 +45,6 @@ def length_bar(pitch_um: float, columns: int) -> str:
     """A bar of a round length with its words, such as "├───┤ 2 mm", for a relief whose columns are `pitch_um` apart."""
     if columns < 16:
         return ""
-    length_um = round_step(pitch_um * columns / 3.0, 1) / 2.0
-    length_um = round_step(length_um, 1) if length_um > pitch_um * columns / 3.0 else length_um
+    length_um = round_down(pitch_um * columns / 3.0)
     dashes = max(round(length_um / pitch_um) - 2, 0)
     return f"├{'─' * dashes}┤ {length_text(length_um)}"

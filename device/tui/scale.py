@@ -12,6 +12,12 @@ def round_step(span: float, most: int) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= least * (1.0 - 1e-9))
 
 
+def round_down(limit: float) -> float:
+    """The largest of 1, 2 or 5 times a power of ten that is no more than `limit`."""
+    power = 10.0 ** math.floor(math.log10(limit) + 1e-9)
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= limit * (1.0 + 1e-9))
+
+
 def ticks(lowest: float, highest: float, most: int) -> list[float]:
     """Multiples of a round step from lowest to highest, at most `most` + 1 of them."""
     step = round_step(highest - lowest, most)

@@ -14,7 +14,7 @@ from device.calibration_shelf.shelf import Shelved
 from device.errors import DeviceError
 from device.session.instrument import Instrument
 from device.session.network import NetworkFacts
-from device.session.state import GelState, InstrumentState
+from device.session.state import InstrumentState
 from device.tui.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
 from device.tui.errands import ERRANDS, Errand
 from device.tui.instrument_screen import InstrumentScreen
@@ -67,7 +67,7 @@ class SetUpScreen(InstrumentScreen):
             case "zero":
                 self.instrument.zero_check()
             case "gel":
-                self._read(self.instrument.gels, self._ask_for_gel)
+                self._read(self._known_gels, self._ask_for_gel)
             case "calibrations":
                 self._read(self.instrument.calibrations, self._ask_for_calibration)
             case "off":
@@ -113,18 +113,21 @@ class SetUpScreen(InstrumentScreen):
         self._network = network
         self.follow(self.instrument.state)
 
-    def _ask_for_gel(self, gels: Sequence[GelState]) -> None:
-        mounted = self.instrument.state.gel.gel_id
-        lines = [f"{gel.gel_id}, pressed {gel.presses} times" for gel in gels]
-        places = [place for place, gel in enumerate(gels) if gel.gel_id == mounted]
-        dialog = ChoiceDialog("Which gel is mounted?", [*lines, "another one"], places[0] if places else 0)
+    def _known_gels(self) -> list[str]:
+        """Gels that were mounted here, or have a calibration here."""
+        mounted = {self.instrument.state.gel.gel_id} | {gel.gel_id for gel in self.instrument.gels()}
+        return sorted(mounted | {shelved.bundle.record.gel_id for shelved in self.instrument.calibrations()})
+
+    def _ask_for_gel(self, gels: Sequence[str]) -> None:
+        chosen = gels.index(self.instrument.state.gel.gel_id)
+        dialog = ChoiceDialog("Which gel is mounted?", [*gels, "another one"], chosen)
         self.app.push_screen(dialog, partial(self._change_gel, gels))
 
-    def _change_gel(self, gels: Sequence[GelState], chosen: int | None) -> None:
+    def _change_gel(self, gels: Sequence[str], chosen: int | None) -> None:
         if chosen is None:
             return
         if chosen < len(gels):
-            self.instrument.change_gel(gels[chosen].gel_id)
+            self.instrument.change_gel(gels[chosen])
             return
         thickness = f"{self.instrument.state.gel.slab_thickness_mm:g}"
         fields = {"Name": "", "Slab, mm": thickness}

@@ -38,7 +38,7 @@ def gauge_text(name: str, share: float | None, columns: int, words: str | None =
     label, number = f"{name:<9}", f"{words or share_text(share):>6}"
     room = columns - len(label) - len(number)
     if room < 3:
-        return (label + number)[:columns]
+        return (label + number)[:columns].ljust(columns)
     filled = 0 if share is None else round(min(max(share, 0.0), 1.0) * room)
     return f"{label}{GAUGE_FULL * filled}{GAUGE_EMPTY * (room - filled)}{number}"
 

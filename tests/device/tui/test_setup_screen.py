@@ -94,8 +94,7 @@ def test_an_unknown_gel_is_refused_scans_until_it_is_calibrated_and_the_old_one_
         await stage.live()
         assert "! Nothing was scanned:" in stage.text()
         await stage.press("4", "enter")
-        names = [gel.gel_id for gel in stage.instrument.gels()]
-        await stage.press("pageup", *["down"] * names.index("twin-gel"), "enter")
+        await stage.press("down", "enter")
         await stage.live(2)
         assert stage.instrument.state.gel.gel_id == "twin-gel"
         assert stage.instrument.state.calibration.calibration_id is not None
