@@ -109,7 +109,7 @@ class InForce:
         """Take a frame of the untouched skin and say how flat it reads."""
         try:
             scanner = self.scanner()
-            zero = scanner.health.check_zero(scanner.take().frame)
+            zero = scanner.health.check_zero(scanner.take().shot.frame)
         except (DeviceError, HalError) as error:
             self._fail(f"zero check: {error}")
             return

@@ -188,7 +188,7 @@ class InstrumentLoop:
         self._disturbed()
 
     def _step_calibration(self, run: CalibrationRun) -> None:
-        if self.hardware.button.wait_for_press(0.0):
+        if self.hardware.button.wait_for_push(0.0) is not None:
             run.press()
             self._live.darkened()
         run.step()

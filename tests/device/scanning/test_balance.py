@@ -69,7 +69,10 @@ def test_every_ball_press_of_the_field_stays_below_the_limit(
 def test_a_light_that_is_not_seen_is_named(bench: Bench) -> None:
     bench.faults.open_lights.add("blue")
     hardware = twin_hardware(bench)
-    with hardware, pytest.raises(CalibrationError, match=r"light blue is hardly seen: run `retroscan selftest`"):
+    with (
+        hardware,
+        pytest.raises(CalibrationError, match=r"light blue is hardly seen \(the driver says open\): run `retro"),
+    ):
         balance(hardware, BALL_RADIUS_MM, lambda _: None)
 
 
