@@ -22,11 +22,15 @@ from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
 from device.scanning.balance import balance, warning
 from device.scanning.calibrate import calibrate
+from device.scanning.mounting import with_mounted_gel
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.scanning.selftest import selftest
-from device.scanning.watching import watch
+from device.session.commands import add_shelf_commands
+from device.session.headless import run_headless
+from device.session.instrument import Instrument
 from device.store_location import default_store
 from hal.board_profile import load_board_profile, profile_names
+from hal.clock import SystemClock
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.hardware import Hardware, open_hardware
 from hal.interfaces import PressObject
@@ -78,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     watch.set_defaults(command=_watch)
 
     add_offload_commands(commands, _folder, _say)
+    add_shelf_commands(commands, _folder, _say)
 
     test = commands.add_parser("selftest", help="walk through every part and say which one is at fault")
     test.add_argument("--push", action="store_true", help="also wait for a push of the button")
@@ -121,7 +126,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
         store = _store(options, hardware)
         plan = balance(hardware, options.ball_radius_mm, _say).plan if options.balance else None
-        outcome = calibrate(hardware, store, options.ball_radius_mm, _say, plan)
+        fitted = with_mounted_gel(hardware, store.root)
+        outcome = calibrate(fitted, store, options.ball_radius_mm, _say, plan)
     fit = outcome.fit
     error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
     _say(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
@@ -132,7 +138,8 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 def _scan(options: argparse.Namespace) -> int:
     with _hardware(options) as hardware:
-        scanner = Scanner(hardware, _calibrated_store(options, hardware))
+        store = _calibrated_store(options, hardware)
+        scanner = Scanner(with_mounted_gel(hardware, store.root), store)
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
@@ -142,10 +149,13 @@ def _scan(options: argparse.Namespace) -> int:
 
 
 def _watch(options: argparse.Namespace) -> int:
-    with _hardware(options) as hardware:
-        store = _calibrated_store(options, hardware)
-        take_inbox(store, _say)
-        watch(hardware, store, _annotations(options), _report, _warn, _say)
+    # Somebody is waited for: the twin's time passes like everybody's.
+    hardware = open_hardware(load_board_profile(options.board), SystemClock())
+    store = _calibrated_store(options, hardware)
+    take_inbox(store, _say)
+    with Instrument(hardware, store) as instrument:
+        instrument.set_sticky(_annotations(options))
+        run_headless(instrument, _say, _warn, lambda: True)
     return 0
 
 

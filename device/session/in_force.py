@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Executor
 
 from device.bundle_store import BundleStore
-from device.calibration_shelf.shelf import CalibrationShelf
+from device.calibration_shelf import CalibrationShelf
 from device.coaching.coach import CoachModel
 from device.errors import DeviceError
 from device.gel_log import known_gel, make_gel, mount_gel

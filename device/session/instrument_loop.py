@@ -20,7 +20,7 @@ from device.session.in_force import InForce
 from device.session.live_loop import LiveLoop
 from device.session.noticeboard import Noticeboard
 from device.session.pairing_run import PairingRun
-from device.session.press_cycle import PressCycle, Source
+from device.session.press_cycle import LONG_PUSH_S, PressCycle, Source
 from hal.errors import HalError
 from hal.hardware import Hardware
 
@@ -48,7 +48,7 @@ class InstrumentLoop:
         self._in_force = InForce(hardware, store, board, self._live, executor)
         self._pairing = pairing
         self._presses = PressCycle(
-            hardware, board, executor, self._in_force.scanner, self._live.motion, self.open_pairing
+            hardware, board, executor, self._in_force.scanner, self._live.motion, self._long_push
         )
         self._run: CalibrationRun | None = None
         self._is_open = False
@@ -78,6 +78,7 @@ class InstrumentLoop:
             return
         try:
             self.hardware.__enter__()
+            missed = self.hardware.button.forget_presses()
         except HalError as error:
             self._out_of_order(error)
             return
@@ -85,6 +86,8 @@ class InstrumentLoop:
         self._in_force.prepare()
         self.board.change(activity="ready")
         show(self.hardware, "idle")
+        if missed:
+            self._presses.refuse("hardware", "a push came while a part did not answer and did nothing: push again")
 
     def close(self) -> None:
         """Wait for what is in work and give the hardware back, lights dark."""
@@ -168,7 +171,7 @@ class InstrumentLoop:
             self._in_force.report_health()
         if self._run:
             self._step_calibration(self._run)
-        elif self._presses.watch_button():
+        elif self._presses.watch_button(self._live.wait_s()):
             self._disturbed()
         live = self._live.step()
         if live is None or self._run:
@@ -188,7 +191,7 @@ class InstrumentLoop:
         self._disturbed()
 
     def _step_calibration(self, run: CalibrationRun) -> None:
-        if self.hardware.button.wait_for_push(0.0) is not None:
+        if self.hardware.button.wait_for_push(self._live.wait_s()) is not None:
             run.press()
             self._live.darkened()
         run.step()
@@ -197,6 +200,15 @@ class InstrumentLoop:
         self._run = None
         self.board.change(activity="ready")
         self._in_force.prepare()
+
+    def _long_push(self) -> None:
+        """Say how things stand, and let a workstation come."""
+        state = self.board.state
+        room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
+        battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
+        complaints = "".join(f" {complaint}." for complaint in state.power.complaints)
+        self.board.tell(Told(f"Held {LONG_PUSH_S:.0f} s, no scan.{room}{battery}{complaints}"))
+        self.open_pairing()
 
     def _out_of_order(self, error: Exception) -> None:
         """A part does not answer: let go of everything and try again later."""

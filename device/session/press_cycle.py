@@ -72,21 +72,21 @@ class PressCycle:
         """Scans that are not on the disk yet."""
         return len(self._works)
 
-    def watch_button(self) -> bool:
-        """See to what the button did since the last look, and say whether it did anything; call it many times a second.
+    def watch_button(self, wait_s: float) -> bool:
+        """Listen to the button for so long, see to what it did, and say whether it did anything.
 
         Raises
         ------
         ButtonError
             The button cannot be read.
         """
-        button = self._hardware.button
-        if self._began_ns is None:
-            began_ns = button.wait_for_push(0.0)
+        button, held = self._hardware.button, self._began_ns is not None
+        if not held:
+            began_ns = button.wait_for_push(wait_s)
             if began_ns is None:
                 return False
             self._pushed(began_ns)
-        if press := button.wait_for_press(0.0):
+        if press := button.wait_for_press(wait_s if held else 0.0):
             self._released(press.held_s >= LONG_PUSH_S)
         elif self._hardware.clock.monotonic_ns() - (self._began_ns or 0) >= LONG_PUSH_S * 1e9:
             self._released(was_long=True)
