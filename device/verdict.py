@@ -36,6 +36,7 @@ _WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 class Circumstances:
     """What is known beside the frame itself; None is "not seen", never 0.
 
+    at_rest : whether the whole skin lies as in the reference
     motion : change of intensity between the last live frame and the scan's
     light_change : of each light by name since calibration, relative
     reference_change : of the resting skin's pattern since calibration, root mean square
@@ -44,6 +45,7 @@ class Circumstances:
     depth_share : of the slab's thickness to which the skin is pushed up
     """
 
+    at_rest: bool | None = None
     motion: float | None = None
     light_change: Mapping[str, float | None] = field(default_factory=dict)
     reference_change: float | None = None
@@ -116,7 +118,7 @@ def judge(
         told = "".join(f"; the driver says {kind} at light {light}" for light, kind in flags.items())
         return VerdictRecord(level="retake", reason=f"the frame is black{told}: check the lights", figures=figures)
     complaint = light_complaint(border, lights, flags)
-    complaints = [*([complaint] if complaint else []), *_of_frame(seen), *_of_circumstances(known)]
+    complaints = [*([complaint] if complaint else []), *_of_frame(seen, known.at_rest), *_of_circumstances(known)]
     for level in _WORST_FIRST:
         for found, reason in complaints:
             if found == level:
@@ -133,11 +135,11 @@ def border_figures(levels: Levels | None) -> dict[str, float | None]:
     }
 
 
-def _of_frame(seen: Seen) -> Iterator[tuple[VerdictLevel, str]]:
-    """What is wrong with the frame, the most telling first."""
+def _of_frame(seen: Seen, at_rest: bool | None) -> Iterator[tuple[VerdictLevel, str]]:
+    """What is wrong with the frame, the most telling first; a smooth thing over the whole field hardly shades it."""
     if seen.clipped > CLIPPED_RETAKE:
         yield "retake", f"{seen.clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
-    if seen.contact is not None and seen.contact < LEAST_CONTACT:
+    if seen.contact is not None and seen.contact < LEAST_CONTACT and at_rest is not False:
         yield "doubtful", "hardly anything presses the skin: press harder or check the place"
     if seen.clipped > CLIPPED_DOUBTFUL:
         yield (

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -65,6 +66,7 @@ class PressCycle:
         self._works: deque[Work] = deque()
         self._held: TakenPress | None = None
         self._began_ns: int | None = None
+        self._waiting_ns: int | None = None
         self._busy_until_ns = 0
 
     @property
@@ -82,7 +84,8 @@ class PressCycle:
         """
         button, held = self._hardware.button, self._began_ns is not None
         if not held:
-            began_ns = button.wait_for_push(wait_s)
+            began_ns = self._waiting_ns or button.wait_for_push(wait_s)
+            self._waiting_ns = None
             if began_ns is None:
                 return False
             self._pushed(began_ns)
@@ -201,4 +204,12 @@ class PressCycle:
         )
         now_ns = self._hardware.clock.monotonic_ns()
         self._board.tell(ScanFinished(now_ns, record.scan_id, record.verdict, height, fault, cpu_ms))
-        show(self._hardware, record.verdict.level)
+        if not self._somebody_pushes():
+            show(self._hardware, record.verdict.level)
+
+    def _somebody_pushes(self) -> bool:
+        """Whether the next press has begun: whoever pushes on does not wait for a rhythm to end."""
+        if self._began_ns is None and self._waiting_ns is None:
+            with suppress(HalError):
+                self._waiting_ns = self._hardware.button.wait_for_push(0.0)
+        return self._waiting_ns is not None

@@ -53,8 +53,8 @@ def contacts() -> list[tuple[Surface, float]]:
         *small,
         (Sphere(3.0), 0.9),
         (Texture(WHOLE_FIELD, 0.012, 0.5, 0.15), 0.4),
-        (Plane(WHOLE_FIELD, 0.012, 0.005), 0.5),
-        (Texture(WHOLE_FIELD, 0.02, 1.1, 0.0), 0.6),
+        (Plane(WHOLE_FIELD, 0.012, 0.005), 0.9),
+        (Texture(WHOLE_FIELD, 0.02, 1.1, 0.3), 0.6),
     ]
 
 

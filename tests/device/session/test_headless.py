@@ -97,14 +97,6 @@ def test_a_long_push_tells_the_state_and_does_not_scan(watched: Watched) -> None
     assert any("sshd's public key cannot be read" in line for line in watched.said)
 
 
-def test_a_push_while_busy_does_nothing_and_says_so(watched: Watched) -> None:
-    watched.push(1.0, held_s=0.015)
-    watched.push(1.03, held_s=0.03)
-    watched.run(3.0)
-    assert watched.scans == 1
-    assert "a push came while the frame was being taken and did nothing: push again" in watched.said
-
-
 def _lights_unplugged(wired: Wired) -> Callable[[], None]:
     wired.wire.faults.unplugged.add(LIGHTS_AT)
     return wired.wire.faults.unplugged.clear
