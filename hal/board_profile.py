@@ -51,7 +51,7 @@ class SensorFacts(Table, frozen=True):
     pixel_pitch_um: Positive
     full_well_e: Positive
     read_noise_e: NotNegative
-    exposure_step_us: Positive = 30.0
+    exposure_step_us: Positive = 10.0
 
 
 class CameraFacts(Table, frozen=True):

@@ -6,6 +6,7 @@ lights on. It is told, and reopened by the next call, which can then be made in 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Self, TypeVar
 
@@ -125,7 +126,11 @@ class PicameraCamera:
         asked_ns = alive_ns = self._clock.monotonic_ns()
         end_ns = asked_ns + round(timeout_s * 1e9)
         while (left_ns := end_ns - self._clock.monotonic_ns()) > 0:
-            request = self._pipeline.request(left_ns * 1e-9)
+            try:
+                request = self._pipeline.request(left_ns * 1e-9)
+            except CameraError:
+                self._waited_s = math.inf  # what it still holds is given back as it is opened anew
+                raise
             if request is None:
                 break
             self._waited_s, alive_ns = 0.0, self._clock.monotonic_ns()

@@ -35,7 +35,10 @@ class Clock(Protocol):
 
 
 class Camera(Protocol):
-    """A locked-down raw camera: nothing automatic, controls that act some frames late."""
+    """A locked-down raw camera: nothing automatic, controls that act some frames late.
+
+    One that has stalled or gone is opened anew by the next call; `apply` is the one to make while it is dark.
+    """
 
     @property
     def camera_id(self) -> str:
@@ -124,7 +127,10 @@ class Lights(Protocol):
         ...
 
     def faults(self) -> tuple[LightFault, ...]:
-        """Advisory fault flags; empty when the chip reports none."""
+        """Advisory fault flags of what shines; empty when the chip reports none.
+
+        Looking may change the light for a moment: never during an exposure that counts.
+        """
         ...
 
     def __enter__(self) -> Self: ...
@@ -170,7 +176,20 @@ class Button(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
-Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "refused"]
+Cue = Literal[
+    "idle",
+    "busy",
+    "may lift",
+    "good",
+    "doubtful",
+    "retake",
+    "refused",
+    "refused: calibration",
+    "refused: full",
+    "refused: hardware",
+    "pairing",
+]
+"""What an indicator can say; "refused" alone is: busy, push again."""
 
 
 class Indicator(Protocol):

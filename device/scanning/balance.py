@@ -14,9 +14,9 @@ from typing import Final
 from device.errors import CalibrationError
 from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Levels, channel_levels
 from device.scanning.capture import CapturePlan, capture
+from device.scanning.pushing import await_push
 from device.scanning.shining import check_shines
 from hal.board_profile import LightFacts, SensorFacts
-from hal.errors import ButtonError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.interfaces import PressBall
@@ -33,7 +33,6 @@ HIGHEST_CURRENT_SHARE: Final = 0.9
 LOWEST_CURRENT_SHARE: Final = 0.05
 """Of what a light can be driven with: below, the driver's steps are coarse; above, LEDs grow hot."""
 
-BUTTON_TIMEOUT_S: Final = 300.0
 NEAREST_BORDER: Final = (1 / 8, 1 / 6)
 """Shares of the field's columns and rows that a press keeps from its borders, as the calibration's presses do."""
 
@@ -60,9 +59,7 @@ def balance(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], Non
     responses = []
     for light in hardware.profile.lights:
         tell(f"Balance: press the ball as near to light {light.name} as the field goes, hold it, push the button.")
-        hardware.operator.ask(PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
-        if hardware.button.wait_for_push(BUTTON_TIMEOUT_S) is None:
-            raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start again")
+        await_push(hardware, PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
         check_shines(hardware, plan, light)
         responses.append(_response(hardware, plan))
     highest = [max(values) for values in zip(*responses, strict=True)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
 
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
@@ -12,12 +11,10 @@ from device.inverse_fit import InverseFit
 from device.scanning.calibration_files import publish
 from device.scanning.capture import CapturePlan, capture
 from device.scanning.guided_calibration import GuidedCalibration
+from device.scanning.pushing import await_push
 from device.scanning.shining import check_shines
-from hal.errors import ButtonError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-
-BUTTON_TIMEOUT_S: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +50,7 @@ def calibrate(
     guide = GuidedCalibration(hardware.profile, ball_radius_mm)
     while guide.progress.phase in {"reference", "press"}:
         tell(guide.progress.instruction)
-        hardware.operator.ask(guide.request)
-        if hardware.button.wait_for_push(BUTTON_TIMEOUT_S) is None:
-            raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start the calibration again")
+        await_push(hardware, guide.request)
         if guide.progress.phase == "reference":
             frame, plan = take_reference(hardware, plan, tell)
         else:

@@ -10,7 +10,7 @@ from device.errors import DeviceError
 from device.scanning.calibrate import finish, take_reference
 from device.scanning.capture import CapturePlan, capture
 from device.scanning.guided_calibration import GuidedCalibration
-from device.session.cues import show
+from device.session.cues import REFUSALS, show
 from device.session.events import CalibrationStep, Failed, MayLift, PressRefused, Told
 from device.session.noticeboard import Noticeboard
 from hal.errors import HalError
@@ -58,7 +58,7 @@ class CalibrationRun:
             frame = self._take()
         except (DeviceError, HalError) as error:
             self._board.tell(PressRefused(clock.monotonic_ns(), "hardware", str(error)))
-            show(self._hardware, "refused")
+            show(self._hardware, REFUSALS["hardware"])
             return
         self._board.tell(MayLift(clock.monotonic_ns()))
         show(self._hardware, "may lift")

@@ -166,7 +166,7 @@ class InForce:
     def _fail(self, sentence: str) -> None:
         self._board.change(sentence=sentence)
         self._board.tell(Failed(sentence))
-        show(self._hardware, "refused")
+        show(self._hardware, "refused: calibration")
 
 
 def _coach_model(scanner: Scanner, slab_thickness_mm: float) -> CoachModel:

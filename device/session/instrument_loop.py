@@ -154,7 +154,8 @@ class InstrumentLoop:
 
     def open_pairing(self) -> None:
         """Let a workstation come."""
-        self._pairing.open()
+        if self._pairing.open():
+            show(self.hardware, "pairing")
 
     def _carry_out(self) -> None:
         """What was asked for since the last step; what cannot be done is told."""

@@ -17,7 +17,7 @@ from typing import Final, Literal
 
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.scanning.scanner import Scanner, ScanOutcome, TakenPress
-from device.session.cues import show
+from device.session.cues import REFUSALS, show
 from device.session.events import Failed, MayLift, PressRefused, PressSeen, RefusalReason, ScanFinished
 from device.session.noticeboard import Noticeboard
 from device.session.state import LastScan
@@ -144,7 +144,7 @@ class PressCycle:
             except DeviceError as error:
                 self._board.change(processing=len(self._works), sentence=str(error))
                 self._board.tell(Failed(str(error)))
-                show(self._hardware, "refused")
+                show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue
             self._finish(outcome, cpu_ms)
             finished.append(outcome)
@@ -154,7 +154,7 @@ class PressCycle:
         """Say and show that a press did nothing."""
         self._board.change(sentence=sentence)
         self._board.tell(PressRefused(self._hardware.clock.monotonic_ns(), reason, sentence))
-        show(self._hardware, "refused")
+        show(self._hardware, REFUSALS[reason])
 
     def _pushed(self, began_ns: int) -> None:
         """The button goes down: take the frame now, and let the release decide what becomes of it."""

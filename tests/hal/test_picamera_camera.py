@@ -273,6 +273,7 @@ def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_runs(wired: W
             hardware.camera.next_frame(0.5)
         wired.cameras.faults.timed_out, wired.bench.faults.camera_stalled = "", False
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
+        assert wired.cameras.openings == 2
 
 
 @pytest.mark.parametrize(

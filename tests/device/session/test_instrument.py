@@ -128,12 +128,13 @@ def test_a_double_press_is_one_scan_and_says_so(instrument: Instrument, bench: B
 
 
 def test_a_scan_that_is_not_possible_is_refused_with_the_reason(
-    hardware: Hardware, tmp_path: Path, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    hardware: Hardware, tmp_path: Path, bench: Bench
 ) -> None:
     with Instrument(hardware, BundleStore(tmp_path / "empty", hardware.clock)) as instrument:
         instrument.press()
         refused = only(events_of(instrument, 2), PressRefused)
         assert refused.reason == "calibration"
+        assert bench.cues[-1][1] == "refused: calibration"
         assert "retroscan calibrate" in refused.sentence
         assert "retroscan calibrate" in instrument.state.calibration.fault
 
@@ -145,6 +146,7 @@ def test_a_full_disk_refuses_before_the_press(
     push(bench)
     events = events_of(instrument, 6)
     assert only(events, PressRefused).reason == "full"
+    assert bench.cues[-1][1] == "refused: full"
     assert not any(isinstance(event, MayLift) for event in events)
     assert calibrated.scans().bundles == ()
 
@@ -294,6 +296,7 @@ def test_the_pairing_window_opens_on_a_long_push_and_closes(
         assert not any(isinstance(event, ScanFinished) for event in events)
         opened = only(events, PairingChanged)
         assert opened.is_open
+        assert bench.cues[-1][1] == "pairing"
         assert instrument.state.pairing is not None
         assert instrument.state.pairing.code in opened.sentence.replace(" ", "")
         assert instrument.network().key_fingerprint.startswith("SHA256:")
