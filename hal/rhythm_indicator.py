@@ -19,9 +19,9 @@ RHYTHMS: Final[dict[Cue, tuple[tuple[float, float], ...]]] = {
     "retake": (_LONG,),
     "refused": (_LONG, _SHORT, _SHORT),
     "refused: calibration": (_LONG, _SHORT, _SHORT, _SHORT),
-    "refused: full": (_LONG, _LONG, _SHORT),
-    "refused: hardware": (_LONG, _LONG, _LONG),
-    "pairing": (_SHORT, _LONG, _SHORT, _LONG),
+    "refused: full": (_SHORT, _LONG),
+    "refused: hardware": (_SHORT, _SHORT, _LONG),
+    "pairing": (_SHORT, _LONG, _SHORT),
 }
 """Times on and off, in seconds, of each cue."""
 
