@@ -3,13 +3,15 @@ reconstruction to succeed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Final
 
 import cv2
 import numpy as np
 
+from device.exposure_levels import Levels
 from device.health_limits import (
     CLIPPED_DOUBTFUL,
     CLIPPED_RETAKE,
@@ -22,6 +24,7 @@ from device.health_limits import (
     SHADED,
     SHARP,
 )
+from device.light_check import border_levels, light_complaint
 from device.photometry import BLACK_FRAME, IntensityImage, LinearFrame
 from device.scan_bundle import VerdictLevel, VerdictRecord
 from device.sharpness import sharpness
@@ -33,6 +36,7 @@ _WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 class Circumstances:
     """What is known beside the frame itself; None is "not seen", never 0.
 
+    at_rest : whether the whole skin lies as in the reference
     motion : change of intensity between the last live frame and the scan's
     light_change : of each light by name since calibration, relative
     reference_change : of the resting skin's pattern since calibration, root mean square
@@ -41,6 +45,7 @@ class Circumstances:
     depth_share : of the slab's thickness to which the skin is pushed up
     """
 
+    at_rest: bool | None = None
     motion: float | None = None
     light_change: Mapping[str, float | None] = field(default_factory=dict)
     reference_change: float | None = None
@@ -61,40 +66,88 @@ class Circumstances:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the frame itself says; shares of full scale or of the field, None where no intensity could be had."""
+
+    exposure: float
+    clipped: float
+    contact: float | None
+    sharp: float | None
+
+    @classmethod
+    def of(cls, frame: LinearFrame, intensity: IntensityImage | None) -> Seen:
+        """The figures of a frame."""
+        return cls(
+            exposure=float(np.percentile(frame.rgb[::2, ::2], 99)),
+            clipped=float(frame.clipped.mean()),
+            contact=None if intensity is None else shaded_share(intensity),
+            sharp=None if intensity is None else sharpness(intensity),
+        )
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """The same as a scan's record keeps them."""
+        return {
+            "exposure_p99": self.exposure,
+            "clipped_share": self.clipped,
+            "contact_share": self.contact,
+            "sharpness": self.sharp,
+        }
+
+
 def judge(
-    frame: LinearFrame, intensity: IntensityImage | None, circumstances: Circumstances | None = None
+    frame: LinearFrame,
+    intensity: IntensityImage | None,
+    lights: Sequence[str] = ("red", "green", "blue"),
+    flags: Mapping[str, str] = MappingProxyType({}),
+    known: Circumstances | None = None,
 ) -> VerdictRecord:
-    """Level, reason and figures; `intensity` is None when the frame could not be divided by a reference."""
-    known = circumstances or Circumstances()
-    exposure = float(np.percentile(frame.rgb[::2, ::2], 99))
-    clipped = float(frame.clipped.mean())
-    contact = None if intensity is None else shaded_share(intensity)
-    sharp = None if intensity is None else sharpness(intensity)
-    figures = {"exposure_p99": exposure, "clipped_share": clipped, "contact_share": contact, "sharpness": sharp}
-    figures |= known.figures
-    complaints = [*_of_frame(exposure, clipped, contact, sharp), *_of_circumstances(known)]
+    """Level, reason and figures.
+
+    intensity : None when the frame could not be divided by a reference
+    lights : their names in R, G, B order
+    flags : what the light driver said while they shone, such as "open", by light
+    known : of hand, lights and gel, as far as anybody looked
+    """
+    known = known or Circumstances()
+    seen = Seen.of(frame, intensity)
+    border = None if intensity is None else border_levels(intensity)
+    figures = seen.figures | border_figures(border) | known.figures
+    if seen.exposure < BLACK_FRAME:
+        told = "".join(f"; the driver says {kind} at light {light}" for light, kind in flags.items())
+        return VerdictRecord(level="retake", reason=f"the frame is black{told}: check the lights", figures=figures)
+    complaint = light_complaint(border, lights, flags)
+    complaints = [*([complaint] if complaint else []), *_of_frame(seen, known.at_rest), *_of_circumstances(known)]
     for level in _WORST_FIRST:
         for found, reason in complaints:
             if found == level:
                 return VerdictRecord(level=level, reason=reason, figures=figures)
-    relief = "" if contact is None else f", relief over {contact:.0%} of the field"
-    return VerdictRecord(level="good", reason=f"exposure {exposure:.0%}{relief}", figures=figures)
+    relief = "" if seen.contact is None else f", relief over {seen.contact:.0%} of the field"
+    return VerdictRecord(level="good", reason=f"exposure {seen.exposure:.0%}{relief}", figures=figures)
 
 
-def _of_frame(
-    exposure: float, clipped: float, contact: float | None, sharp: float | None
-) -> Iterator[tuple[VerdictLevel, str]]:
-    """What is wrong with the frame, the most telling first."""
-    if exposure < BLACK_FRAME:
-        yield "retake", "the frame is black: check the lights"
-    if clipped > CLIPPED_RETAKE:
-        yield "retake", f"{clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
-    if contact is not None and contact < LEAST_CONTACT:
+def border_figures(levels: Levels | None) -> dict[str, float | None]:
+    """The skin's level along the border by channel, 1 as calibrated."""
+    return {
+        f"border_level_{colour}": None if levels is None else level
+        for colour, level in zip(("red", "green", "blue"), levels or (None,) * 3, strict=True)
+    }
+
+
+def _of_frame(seen: Seen, at_rest: bool | None) -> Iterator[tuple[VerdictLevel, str]]:
+    """What is wrong with the frame, the most telling first; a smooth thing over the whole field hardly shades it."""
+    if seen.clipped > CLIPPED_RETAKE:
+        yield "retake", f"{seen.clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
+    if seen.contact is not None and seen.contact < LEAST_CONTACT and at_rest is not False:
         yield "doubtful", "hardly anything presses the skin: press harder or check the place"
-    if clipped > CLIPPED_DOUBTFUL:
-        yield "doubtful", f"{clipped:.1%} of the frame is saturated: slopes there are guessed from their neighbours"
-    if sharp is not None and sharp < SHARP:
-        yield "doubtful", f"no edge is sharp ({sharp:.2f}, {SHARP:g} is usual): hold still, check the lens"
+    if seen.clipped > CLIPPED_DOUBTFUL:
+        yield (
+            "doubtful",
+            f"{seen.clipped:.1%} of the frame is saturated: slopes there are guessed from their neighbours",
+        )
+    if seen.sharp is not None and seen.sharp < SHARP:
+        yield "doubtful", f"no edge is sharp ({seen.sharp:.2f}, {SHARP:g} is usual): hold still, check the lens"
 
 
 def _of_circumstances(known: Circumstances) -> Iterator[tuple[VerdictLevel, str]]:

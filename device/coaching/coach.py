@@ -21,6 +21,8 @@ from hal.frame import RawFrame
 _SIDES: Final = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
 _REST_PERCENTILE: Final = 10.0
 _TOP_PERCENTILE: Final = 99.5
+_UPPER_SHARE: Final = 0.4
+"""A face is read where the skin stands higher than this share of its highest: beside it the skin falls to all sides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +135,8 @@ def _touched(smooth: Float32Array, model: CoachModel) -> tuple[MaskArray, float 
     z_um = integrate_dct(p, q, model.pitch_um)
     rest_um, top_um = np.percentile(z_um, (_REST_PERCENTILE, _TOP_PERCENTILE))
     touched: MaskArray = shaded | (z_um - rest_um > RAISED_SHARE * model.slab_um)
-    lean = (float(np.median(p[touched])), float(np.median(q[touched]))) if touched.any() else None
-    return touched, float(top_um - rest_um), lean
+    upper = z_um - rest_um > _UPPER_SHARE * (top_um - rest_um)
+    return touched, float(top_um - rest_um), (float(np.median(p[upper])), float(np.median(q[upper])))
 
 
 def _lean_deg(lean: tuple[float, float]) -> float:

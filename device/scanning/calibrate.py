@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
 
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
@@ -12,10 +11,10 @@ from device.inverse_fit import InverseFit
 from device.scanning.calibration_files import publish
 from device.scanning.capture import CapturePlan, capture
 from device.scanning.guided_calibration import GuidedCalibration
-from hal.errors import ButtonError
+from device.scanning.pushing import await_push
+from device.scanning.shining import check_shines
+from hal.frame import RawFrame
 from hal.hardware import Hardware
-
-BUTTON_TIMEOUT_S: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +37,12 @@ def calibrate(
     tell : shows one line to the person at the instrument
     plan : exposure and currents, such as `balance` found; the board profile's when none is given
 
+    Every press is held to the very exposure and gain that the reference was granted.
+
     Raises
     ------
     CalibrationError
-        Too few balls, or held-out balls disagree; the calibration before stays active.
+        A light does not shine, too few balls, or held-out balls disagree; the calibration before stays active.
     HalError, FrameNotProven, StoreError
         The hardware or the disk refused.
     """
@@ -49,14 +50,33 @@ def calibrate(
     guide = GuidedCalibration(hardware.profile, ball_radius_mm)
     while guide.progress.phase in {"reference", "press"}:
         tell(guide.progress.instruction)
-        hardware.operator.ask(guide.request)
-        if hardware.button.wait_for_press(BUTTON_TIMEOUT_S) is None:
-            raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start the calibration again")
-        guide.take(capture(hardware, plan))
+        await_push(hardware, guide.request)
+        if guide.progress.phase == "reference":
+            frame, plan = take_reference(hardware, plan, tell)
+        else:
+            frame = capture(hardware, plan)
+        guide.take(frame)
         if guide.progress.complaint:
             tell(f"  {guide.progress.complaint}.")
     tell(guide.progress.instruction)
     return finish(hardware, store, plan, guide)
+
+
+def take_reference(hardware: Hardware, plan: CapturePlan, tell: Callable[[str], None]) -> tuple[RawFrame, CapturePlan]:
+    """The reference, every light seen to shine before, and the plan that holds the presses to what it was granted.
+
+    Raises
+    ------
+    CalibrationError
+        A light is not seen.
+    HalError, FrameNotProven
+        The hardware refused.
+    """
+    for light in hardware.profile.lights:
+        if told := check_shines(hardware, plan, light):
+            tell(f"Note: the driver says {told} at light {light.name}, which is seen: run `retroscan selftest`.")
+    reference = capture(hardware, plan)
+    return reference, replace(plan, granted=reference.granted)
 
 
 def finish(hardware: Hardware, store: BundleStore, plan: CapturePlan, guide: GuidedCalibration) -> CalibrationOutcome:

@@ -20,6 +20,7 @@ from device.inverse_fit import InverseFit
 from device.model_file import MODEL_FILE, write_model
 from device.raw_file import write_raw
 from device.scanning.capture import CapturePlan
+from device.settings_record import SettingsRecord
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 
@@ -67,6 +68,7 @@ def publish(
         pixel_pitch_um=profile.sensor.pixel_pitch_um,
         shape=reference.shape,
         fingerprint=Fingerprint.of(profile, reference.granted, plan.currents_ma),
+        asked=SettingsRecord.of(plan.settings),
         reference_file=REFERENCE_FILE,
         presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
         model_files=(MODEL_FILE,),

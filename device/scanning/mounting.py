@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from device.gel_log import mounted_gel
-from hal.board_profile import GelFacts
+from hal.board_profile import BoardProfile, GelFacts
 from hal.hardware import Hardware
 
 
@@ -20,6 +20,11 @@ def with_mounted_gel(hardware: Hardware, root: Path) -> Hardware:
     RecordError
         What the store says of the gel is damaged.
     """
-    gel = mounted_gel(root, hardware.profile.gel)
+    return replace(hardware, profile=profile_with_mounted_gel(hardware.profile, root))
+
+
+def profile_with_mounted_gel(profile: BoardProfile, root: Path) -> BoardProfile:
+    """The board's profile with the mounted gel. Errors as for `with_mounted_gel`."""
+    gel = mounted_gel(root, profile.gel)
     facts = GelFacts(id=gel.gel_id, slab_thickness_mm=gel.slab_thickness_mm)
-    return replace(hardware, profile=msgspec.structs.replace(hardware.profile, gel=facts))
+    return msgspec.structs.replace(profile, gel=facts)

@@ -102,8 +102,10 @@ class ScanHealth:
         self, intensity: IntensityImage | None, look: QuickLook | None, motion: float | None
     ) -> Circumstances:
         """What the verdict on a scan may know; the scan's own frame is a sight too, and one more press of the gel."""
-        self._watch.scanned(self._rest.see(intensity) if intensity else None)
+        sight = self._rest.see(intensity) if intensity else None
+        self._watch.scanned(sight)
         return Circumstances(
+            at_rest=None if intensity is None else sight is not None and sight.is_whole,
             motion=motion,
             light_change=self.light_change,
             reference_change=self.reference_change,

@@ -16,13 +16,13 @@ from device.photometry import bin_bayer
 from device.quick_look import QuickLook, QuickLookModel, quick_look
 from device.quick_look_files import write_quick_look
 from device.raw_file import write_raw
-from device.scan_bundle import Annotations, PowerRecord, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
-from device.scanning.capture import CapturePlan, capture
+from device.scan_bundle import Annotations, LightFaultRecord, PowerRecord, ScanBundle, ScanRecord, VerdictRecord
+from device.scanning.capture import CapturePlan, Shot, take
 from device.scanning.scan_health import ScanHealth
+from device.settings_record import SettingsRecord
 from device.verdict import judge
-from hal.errors import PowerError
-from hal.frame import RawFrame
 from hal.hardware import Hardware
+from hal.interfaces import PowerReading
 
 BYTES_PER_PIXEL: Final = 2.2
 """A raw frame never needs more room than this, its quick look included."""
@@ -38,11 +38,16 @@ class ScanOutcome:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TakenFrame:
-    """One press in memory, not yet on the disk: frame, supply, and how much the contact moved (None: not seen)."""
+class TakenPress:
+    """A press that was taken and is not yet published.
 
-    frame: RawFrame
-    power: PowerRecord
+    shot : its frame, proven
+    power : supply and battery right after it
+    motion : how much the contact moved as it was taken, in intensity; None when nobody looked
+    """
+
+    shot: Shot
+    power: PowerReading
     motion: float | None = None
 
 
@@ -62,7 +67,7 @@ class Scanner:
         self._store = store
         self._calibration = store.active_calibration()
         record = self._calibration.record
-        self._plan = CapturePlan.of_calibration(hardware, record.fingerprint)
+        self._plan = CapturePlan.of_calibration(hardware, record.fingerprint, record.asked)
         _check_belongs(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         reference = self._calibration.reference()
@@ -119,35 +124,35 @@ class Scanner:
 
         Raises
         ------
+        StoreError, FrameNotProven, HalError
+            As for `take` and `publish`.
+        """
+        return self.publish(self.take(may_lift), annotations)
+
+    def take(self, may_lift: Callable[[], None] = lambda: None) -> TakenPress:
+        """One press in memory; nothing is kept of it unless it is published.
+
+        Raises
+        ------
         StoreError
-            The disk is full; nothing is left behind.
+            There is no room for it.
         FrameNotProven, HalError
             No frame could be taken.
         """
         self.check_room()
-        taken = self.take()
+        shot = take(self._hardware, self._plan)
         may_lift()
-        return self.publish(taken, annotations)
+        return TakenPress(shot, self._hardware.power.read())
 
-    def take(self) -> TakenFrame:
-        """One proven frame in memory: from here on the object may be lifted. Touches hardware, not the disk.
-
-        Raises
-        ------
-        FrameNotProven, HalError
-            No frame could be taken.
-        """
-        return TakenFrame(capture(self._hardware, self._plan), _power(self._hardware))
-
-    def publish(self, taken: TakenFrame, annotations: Annotations) -> ScanOutcome:
-        """Judge, look and publish a frame that was taken. Touches the disk, not the hardware.
+    def publish(self, press: TakenPress, annotations: Annotations) -> ScanOutcome:
+        """Judge a press, look at it and publish it.
 
         Raises
         ------
         StoreError
             The disk is full; nothing is left behind.
         """
-        frame = taken.frame
+        frame = press.shot.frame
         binned = bin_bayer(frame, self._model.binning)
         look, fault = None, ""
         try:
@@ -155,8 +160,10 @@ class Scanner:
         except DeviceError as error:
             fault = str(error)
         intensity = look.intensity if look else None
-        verdict = judge(binned, intensity, self.health.circumstances(intensity, look, taken.motion))
-        record = self._record(taken, annotations, verdict)
+        flags = {fault.light: fault.kind for fault in press.shot.light_faults or ()}
+        known = self.health.circumstances(intensity, look, press.motion)
+        verdict = judge(binned, intensity, self._hardware.lights.names, flags, known)
+        record = self._record(press, annotations, verdict)
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
@@ -165,8 +172,8 @@ class Scanner:
 
         return ScanOutcome(self._store.publish_scan(record, write), look, fault)
 
-    def _record(self, taken: TakenFrame, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
-        profile, frame = self._hardware.profile, taken.frame
+    def _record(self, press: TakenPress, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+        profile, frame, faults = self._hardware.profile, press.shot.frame, press.shot.light_faults
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
             identity=self._store.next_identity("scans"),
@@ -182,16 +189,12 @@ class Scanner:
             calibration_id=self._calibration.calibration_id,
             verdict=verdict,
             annotations=annotations,
-            power=taken.power,
+            # Read again after the quick look, the heaviest work of a scan: a supply that sags does it in one of them.
+            power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),
+            light_faults=None
+            if faults is None
+            else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
         )
-
-
-def _power(hardware: Hardware) -> PowerRecord:
-    """Supply and battery now; a gauge that fails never costs a scan, and is then not measured."""
-    try:
-        return PowerRecord.of(hardware.power.read())
-    except PowerError:
-        return PowerRecord()
 
 
 def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: CapturePlan) -> None:
@@ -206,7 +209,7 @@ def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: Cap
         )
         if mine != theirs
     ]
-    present = Fingerprint.of(profile, plan.settings, plan.currents_ma)
+    present = Fingerprint.of(profile, plan.granted or plan.settings, plan.currents_ma)
     sentence = f"they differ in {'; '.join(differences)}" if differences else record.fingerprint.mismatch(present)
     if sentence:
         raise CalibrationMismatch(

@@ -7,13 +7,14 @@ from concurrent.futures import Executor, Future
 
 from device.bundle_store import BundleStore
 from device.errors import DeviceError
-from device.scanning.calibrate import finish
+from device.scanning.calibrate import finish, take_reference
 from device.scanning.capture import CapturePlan, capture
 from device.scanning.guided_calibration import GuidedCalibration
-from device.session.cues import show
-from device.session.events import CalibrationStep, Failed, MayLift, PressRefused
+from device.session.cues import REFUSALS, show
+from device.session.events import CalibrationStep, Failed, MayLift, PressRefused, Told
 from device.session.noticeboard import Noticeboard
 from hal.errors import HalError
+from hal.frame import RawFrame
 from hal.hardware import Hardware
 
 
@@ -54,14 +55,20 @@ class CalibrationRun:
             return
         show(self._hardware, "busy")
         try:
-            frame = capture(self._hardware, self._plan)
+            frame = self._take()
         except (DeviceError, HalError) as error:
             self._board.tell(PressRefused(clock.monotonic_ns(), "hardware", str(error)))
-            show(self._hardware, "refused")
+            show(self._hardware, REFUSALS["hardware"])
             return
         self._board.tell(MayLift(clock.monotonic_ns()))
         show(self._hardware, "may lift")
         self._thinking = self._executor.submit(self._guide.take, frame)
+
+    def _take(self) -> RawFrame:
+        if self._guide.progress.phase != "reference":
+            return capture(self._hardware, self._plan)
+        frame, self._plan = take_reference(self._hardware, self._plan, lambda line: self._board.tell(Told(line)))
+        return frame
 
     def step(self) -> None:
         """Go on when the thinking is over; call it many times a second."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
-from device.calibration_shelf.shelf import CalibrationShelf
+from device.calibration_shelf import CalibrationShelf
 from device.errors import DeviceError
 from device.gel_log import mounted_gel
 from device.session.state import CalibrationState, GelState

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Executor
 
 from device.bundle_store import BundleStore
-from device.calibration_shelf.shelf import CalibrationShelf
+from device.calibration_shelf import CalibrationShelf
 from device.coaching.coach import CoachModel
 from device.errors import DeviceError
 from device.gel_log import known_gel, make_gel, mount_gel
@@ -109,7 +109,7 @@ class InForce:
         """Take a frame of the untouched skin and say how flat it reads."""
         try:
             scanner = self.scanner()
-            zero = scanner.health.check_zero(scanner.take().frame)
+            zero = scanner.health.check_zero(scanner.take().shot.frame)
         except (DeviceError, HalError) as error:
             self._fail(f"zero check: {error}")
             return
@@ -166,7 +166,7 @@ class InForce:
     def _fail(self, sentence: str) -> None:
         self._board.change(sentence=sentence)
         self._board.tell(Failed(sentence))
-        show(self._hardware, "refused")
+        show(self._hardware, "refused: calibration")
 
 
 def _coach_model(scanner: Scanner, slab_thickness_mm: float) -> CoachModel:

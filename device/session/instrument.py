@@ -11,7 +11,7 @@ from threading import Event as Flag
 from typing import Self
 
 from device.bundle_store import BundleStore
-from device.calibration_shelf.shelf import CalibrationShelf, Shelved
+from device.calibration_shelf import CalibrationShelf, Shelved
 from device.gel_log import known_gels
 from device.scan_bundle import Annotations
 from device.scan_marks import Opinion, ScanMark, write_mark

@@ -79,6 +79,7 @@ class InstrumentLoop:
             return
         try:
             self.hardware.__enter__()
+            missed = self.hardware.button.forget_presses()
         except HalError as error:
             self._out_of_order(error)
             return
@@ -86,6 +87,8 @@ class InstrumentLoop:
         self._in_force.prepare()
         self.board.change(activity="ready")
         show(self.hardware, "idle")
+        if missed:
+            self._presses.refuse("hardware", "a push came while a part did not answer and did nothing: push again")
 
     def close(self) -> None:
         """Wait for what is in work and give the hardware back, lights dark."""
@@ -156,7 +159,8 @@ class InstrumentLoop:
 
     def open_pairing(self) -> None:
         """Let a workstation come."""
-        self._pairing.open()
+        if self._pairing.open():
+            show(self.hardware, "pairing")
 
     def _carry_out(self) -> None:
         """What was asked for since the last step; what cannot be done is told."""
@@ -176,7 +180,7 @@ class InstrumentLoop:
         elif self._short_lent:
             if press := self.hardware.button.wait_for_press(0.0):
                 self.board.tell(ButtonPushed(press.held_s >= LONG_PUSH_S))
-        elif self._presses.watch_button():
+        elif self._presses.watch_button(self._live.wait_s()):
             self._disturbed()
         live = self._live.step()
         if live is None or self._run:
@@ -184,13 +188,6 @@ class InstrumentLoop:
         self._in_force.look(live)
         if self.board.state.auto_shutter and self._live.fires(live.reading):
             self._scan("auto-shutter")
-
-    def _long_push(self) -> None:
-        """With a face it leads through the screens; without one it lets a workstation in."""
-        if self._long_lent:
-            self.board.tell(ButtonPushed(held_long=True))
-        else:
-            self.open_pairing()
 
     def _disturbed(self) -> None:
         """A press was seen to: the lights may be dark, and untouched skin is worth a look afterwards."""
@@ -203,7 +200,7 @@ class InstrumentLoop:
         self._disturbed()
 
     def _step_calibration(self, run: CalibrationRun) -> None:
-        if self.hardware.button.wait_for_press(0.0):
+        if self.hardware.button.wait_for_push(self._live.wait_s()) is not None:
             run.press()
             self._live.darkened()
         run.step()
@@ -212,6 +209,18 @@ class InstrumentLoop:
         self._run = None
         self.board.change(activity="ready")
         self._in_force.prepare()
+
+    def _long_push(self) -> None:
+        """Say how things stand, and let a workstation come; a face is led through its screens."""
+        if self._long_lent:
+            self.board.tell(ButtonPushed(held_long=True))
+            return
+        state = self.board.state
+        room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
+        battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
+        complaints = "".join(f" {complaint}." for complaint in state.power.complaints)
+        self.board.tell(Told(f"Held {LONG_PUSH_S:.0f} s, no scan.{room}{battery}{complaints}"))
+        self.open_pairing()
 
     def _out_of_order(self, error: Exception) -> None:
         """A part does not answer: let go of everything and try again later."""

@@ -9,7 +9,7 @@ from device.coaching.coach import Coach, CoachModel
 from device.coaching.coach_reading import CoachReading
 from device.coaching.thin_frame import thin, thinning
 from device.health_limits import STILL_S
-from device.scanning.capture import FRAME_TIMEOUT_S, CapturePlan, check_frame
+from device.scanning.capture import FRAME_TIMEOUT_S, CapturePlan, after_restarts, check_frame
 from device.session.noticeboard import Noticeboard
 from device.session.state import LiveView
 from hal.frame import RawFrame
@@ -18,7 +18,8 @@ from hal.hardware import Hardware
 ASLEEP_AFTER_S: Final = 120.0
 """Without contact, press or command for so long the lights go dark: they warm the gel and eat the battery."""
 
-DOZE_S: Final = 0.05
+PERIOD_S: Final = 0.05
+"""Twenty looks a second are plenty for a hand; between them the button is listened to."""
 
 LATEST_MOTION_S: Final = 0.5
 """A live frame that is older says nothing of how the contact moved."""
@@ -43,6 +44,7 @@ class LiveLoop:
         self._lit = False
         self._awake_ns = hardware.clock.monotonic_ns()
         self._fired = False
+        self._stepped_ns = 0
         self._at_ns: int | None = None
 
     def begin(self, plan: CapturePlan, model: CoachModel | None) -> None:
@@ -78,6 +80,11 @@ class LiveLoop:
             self._hardware.lights.dark()
             self._lit = False
 
+    def wait_s(self) -> float:
+        """How long until the next live frame is due, s: time to listen to the button."""
+        since_s = (self._hardware.clock.monotonic_ns() - self._stepped_ns) * 1e-9
+        return min(max(PERIOD_S - since_s, 0.0), PERIOD_S)
+
     def step(self) -> LiveFrame | None:
         """The next live frame and its reading; None while asleep.
 
@@ -86,16 +93,16 @@ class LiveLoop:
         HalError, FrameError
             Camera or lights do not answer, or frames of another kind come.
         """
+        self._stepped_ns = self._hardware.clock.monotonic_ns()
         if self._plan is None or self._is_asleep():
             self.rest()
-            self._hardware.clock.sleep(DOZE_S)
             self._board.change(live=None)
             return None
         if not self._lit:
             self._hardware.lights.switch_on(self._plan.currents_ma)
             self._lit = True
         camera = self._hardware.camera
-        frame = camera.next_frame(FRAME_TIMEOUT_S)
+        frame = after_restarts(camera, lambda: camera.next_frame(FRAME_TIMEOUT_S))
         check_frame(frame, self._hardware.profile.sensor, camera.camera_id)
         small = thin(frame)
         reading = self._coach.look(small)

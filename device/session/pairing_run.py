@@ -49,10 +49,10 @@ class PairingRun:
         self._device_id = device_id
         self._thread: Thread | None = None
 
-    def open(self, window_s: float = WINDOW_S) -> None:
-        """Open the window; what becomes of it is told by `PairingChanged` and in the state."""
+    def open(self, window_s: float = WINDOW_S) -> bool:
+        """Open the window, and say whether it is open; what becomes of it is told by `PairingChanged`."""
         if self._thread and self._thread.is_alive():
-            return
+            return True
         place = self._place
         try:
             host_key = read_host_key(place.host_key)
@@ -60,19 +60,14 @@ class PairingRun:
         except DeviceError as error:
             self._board.change(sentence=str(error))
             self._board.tell(Failed(str(error)))
-            return
+            return False
         card = DeviceCard(device_id=self._device_id, user=place.user, port=place.ssh_port, host_key=host_key)
         code, half = draw_code(), CODE_DIGITS // 2
         sentence = f"Code {code[:half]} {code[half:]}. On the workstation: retrosync pair {os.uname().nodename}"
         self._tell(PairingState(code, time.monotonic_ns() + round(window_s * 1e9), sentence, is_open=True))
         self._thread = Thread(target=self._wait, args=(listening, code, card, window_s), daemon=True, name="pairing")
         self._thread.start()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Whether the window is closed, or has closed within `timeout_s`."""
-        if self._thread:
-            self._thread.join(timeout_s)
-        return not (self._thread and self._thread.is_alive())
+        return True
 
     def _wait(self, listening: socket.socket, code: str, card: DeviceCard, window_s: float) -> None:
         try:

@@ -1,7 +1,7 @@
 """One press after the other: taken at once, processed beside, refused with a cue when it cannot be taken.
 
-A press begins when the button goes down: cue, frame, "you may lift". It counts once the button is released: what was
-held long asks for something else, and what was only an edge on the line is dropped; no frame of theirs is published.
+A press begins when the button goes down: cue, frame, "you may lift". It counts once the button is released: what is
+held long asks for something else, and its frame is not published.
 The disk and the quick look are another thread's work; the next press is taken meanwhile.
 """
 
@@ -11,19 +11,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Literal
 
 from device.errors import DeviceError, NoCalibration, StoreError
-from device.scanning.scanner import Scanner, ScanOutcome, TakenFrame
-from device.session.cues import show
+from device.scanning.scanner import Scanner, ScanOutcome, TakenPress
+from device.session.cues import REFUSALS, show
 from device.session.events import Failed, MayLift, PressRefused, PressSeen, RefusalReason, ScanFinished
 from device.session.noticeboard import Noticeboard
 from device.session.state import LastScan
 from hal.errors import HalError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-from hal.interfaces import ButtonPress
 
 MOST_IN_WORK: Final = 2
 """Frames in memory that wait for the disk: more presses are refused until one is safe."""
@@ -33,9 +33,6 @@ LONG_PUSH_S: Final = 2.0
 
 LATEST_CUE_MS: Final = 100.0
 """A cue for a press that is older than this is dropped: it would answer to nothing."""
-
-EDGE_S: Final = 0.1
-"""A button that was seen down and is not told of as pressed for so long after its release was only an edge."""
 
 Source = Literal["button", "screen", "auto-shutter"]
 Work = Future[tuple[ScanOutcome, float]]
@@ -67,8 +64,9 @@ class PressCycle:
         self._motion = motion
         self._long_push = long_push
         self._works: deque[Work] = deque()
-        self._held: TakenFrame | None = None
-        self._down_ns: int | None = None
+        self._held: TakenPress | None = None
+        self._began_ns: int | None = None
+        self._waiting_ns: int | None = None
         self._busy_until_ns = 0
 
     @property
@@ -76,25 +74,26 @@ class PressCycle:
         """Scans that are not on the disk yet."""
         return len(self._works)
 
-    def watch_button(self) -> bool:
-        """See to what the button did since the last look, and say whether it did anything; call it many times a second.
+    def watch_button(self, wait_s: float) -> bool:
+        """Listen to the button for so long, see to what it did, and say whether it did anything.
 
         Raises
         ------
         ButtonError
             The button cannot be read.
         """
-        button, clock = self._hardware.button, self._hardware.clock
-        down = button.is_down()
-        if begins := down and self._down_ns is None:
-            self._down_ns = clock.monotonic_ns()
-            self._held = self.take("button", self._down_ns)
-        if press := button.wait_for_press(0.0):
-            self._released(press)
-            return True
-        if not down and self._down_ns is not None and clock.monotonic_ns() - self._down_ns > EDGE_S * 1e9:
-            self._down_ns, self._held = None, None
-        return begins
+        button, held = self._hardware.button, self._began_ns is not None
+        if not held:
+            began_ns = self._waiting_ns or button.wait_for_push(wait_s)
+            self._waiting_ns = None
+            if began_ns is None:
+                return False
+            self._pushed(began_ns)
+        if press := button.wait_for_press(wait_s if held else 0.0):
+            self._released(press.held_s >= LONG_PUSH_S)
+        elif self._hardware.clock.monotonic_ns() - (self._began_ns or 0) >= LONG_PUSH_S * 1e9:
+            self._released(was_long=True)
+        return True
 
     def scan(self, source: Source) -> None:
         """A press that did not come from the button."""
@@ -102,7 +101,7 @@ class PressCycle:
         if taken:
             self.submit(taken)
 
-    def take(self, source: Source, began_ns: int) -> TakenFrame | None:
+    def take(self, source: Source, began_ns: int) -> TakenPress | None:
         """The frame of a press in memory, or None when it was refused and that was shown."""
         now_ns = self._hardware.clock.monotonic_ns()
         if not (scanner := self._admitted()):
@@ -119,11 +118,11 @@ class PressCycle:
         finally:
             self._busy_until_ns = self._hardware.clock.monotonic_ns()
         self._board.tell(MayLift(self._busy_until_ns))
-        motion = self._motion(taken.frame)
+        motion = self._motion(taken.shot.frame)
         show(self._hardware, "may lift")
         return replace(taken, motion=motion)
 
-    def submit(self, taken: TakenFrame) -> None:
+    def submit(self, taken: TakenPress) -> None:
         """Hand a frame over to be judged and published."""
         scanner, annotations = self._scanner(), self._board.state.sticky
 
@@ -145,7 +144,7 @@ class PressCycle:
             except DeviceError as error:
                 self._board.change(processing=len(self._works), sentence=str(error))
                 self._board.tell(Failed(str(error)))
-                show(self._hardware, "refused")
+                show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue
             self._finish(outcome, cpu_ms)
             finished.append(outcome)
@@ -155,20 +154,23 @@ class PressCycle:
         """Say and show that a press did nothing."""
         self._board.change(sentence=sentence)
         self._board.tell(PressRefused(self._hardware.clock.monotonic_ns(), reason, sentence))
-        show(self._hardware, "refused")
+        show(self._hardware, REFUSALS[reason])
 
-    def _released(self, press: ButtonPress) -> None:
-        """A whole press is over: the frame that was taken as it began counts now."""
-        seen, taken = self._down_ns is not None, self._held
-        self._down_ns, self._held = None, None
-        if press.held_s >= LONG_PUSH_S:
+    def _pushed(self, began_ns: int) -> None:
+        """The button goes down: take the frame now, and let the release decide what becomes of it."""
+        self._began_ns = began_ns
+        if began_ns < self._busy_until_ns:
+            self.refuse("busy", "a push came while the frame was being taken and did nothing: push again")
+        else:
+            self._held = self.take("button", began_ns)
+
+    def _released(self, was_long: bool) -> None:
+        """The press is over, or long already: its frame counts, or something else was asked for."""
+        taken, self._held, self._began_ns = self._held, None, None
+        if was_long:
             self._long_push()
         elif taken:
             self.submit(taken)
-        elif not seen and press.began_ns < self._busy_until_ns:
-            self.refuse("busy", "a push came while the frame was being taken and did nothing: push again")
-        elif not seen and (late := self.take("button", press.began_ns)):
-            self.submit(late)
 
     def _admitted(self) -> Scanner | None:
         """The scanner, when a press can be taken now; else the refusal was shown."""
@@ -202,4 +204,12 @@ class PressCycle:
         )
         now_ns = self._hardware.clock.monotonic_ns()
         self._board.tell(ScanFinished(now_ns, record.scan_id, record.verdict, height, fault, cpu_ms))
-        show(self._hardware, record.verdict.level)
+        if not self._somebody_pushes():
+            show(self._hardware, record.verdict.level)
+
+    def _somebody_pushes(self) -> bool:
+        """Whether the next press has begun: whoever pushes on does not wait for a rhythm to end."""
+        if self._began_ns is None and self._waiting_ns is None:
+            with suppress(HalError):
+                self._waiting_ns = self._hardware.button.wait_for_push(0.0)
+        return self._waiting_ns is not None

@@ -10,7 +10,7 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
 from textual.widgets import Static
 
-from device.calibration_shelf.shelf import Shelved
+from device.calibration_shelf import Shelved
 from device.errors import DeviceError
 from device.session.instrument import Instrument
 from device.session.network import NetworkFacts

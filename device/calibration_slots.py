@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from device.calibration_shelf.address import Place
+from device.calibration_address import Place
 from device.disk_advice import explain_refusal
 from device.durable import replace_file
 from device.errors import StoreError

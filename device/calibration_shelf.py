@@ -13,9 +13,9 @@ from pathlib import Path
 import msgspec
 
 from device.bundle_store import BundleStore
+from device.calibration_address import SHORT, Place, content_address, place_of, present_place
 from device.calibration_bundle import CalibrationBundle, read_calibration
-from device.calibration_shelf.address import SHORT, Place, content_address, place_of, present_place
-from device.calibration_shelf.slots import Slot, SlotEntry, Slots, read_slots, write_slots
+from device.calibration_slots import Slot, SlotEntry, Slots, read_slots, write_slots
 from device.disk_advice import explain_refusal
 from device.durable import publish_directory
 from device.errors import CalibrationMismatch, NoCalibration, RecordError, StoreError
