@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from textual.app import App
+from textual.app import App, SuspendNotSupported
 from textual.binding import Binding, BindingType
 
 from device.scanning.guided_calibration import CalibrationProgress
@@ -24,10 +25,12 @@ from device.session.instrument import Instrument
 from device.tui.calibration_screen import CalibrationScreen
 from device.tui.dialogs import ConfirmDialog, Dialog
 from device.tui.hearing import notice_of
+from device.tui.height_view import HeightView
 from device.tui.instrument_screen import InstrumentScreen
 from device.tui.live_pace import LivePace
 from device.tui.navigation import Place, place_after
 from device.tui.notice import Notice
+from device.tui.picture_viewing import view_picture
 from device.tui.scan_screen import ScanScreen
 from device.tui.scans_screen import ScansScreen
 from device.tui.setup_screen import SetUpScreen
@@ -129,6 +132,16 @@ class RetroscanApp(App[str]):
             return
         question = "Give up the calibration? The one before stays in force."
         self.push_screen(ConfirmDialog(question, "Give up"), lambda yes: self.exit() if yes else None)
+
+    def on_height_view_picture_wanted(self, event: HeightView.PictureWanted) -> None:
+        """Step aside for a picture to the pixel, where the terminal can draw one."""
+        try:
+            with self.suspend():
+                shown = view_picture(event.height, "Quick look", sys.__stderr__ or sys.stderr)
+        except SuspendNotSupported:
+            shown = False
+        if not shown:
+            self.tell_failure("This terminal draws no pictures (sixel, kitty): use foot, kitty or xterm -ti vt340")
 
     def demonstrate(self) -> None:
         """Have the twin press its next object."""

@@ -32,6 +32,7 @@ class HeightView(Widget, can_focus=True):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "profile", "profile"),
+        Binding("v", "view", "picture", show=False),
         Binding("t", "turn", "turn it", show=False),
         Binding("up", "move(-1, 0)", show=False),
         Binding("down", "move(1, 0)", show=False),
@@ -44,6 +45,12 @@ class HeightView(Widget, can_focus=True):
         """The profile, which takes the arrow keys, was shown or hidden."""
 
         is_shown: bool
+
+    @dataclass
+    class PictureWanted(Message):
+        """This map is to be seen to the pixel."""
+
+        height: HeightMap
 
     def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id)
@@ -66,6 +73,11 @@ class HeightView(Widget, can_focus=True):
         self._cursor = None if self._cursor else ProfileCursor()
         self.post_message(self.ProfileSwitched(self._cursor is not None))
         self._redraw()
+
+    def action_view(self) -> None:
+        """Ask for the relief to the pixel."""
+        if self._height is not None:
+            self.post_message(self.PictureWanted(self._height))
 
     def action_turn(self) -> None:
         """Turn the line by a quarter."""

@@ -50,7 +50,7 @@ def relief_cells(height: HeightMap, heights: HeightRange, shape: tuple[int, int]
     z_um = resampled(height.z_um, (2 * shape[0], shape[1]))
     valid = np.isfinite(z_um)
     pitch_um = height.pitch_um * height.z_um.shape[1] / shape[1]
-    light = _lit(z_um, pitch_um)
+    light = lit(z_um, pitch_um)
     share = heights.share(z_um)
     if depth == "full":
         return colour_cells(height_colours(share, 0.35 + 0.9 * light), valid)
@@ -63,7 +63,7 @@ def _stretched(brightness: Float32Array, valid: MaskArray) -> Float32Array:
     return np.asarray((brightness - low) / max(high - low, 0.1), np.float32)
 
 
-def _lit(z_um: Float32Array, pitch_um: float) -> Float32Array:
+def lit(z_um: Float32Array, pitch_um: float) -> Float32Array:
     """Diffuse light from the upper left, 0 to 1, 0.71 where flat; slopes are exaggerated until most of them show."""
     q, p = np.gradient(z_um / np.float32(pitch_um)) if min(z_um.shape) > 1 else (z_um * 0.0, z_um * 0.0)
     p, q = np.nan_to_num(p), np.nan_to_num(q)

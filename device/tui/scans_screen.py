@@ -38,6 +38,7 @@ class ScansScreen(InstrumentScreen):
         Binding("u", "mark('')", "unmark", show=False),
         Binding("n", "note", "note"),
         Binding("p", "profile", "profile"),
+        Binding("v", "view", show=False),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
@@ -91,6 +92,10 @@ class ScansScreen(InstrumentScreen):
         """Show or hide the profile."""
         if self._relief.check_action("profile", ()):
             self._relief.action_profile()
+
+    def action_view(self) -> None:
+        """The relief to the pixel, where the terminal can."""
+        self._relief.action_view()
 
     def on_height_view_profile_switched(self, event: HeightView.ProfileSwitched) -> None:
         """The arrow keys move the profile's cursor while it is there, and choose a scan else."""

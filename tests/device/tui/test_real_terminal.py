@@ -94,6 +94,8 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     assert "µm" in shown
     terminal.keys("g")
     terminal.wait_for(r">\s+4 \w+\s+good")
+    terminal.keys("v")
+    terminal.wait_for("This terminal draws no pictures")
     terminal.keys("q")
     terminal.wait_for("ended with 0")
     assert len(list((tmp_path / "store" / "scans").iterdir())) == 3

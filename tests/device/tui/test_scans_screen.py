@@ -139,3 +139,12 @@ def test_the_profile_takes_the_arrow_keys_and_gives_them_back(play: Callable[...
         assert stage.lines()[3].lstrip().startswith("> ")
 
     play(scenario, root)
+
+
+def test_where_no_picture_can_be_drawn_that_is_said(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        await stage.press("3", "v")
+        assert "! This terminal draws no pictures" in stage.text()
+
+    play(scenario, root)
