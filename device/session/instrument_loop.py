@@ -30,6 +30,8 @@ RETRY_S: Final = 1.0
 HOUSEKEEPING_S: Final = 5.0
 """Room and supply are read again so often."""
 
+NOT_NOW: Final = "not now: a calibration is going on, or a part does not answer: end it, or see to the part"
+
 Command = Callable[["InstrumentLoop"], None]
 
 
@@ -78,13 +80,18 @@ class InstrumentLoop:
             return
         try:
             self.hardware.__enter__()
+            self._is_open = True
             missed = self.hardware.button.forget_presses()
+            if self._run:
+                self._run.cancel()
+            else:
+                self._in_force.prepare()
         except HalError as error:
             self._out_of_order(error)
             return
-        self._is_open = True
-        self._in_force.prepare()
         self.board.change(activity="ready")
+        self._house_ns = None
+        self._keep_house()
         show(self.hardware, "idle")
         if missed:
             self._presses.refuse("hardware", "a push came while a part did not answer and did nothing: push again")
@@ -100,20 +107,16 @@ class InstrumentLoop:
         self._live.wake()
         if self._run:
             self._run.press()
+            self._live.darkened()
         else:
             self._scan("screen")
 
     def start_calibration(self, ball_radius_mm: float) -> None:
         """Begin the guided calibration."""
-        if self._run:
-            self.board.tell(Told("A calibration is going on: end it first."))
+        if self._run or not self._is_open:
+            self.board.tell(Failed(NOT_NOW))
             return
-        plan = CapturePlan.of_board(self.hardware)
-        try:
-            fitted = self._in_force.fitted()
-        except DeviceError as error:
-            self.board.tell(Failed(str(error)))
-            return
+        plan, fitted = CapturePlan.of_board(self.hardware), self._in_force.fitted()
         guide = GuidedCalibration(fitted.profile, ball_radius_mm)
         self._run = CalibrationRun(fitted, self._store, self.board, self._executor, guide, plan, self._end_calibration)
         self._live.begin(plan, None)
@@ -146,7 +149,7 @@ class InstrumentLoop:
     def maintain(self, work: Callable[[InForce], None]) -> None:
         """Something that is done with gel, calibration or zero, between presses."""
         if self._run or not self._is_open:
-            self.board.tell(Failed("not now: a calibration is going on, or a part does not answer"))
+            self.board.tell(Failed(NOT_NOW))
             return
         self._live.wake()
         work(self._in_force)
@@ -162,6 +165,8 @@ class InstrumentLoop:
         with suppress(Empty):
             while True:
                 command = self._commands.get_nowait()
+                if self.board.state.activity == "off":
+                    continue
                 try:
                     command(self)
                 except (DeviceError, HalError) as error:
