@@ -35,12 +35,12 @@ def _addresses() -> tuple[str, ...]:
     """Addresses by which other machines may reach this one; the kernel names the source address of each route."""
     found = []
     for target in ("192.0.2.1", "10.55.0.1", "169.254.1.1"):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                 probe.connect((target, 9))  # a datagram socket sends nothing by being connected
-            except OSError:
-                continue
-            address = str(probe.getsockname()[0])
+                address = str(probe.getsockname()[0])
+        except OSError:
+            continue
         if address not in found and not address.startswith("127."):
             found.append(address)
     return tuple(found)
