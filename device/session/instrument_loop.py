@@ -69,6 +69,7 @@ class InstrumentLoop:
             self.hardware.clock.sleep(RETRY_S)
             return
         try:
+            self._pairing.step()
             self._look()
         except (HalError, DeviceError) as error:
             self._out_of_order(error)
@@ -98,6 +99,7 @@ class InstrumentLoop:
 
     def close(self) -> None:
         """Wait for what is in work and give the hardware back, lights dark."""
+        self._pairing.close()
         self._executor.shutdown(wait=True)
         self._presses.collect()
         self._release()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import os
 import socket
 from dataclasses import dataclass
@@ -11,6 +9,7 @@ from pathlib import Path
 
 from device.errors import RecordError
 from device.pairing.authorized_keys import read_host_key
+from device.pairing.opening import fingerprint_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,6 @@ def _addresses() -> tuple[str, ...]:
 
 def _fingerprint(host_key: Path) -> str:
     try:
-        data = base64.b64decode(read_host_key(host_key).split()[1])
+        return fingerprint_of(read_host_key(host_key))
     except (RecordError, ValueError) as error:
         return str(error)
-    return "SHA256:" + base64.b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
