@@ -191,9 +191,7 @@ class CalibrationShelf:
         for bundle in self._store.calibrations().bundles:
             if bundle.calibration_id == calibration_id:
                 return bundle
-        raise RecordError(
-            f"there is no calibration {calibration_id} in {self._store.root}: see `retroscan calibrations`"
-        )
+        raise RecordError(f"there is no calibration {calibration_id} in {self._store.root}: see `retroscan shelf`")
 
     def _nothing_fits(self) -> str:
         """Why none of the calibrations that are there can be used, the nearest miss first."""

@@ -39,7 +39,7 @@ class DriftWatch:
 
     def see(self, sight: RestSight | None) -> bool:
         """Take a sight in, and say whether it is believed."""
-        if sight is None:
+        if sight is None or sight.is_tilt:
             return False
         before = self._whole or self._levels
         step = max(abs(new - old) for new, old in zip(sight.levels, before, strict=True))

@@ -60,6 +60,13 @@ class RestSight:
         """Whether the whole field is at rest."""
         return self.share >= WHOLE_SHARE
 
+    @property
+    def is_tilt(self) -> bool:
+        """Whether the changes look like a tilt of the whole field rather than like lights."""
+        changes = [level - 1.0 for level in self.levels]
+        largest = max(abs(change) for change in changes)
+        return largest > TILT_NOTICED and abs(sum(changes)) < TILT_BALANCE * largest
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestModel:
@@ -85,8 +92,7 @@ class RestModel:
         agreeing = _agreeing(ratio, quiet, AGREEING + NOISE_SIGMAS / side * self.spread)
         if agreeing.mean() < FEWEST_SHARE:
             return None
-        sight = _sight(ratio, agreeing)
-        return None if _is_tilt(sight.levels) else sight
+        return _sight(ratio, agreeing)
 
     def trust(self, intensity: IntensityImage) -> RestSight:
         """The same for a frame that somebody vouches for as untouched: every block counts."""
@@ -126,9 +132,3 @@ def _sight(ratio: Float32Array, kept: MaskArray) -> RestSight:
     pattern = float(np.sqrt(np.mean((ratio[kept] / level - 1.0) ** 2)))
     red, green, blue = (float(value) for value in level)
     return RestSight((red, green, blue), float(kept.mean()), pattern)
-
-
-def _is_tilt(levels: tuple[float, float, float]) -> bool:
-    changes = [level - 1.0 for level in levels]
-    largest = max(abs(change) for change in changes)
-    return largest > TILT_NOTICED and abs(sum(changes)) < TILT_BALANCE * largest

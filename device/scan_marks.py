@@ -27,9 +27,14 @@ class ScanMark(Record, frozen=True, tag_field="schema", tag=MARK_SCHEMA):
     note: Annotated[str, msgspec.Meta(max_length=1000)] = ""
 
 
+def mark_path(root: Path, scan_id: str) -> Path:
+    """Where the mark of a scan lies, if it has one."""
+    return root / MARKS / f"{scan_id}.json"
+
+
 def read_mark(root: Path, scan_id: str) -> ScanMark | None:
     """The mark of a scan; None when there is none, or when its file is damaged: it is an opinion, not a measurement."""
-    path = root / MARKS / f"{scan_id}.json"
+    path = mark_path(root, scan_id)
     if not path.exists():
         return None
     try:
@@ -50,7 +55,7 @@ def write_mark(root: Path, mark: ScanMark) -> None:
     """
     if not (root / "scans" / mark.scan_id).is_dir():
         raise RecordError(f"there is no scan {mark.scan_id} in {root}: choose one of the history")
-    path = root / MARKS / f"{mark.scan_id}.json"
+    path = mark_path(root, mark.scan_id)
     try:
         path.parent.mkdir(exist_ok=True)
         replace_file(path, encode_record(mark))

@@ -109,7 +109,7 @@ def report_figures(fit: InverseFit) -> dict[str, float | None]:
         "steepest_deg": float(np.degrees(np.arctan(fit.map.steepest))),
         "balls_used": float(fit.kept.sum()),
         "balls_rejected": float((~fit.kept).sum()),
-        "degree_in_position": float(fit.map.position_degree),
+        "degree_in_position": float(fit.map.curve.position_degree),
     }
     bands = {f"error_from_{band.from_deg:.0f}_deg": band.error_deg for band in fit.bands}
     return figures | bands

@@ -5,28 +5,23 @@ It touches no hardware: who drives it takes the frames, so that command line, sc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-import numpy as np
-
-from device.ball import Ball, BallSamples, gather_samples
-from device.ball_finder import RejectedBall, find_balls
+from device.ball import Ball
+from device.ball_finder import RejectedBall
 from device.calibration_checks import Check, check_fit, fit_checks
 from device.calibration_coverage import Coverage, measure_coverage
 from device.calibration_limits import FEWEST_BALLS
 from device.errors import CalibrationError
 from device.inverse_fit import InverseFit, fit_inverse_map
-from device.photometry import bin_bayer, blurred_reference, check_exposed, divide
+from device.photometry import bin_bayer, blurred_reference, check_exposed
 from device.scanning.calibration_files import AcceptedPress
+from device.scanning.press_reading import BINNING, joined_samples, read_press
 from device.surface import Float32Array
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame
 from hal.interfaces import LiftOff, OperatorRequest, PressBall
-
-BINNING: Final = 2
-"""Balls are sought and the map is fitted at half size: four times as fast, and with half the noise."""
 
 COLUMNS: Final = 4
 ROWS: Final = 3
@@ -167,15 +162,17 @@ class GuidedCalibration:
         self._ask_next()
 
     def _take_press(self, frame: RawFrame) -> None:
-        press, circles, rejected, complaint = self._read_press(frame)
-        self.progress = replace(self.progress, circles=circles, rejected=rejected, complaint=complaint)
+        if self._divisor is None:
+            raise CalibrationError("a press came before the reference: start the calibration again")
+        read = read_press(frame, self._divisor, self._radius_px)
+        self.progress = replace(self.progress, circles=read.circles, rejected=read.rejected, complaint=read.complaint)
         self._tries += 1
-        if press is None and self._tries < MOST_TRIES:
+        if read.press is None and self._tries < MOST_TRIES:
             again = self.progress.instruction.removeprefix("Once more: ")
             self.progress = replace(self.progress, instruction=f"Once more: {again}")
             return
-        if press is not None:
-            self.presses.append(press)
+        if read.press is not None:
+            self.presses.append(read.press)
         self._places.pop(0)
         self._ask_next()
 
@@ -202,29 +199,11 @@ class GuidedCalibration:
         asked = f"{number}/{wanted}: press the ball {where(*place)}, then push the button."
         self.progress = replace(now, phase="press", instruction=asked, place=place)
 
-    def _read_press(
-        self, frame: RawFrame
-    ) -> tuple[AcceptedPress | None, tuple[Ball, ...], tuple[RejectedBall, ...], str]:
-        """The press that a frame shows, its circles, what was refused, and what is wrong when there is no press."""
-        if self._divisor is None:
-            raise CalibrationError("a press came before the reference: start the calibration again")
-        intensity = divide(bin_bayer(frame, BINNING), self._divisor)
-        search = find_balls(intensity, self._radius_px / BINNING)
-        balls = tuple(ball.enlarged(BINNING) for ball in search.found)
-        rejected = tuple(
-            replace(ball, column=BINNING * ball.column, row=BINNING * ball.row) for ball in search.rejected
-        )
-        if not search.found:
-            reasons = "; ".join(sorted({ball.reason for ball in search.rejected}))
-            return None, (), rejected, f"no usable ball is seen ({reasons})" if reasons else "no ball is seen"
-        samples = gather_samples([(intensity, search.found)]).enlarged(BINNING)
-        return AcceptedPress(frame, balls, rejected, samples), balls, rejected, ""
-
     def _coverage(self) -> Coverage | None:
         if not self.presses:
             return None
         steepest = max(ball.steepest for press in self.presses for ball in press.balls)
-        return measure_coverage(_joined(self.presses), self.reference.shape, steepest)
+        return measure_coverage(joined_samples(self.presses), self.reference.shape, steepest)
 
     def _fit(self) -> InverseFit:
         balls = [ball for press in self.presses for ball in press.balls]
@@ -233,14 +212,9 @@ class GuidedCalibration:
                 f"only {len(balls)} of {self.progress.wanted} presses showed a usable ball and {FEWEST_BALLS} are "
                 "needed: press deeper, wipe ball and gel, and calibrate again"
             )
-        fit = fit_inverse_map(_joined(self.presses), balls, self.reference.shape, max_samples=FITTED_SAMPLES)
+        fit = fit_inverse_map(joined_samples(self.presses), balls, self.reference.shape, max_samples=FITTED_SAMPLES)
         check_fit(fit)
         return fit
-
-
-def _enlarged(ball: RejectedBall) -> RejectedBall:
-    """The same place in sensor pixels."""
-    return replace(ball, column=BINNING * ball.column, row=BINNING * ball.row)
 
 
 def where(column_share: float, row_share: float) -> str:
@@ -248,17 +222,3 @@ def where(column_share: float, row_share: float) -> str:
     across = ("far left", "left", "right", "far right")[min(int(column_share * COLUMNS), COLUMNS - 1)]
     down = ("at the top", "half-way down", "at the bottom")[min(int(row_share * ROWS), ROWS - 1)]
     return f"{across}, {down}"
-
-
-def _joined(presses: Sequence[AcceptedPress]) -> BallSamples:
-    """The samples of all presses, balls numbered through."""
-    first = np.cumsum([0] + [len(press.balls) for press in presses])
-    samples = [press.samples for press in presses]
-    return BallSamples(
-        intensity=np.concatenate([part.intensity for part in samples]),
-        p=np.concatenate([part.p for part in samples]),
-        q=np.concatenate([part.q for part in samples]),
-        column=np.concatenate([part.column for part in samples]),
-        row=np.concatenate([part.row for part in samples]),
-        ball=np.concatenate([part.ball + offset for part, offset in zip(samples, first[:-1], strict=True)]),
-    )

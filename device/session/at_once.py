@@ -6,6 +6,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any, ParamSpec, TypeVar
 
+from device.errors import DeviceError
+from hal.errors import HalError
+
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
@@ -16,10 +19,10 @@ class AtOnce(Executor):
     def submit(
         self, fn: Callable[Arguments, Result], /, *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Future[Result]:
-        """A future that is done; an error waits in it, as a thread's would."""
+        """A future that is done; what an instrument refuses waits in it, as in a thread's."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except BaseException as error:  # noqa: BLE001 - handed on to whoever asks for the result
+        except (DeviceError, HalError) as error:
             future.set_exception(error)
         return future

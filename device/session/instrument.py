@@ -13,6 +13,7 @@ from typing import Self
 from device.bundle_store import BundleStore
 from device.calibration_shelf import CalibrationShelf, Shelved
 from device.gel_log import known_gels
+from device.pairing.opening import PairingSetup
 from device.scan_bundle import Annotations
 from device.scan_marks import Opinion, ScanMark, write_mark
 from device.session.at_once import AtOnce
@@ -23,7 +24,7 @@ from device.session.in_force import InForce
 from device.session.instrument_loop import InstrumentLoop
 from device.session.network import NetworkFacts, network_facts
 from device.session.noticeboard import Noticeboard
-from device.session.pairing_run import PairingPlace, PairingRun
+from device.session.pairing_run import PairingRun
 from device.session.state import CalibrationState, GelState, HealthState, InstrumentState
 from device.surface import HeightMap
 from hal.clock import VirtualClock
@@ -39,7 +40,7 @@ class Instrument:
     hardware : not entered; the instrument enters and leaves it
     store : where scans and calibrations are
     executor : does what takes the processor; a thread of its own when none is given, and none in virtual time
-    place : how workstations reach it; as the installed service has it when none is given
+    pairing : how workstations reach it; as the installed service has it when none is given
     """
 
     def __init__(
@@ -47,16 +48,16 @@ class Instrument:
         hardware: Hardware,
         store: BundleStore,
         executor: Executor | None = None,
-        place: PairingPlace | None = None,
+        pairing: PairingSetup | None = None,
     ) -> None:
         self._hardware = hardware
-        self._place = place or PairingPlace.beside(store.root)
+        self._setup = pairing or PairingSetup()
         virtual = isinstance(hardware.clock, VirtualClock)
         self._store = store
         self._board = Noticeboard(_first_state(hardware, store))
         working = executor or (AtOnce() if virtual else ThreadPoolExecutor(1, "processing"))
-        pairing = PairingRun(self._board, self._place, store.device_id)
-        self._loop = InstrumentLoop(hardware, store, self._board, working, pairing)
+        window = PairingRun(self._board, store, hardware.clock, self._setup)
+        self._loop = InstrumentLoop(hardware, store, self._board, working, window)
 
     # What it is and what happens: from any thread.
 
@@ -157,7 +158,7 @@ class Instrument:
 
     def network(self) -> NetworkFacts:
         """Name, addresses and key fingerprint of this instrument."""
-        return network_facts(self._place.host_key)
+        return network_facts(self._setup.host_key)
 
     # The thread that owns the hardware.
 

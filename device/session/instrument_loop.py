@@ -30,6 +30,8 @@ RETRY_S: Final = 1.0
 HOUSEKEEPING_S: Final = 5.0
 """Room and supply are read again so often."""
 
+NOT_NOW: Final = "not now: a calibration is going on, or a part does not answer: end it, or see to the part"
+
 Command = Callable[["InstrumentLoop"], None]
 
 
@@ -68,6 +70,7 @@ class InstrumentLoop:
             self.hardware.clock.sleep(RETRY_S)
             return
         try:
+            self._pairing.step()
             self._look()
         except (HalError, DeviceError) as error:
             self._out_of_order(error)
@@ -79,19 +82,25 @@ class InstrumentLoop:
             return
         try:
             self.hardware.__enter__()
+            self._is_open = True
             missed = self.hardware.button.forget_presses()
+            if self._run:
+                self._run.cancel()
+            else:
+                self._in_force.prepare()
         except HalError as error:
             self._out_of_order(error)
             return
-        self._is_open = True
-        self._in_force.prepare()
         self.board.change(activity="ready")
+        self._house_ns = None
+        self._keep_house()
         show(self.hardware, "idle")
         if missed:
             self._presses.refuse("hardware", "a push came while a part did not answer and did nothing: push again")
 
     def close(self) -> None:
         """Wait for what is in work and give the hardware back, lights dark."""
+        self._pairing.close()
         self._executor.shutdown(wait=True)
         self._presses.collect()
         self._release()
@@ -101,6 +110,7 @@ class InstrumentLoop:
         self._live.wake()
         if self._run:
             self._run.press()
+            self._live.darkened()
         else:
             self._scan("screen")
 
@@ -110,15 +120,10 @@ class InstrumentLoop:
 
     def start_calibration(self, ball_radius_mm: float) -> None:
         """Begin the guided calibration."""
-        if self._run:
-            self.board.tell(Told("A calibration is going on: end it first."))
+        if self._run or not self._is_open:
+            self.board.tell(Failed(NOT_NOW))
             return
-        plan = CapturePlan.of_board(self.hardware)
-        try:
-            fitted = self._in_force.fitted()
-        except DeviceError as error:
-            self.board.tell(Failed(str(error)))
-            return
+        plan, fitted = CapturePlan.of_board(self.hardware), self._in_force.fitted()
         guide = GuidedCalibration(fitted.profile, ball_radius_mm)
         self._run = CalibrationRun(fitted, self._store, self.board, self._executor, guide, plan, self._end_calibration)
         self._live.begin(plan, None)
@@ -151,7 +156,7 @@ class InstrumentLoop:
     def maintain(self, work: Callable[[InForce], None]) -> None:
         """Something that is done with gel, calibration or zero, between presses."""
         if self._run or not self._is_open:
-            self.board.tell(Failed("not now: a calibration is going on, or a part does not answer"))
+            self.board.tell(Failed(NOT_NOW))
             return
         self._live.wake()
         work(self._in_force)
@@ -167,6 +172,8 @@ class InstrumentLoop:
         with suppress(Empty):
             while True:
                 command = self._commands.get_nowait()
+                if self.board.state.activity == "off":
+                    continue
                 try:
                     command(self)
                 except (DeviceError, HalError) as error:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import os
 import socket
 from dataclasses import dataclass
@@ -11,6 +9,7 @@ from pathlib import Path
 
 from device.errors import RecordError
 from device.pairing.authorized_keys import read_host_key
+from device.pairing.opening import fingerprint_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +34,12 @@ def _addresses() -> tuple[str, ...]:
     """Addresses by which other machines may reach this one; the kernel names the source address of each route."""
     found = []
     for target in ("192.0.2.1", "10.55.0.1", "169.254.1.1"):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                 probe.connect((target, 9))  # a datagram socket sends nothing by being connected
-            except OSError:
-                continue
-            address = str(probe.getsockname()[0])
+                address = str(probe.getsockname()[0])
+        except OSError:
+            continue
         if address not in found and not address.startswith("127."):
             found.append(address)
     return tuple(found)
@@ -48,7 +47,6 @@ def _addresses() -> tuple[str, ...]:
 
 def _fingerprint(host_key: Path) -> str:
     try:
-        data = base64.b64decode(read_host_key(host_key).split()[1])
+        return fingerprint_of(read_host_key(host_key))
     except (RecordError, ValueError) as error:
         return str(error)
-    return "SHA256:" + base64.b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")

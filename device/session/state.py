@@ -100,7 +100,7 @@ class LastScan:
 
 @dataclass(frozen=True, slots=True)
 class PairingState:
-    """The pairing window: the code to type on the workstation, until when (monotonic ns of the machine), or how it
+    """The pairing window: the code to type on the workstation, until when (ns of the instrument's clock), or how it
     ended."""
 
     code: str

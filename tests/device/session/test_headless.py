@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from device.bundle_store import BundleStore
+from device.pairing.opening import PairingSetup
 from device.scanning.selftest import selftest
 from device.session.headless import run_headless
 from device.session.instrument import Instrument
-from device.session.pairing_run import PairingPlace
 from hal.errors import IndicatorError
 from hal.interfaces import ButtonPress
 from hal.rhythm_indicator import RhythmIndicator
@@ -27,9 +27,8 @@ class Watched:
         self.wired = wired
         self.store = store
         self.said: list[str] = []
-        self.instrument = Instrument(
-            wired.hardware, store, place=PairingPlace(store.root / "keys", store.root / "none")
-        )
+        setup = PairingSetup(host_key=store.root / "none")
+        self.instrument = Instrument(wired.hardware, store, pairing=setup)
 
     @property
     def scans(self) -> int:

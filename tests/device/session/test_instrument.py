@@ -9,6 +9,7 @@ import pytest
 
 import device.bundle_store
 from device.bundle_store import BundleStore
+from device.pairing.opening import PairingSetup
 from device.scan_bundle import Annotations
 from device.session.events import (
     CalibrationStep,
@@ -25,7 +26,6 @@ from device.session.events import (
     ZeroChecked,
 )
 from device.session.instrument import Instrument
-from device.session.pairing_run import PairingPlace
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.twin.bench import Bench
@@ -289,8 +289,8 @@ def test_the_pairing_window_opens_on_a_long_push_and_closes(
 ) -> None:
     key = tmp_path / "host_key.pub"
     key.write_text("ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIJ5mZ2Vuc2VsYmFyZXJzY2hsdWVzc2VsMDEyMzQ1 root@handheld\n")
-    place = PairingPlace(tmp_path / "keys", key, port=0)
-    with Instrument(hardware, calibrated, place=place) as instrument:
+    setup = PairingSetup(port=0, host_key=key, keys=tmp_path)
+    with Instrument(hardware, calibrated, pairing=setup) as instrument:
         push(bench, held_s=2.5)
         events = events_of(instrument, 60)
         assert not any(isinstance(event, ScanFinished) for event in events)
@@ -299,5 +299,7 @@ def test_the_pairing_window_opens_on_a_long_push_and_closes(
         assert bench.cues[-1][1] == "pairing"
         assert instrument.state.pairing is not None
         assert instrument.state.pairing.code in opened.sentence.replace(" ", "")
+        bench.clock.sleep(121.0)
+        assert not only(events_of(instrument, 1), PairingChanged).is_open
         assert instrument.network().key_fingerprint.startswith("SHA256:")
     assert calibrated.scans().bundles == ()
