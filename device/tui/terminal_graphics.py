@@ -16,8 +16,9 @@ ATTRIBUTES_QUERY: Final = "\x1b[c"
 """Every terminal answers the second; whoever knows the first answers it before."""
 
 _CHUNK: Final = 4096
-_STEPS: Final = 6
-"""Levels of red, green and blue in a sixel palette: 216 colours, as many as every such terminal has."""
+_MOST_COLOURS: Final = 255
+_LEVELS: Final = 16
+"""Of red, green and blue, from which a palette is chosen."""
 
 
 def graphics_of(answer: str) -> Graphics | None:
@@ -49,19 +50,33 @@ def _kitty(picture: NDArray[np.uint8]) -> str:
 def _sixel(picture: NDArray[np.uint8]) -> str:
     """Bands of six rows; in each, one line for every colour that it holds."""
     rows, columns = picture.shape[:2]
-    level = (picture.astype(np.int32) * (_STEPS - 1) + 127) // 255
-    colour = (level[..., 0] * _STEPS + level[..., 1]) * _STEPS + level[..., 2]
+    colours, place = _palette(picture)
     padded = np.full((-(-rows // 6) * 6, columns), -1, np.int32)
-    padded[:rows] = colour
-    palette = "".join(_palette_entry(number) for number in np.unique(colour).tolist())
+    padded[:rows] = place
+    palette = "".join(_palette_entry(number, parts) for number, parts in enumerate(colours.tolist()))
     bands = "-".join(_band(band) for band in padded.reshape(-1, 6, columns))
     return f'\x1bPq"1;1;{columns};{rows}{palette}{bands}\x1b\\'
 
 
-def _palette_entry(number: int) -> str:
+def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The commonest colours, levels in shape (n, 3), and for each pixel the place of the one nearest to it."""
+    level = (picture.astype(np.int32) * (_LEVELS - 1) + 127) // 255
+    code = (level[..., 0] * _LEVELS + level[..., 1]) * _LEVELS + level[..., 2]
+    present, place, count = np.unique(code, return_inverse=True, return_counts=True)
+    kept = present[np.argsort(-count, kind="stable")[:_MOST_COLOURS]]
+    here, there = _levels_of(present), _levels_of(kept)
+    nearest = np.abs(here[:, np.newaxis] - there).sum(axis=-1).argmin(axis=1)
+    return there, nearest.astype(np.int32)[place].reshape(code.shape)
+
+
+def _levels_of(code: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Levels of red, green and blue, shape (n, 3)."""
+    return np.stack([code // _LEVELS**2, code // _LEVELS % _LEVELS, code % _LEVELS], axis=-1)
+
+
+def _palette_entry(number: int, levels: list[int]) -> str:
     """A colour's number and its red, green and blue in per cent."""
-    parts = (number // _STEPS**2, number // _STEPS % _STEPS, number % _STEPS)
-    red, green, blue = (100 * part // (_STEPS - 1) for part in parts)
+    red, green, blue = (round(100 * level / (_LEVELS - 1)) for level in levels)
     return f"#{number};2;{red};{green};{blue}"
 
 

@@ -15,8 +15,8 @@ import pytest
 from textual.pilot import Pilot
 
 from device.bundle_store import BundleStore
+from device.pairing.opening import PairingSetup
 from device.session.instrument import Instrument
-from device.session.pairing_run import PairingPlace
 from device.tui.app import RetroscanApp
 from device.tui.sheets import ProgramFacts
 from device.tui.terminal import ColourDepth
@@ -136,8 +136,8 @@ def play(bench: Bench, no_ambient_colour_wishes: None) -> Callable[..., None]:
     ) -> None:
         async def on_stage() -> None:
             store = BundleStore(root, bench.clock, boot_id="b0075e1f")
-            place = PairingPlace(root.parent / "authorized_keys", host_key, port=0)
-            with Instrument(twin_hardware(bench), store, place=place) as instrument:
+            pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
+            with Instrument(twin_hardware(bench), store, pairing=pairing) as instrument:
                 app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, looks_per_s=None)
                 async with app.run_test(size=size) as pilot:
                     stage = Stage(app, pilot, instrument, bench, store)

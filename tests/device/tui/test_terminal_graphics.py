@@ -54,11 +54,20 @@ def sixel_pixels(text: str) -> np.ndarray:
     return picture[:rows]
 
 
-def test_sixels_draw_every_pixel_within_half_a_step_of_its_colour() -> None:
-    picture = np.random.default_rng(3).integers(0, 256, (20, 31, 3), dtype=np.uint8)
+def test_sixels_draw_every_pixel_within_half_a_level_of_its_colour() -> None:
+    random = np.random.default_rng(3)
+    colours = random.integers(0, 256, (200, 3), dtype=np.uint8)
+    picture = colours[random.integers(0, 200, (20, 31))]
     drawn = sixel_pixels(encoded(picture, "sixel"))
     assert drawn.shape == picture.shape
-    assert np.abs(drawn.astype(int) - picture).max() <= 27
+    assert np.abs(drawn.astype(int) - picture).max() <= 10
+
+
+def test_more_colours_than_a_sixel_terminal_has_become_their_neighbours() -> None:
+    picture = np.random.default_rng(5).integers(0, 256, (90, 90, 3), dtype=np.uint8)
+    text = encoded(picture, "sixel")
+    assert text.count(";2;") == 255
+    assert np.abs(sixel_pixels(text).astype(int) - picture).mean() < 40
 
 
 def test_kitty_gets_the_very_pixels_in_pieces() -> None:
