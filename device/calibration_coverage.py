@@ -37,6 +37,13 @@ class Coverage(msgspec.Struct, frozen=True):
     directions: dict[str, bool]
     steepest_deg: float
 
+    def next_place(self) -> tuple[float, float] | None:
+        """Middle of the first uncovered sector, as shares of the field's columns and rows; None when all are."""
+        for number, covered in enumerate(self.sectors.values()):
+            if not covered:
+                return (number % SIDES + 0.5) / SIDES, (number // SIDES + 0.5) / SIDES
+        return None
+
     def next_presses(self) -> tuple[str, ...]:
         """What to press next, one sentence each; none when all is covered."""
         empty = [name for name, covered in self.sectors.items() if not covered]
