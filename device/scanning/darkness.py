@@ -15,7 +15,7 @@ DARK_AGAIN_S: Final = 1.0
 
 
 def next_push(hardware: Hardware, longest_wait_s: float | None = None) -> int | None:
-    """When the next press began, ns, or None after `longest_wait_s`; meanwhile lights that should be dark are made dark.
+    """When the next press began, ns, or None after `longest_wait_s`; meanwhile lights that shine are made dark.
 
     Raises
     ------
