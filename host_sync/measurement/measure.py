@@ -88,7 +88,8 @@ class _Instrument:
 
     def spectrum(self, look: _Look) -> PowerSpectrum | None:
         """The spectrum of a look."""
-        return None if self._spectrum is None else PowerSpectrum(self._spectrum.per_um, look.traces[-1])
+        bands = self._spectrum
+        return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, look.traces[-1])
 
 
 def measure_result(

@@ -142,6 +142,7 @@ def _spectrum(measurement: Measurement) -> dict[str, Any] | None:
         return None
     return {
         "frequency_per_um": _numbers(found.spectrum.per_um),
+        "width_per_um": _numbers(found.spectrum.width_per_um),
         "density_um3": _numbers(found.spectrum.density_um3),
         "sigma_um3": None if found.sigma_um3 is None else _numbers(found.sigma_um3),
     }
