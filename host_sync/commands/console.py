@@ -12,6 +12,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from host_sync.plain_text import printable
+
 DONE: Final = 0
 PARTLY: Final = 1
 BAD_INPUT: Final = 2
@@ -19,13 +21,13 @@ CONNECTION: Final = 3
 
 
 def say(line: str) -> None:
-    """Write one line as it is."""
-    sys.stdout.write(line + "\n")
+    """Write one line."""
+    sys.stdout.write(printable(line) + "\n")
 
 
 def complain(what: object, code: int) -> int:
     """Say what is wrong; returns the exit code."""
-    sys.stderr.write(f"retrosync: {what}\n")
+    sys.stderr.write(f"retrosync: {printable(str(what))}\n")
     return code
 
 

@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 
 from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.plain_text import printable
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 
@@ -63,7 +62,7 @@ def as_text(measurement: Measurement) -> str:
             )
         lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
     lines += ["", *(f"- {note}" for note in measurement.notes)]
-    return "\n".join(printable(line) for line in lines)
+    return "\n".join(lines)
 
 
 def as_record(measurement: Measurement) -> dict[str, Any]:
