@@ -59,7 +59,7 @@ class _Instrument:
 
     def __init__(self, surface: ResultSurface, recipe: Recipe) -> None:
         height = surface.height
-        self.areal = ArealMeasurand(recipe, height, surface.record.steepest_slope_deg)
+        self.areal = ArealMeasurand(recipe, height, surface.extrapolated)
         self.profiles = [ProfileMeasurand(table, height) for table in recipe.profile]
         self.others: list[Measurand] = [*self.profiles, *_others(recipe, height)]
         self._spectrum: RadialSpectrum | None = None
