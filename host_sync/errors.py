@@ -66,3 +66,7 @@ class ExportError(HostError, OSError):
 
 class FilterError(HostError, ValueError):
     """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""
+
+
+class ViewError(HostError, LookupError):
+    """What was to be looked at is not there, or cannot be shown. Name a library, a result or another scan."""

@@ -49,7 +49,7 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """A scan that answers to a query; `taken` is the device's own idea of the time."""
+    """A scan that answers to a query; `taken` is the device's own idea of the time, `reason` the verdict's."""
 
     scan_id: str
     taken: str
@@ -57,6 +57,9 @@ class Hit:
     job: str | None
     part: str | None
     gel: str
+    operator: str | None
+    device: str
+    reason: str
 
 
 def search(library: Library, query: Query) -> list[Hit]:
@@ -74,7 +77,7 @@ def search(library: Library, query: Query) -> list[Hit]:
     clauses += [f"substr(taken, 1, 10) {'>=' if name == 'since' else '<='} :{name}" for name in days]
     # Only names of columns from this file are put into the text; every value goes in by name.
     sql = (
-        f"SELECT id, taken, verdict, job, part, gel FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
+        f"SELECT id, taken, verdict, job, part, gel, operator, device, reason FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
     )
     return [Hit(*row) for row in _ask(library, sql, given | days)]
 
