@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
-from host_sync.commands import exporting, offload
+from host_sync.commands import exporting, offload, viewing
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
 from host_sync.compile_notice import tell_of_compiling
@@ -70,6 +70,7 @@ def _let_output_go() -> None:
 offload.register(app)
 library_commands.register(app)
 exporting.register(app)
+viewing.register(app)
 
 
 @app.command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
 from typing import Final
@@ -30,7 +30,7 @@ class Wanted:
     words : all of them must occur in what is known of a scan
     """
 
-    query: Query = Query()
+    query: Query = field(default_factory=Query)
     words: tuple[str, ...] = ()
 
 

@@ -97,12 +97,10 @@ def _places(line: Line, shape: tuple[int, int]) -> tuple[NDArray[np.float64], ND
     if not line.length_px > 0:
         raise ViewError("the profile has no length: draw it from one place to another")
     count = min(int(np.ceil(line.length_px - NEAREST_WHOLE)) + 1, MOST_POINTS)
-    return np.linspace(*ends[0], count), np.linspace(*ends[1], count)
+    return np.linspace(line.row_0, line.row_1, count), np.linspace(line.column_0, line.column_1, count)
 
 
-def _between(
-    values: Float32Array, rows: NDArray[np.float64], columns: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _between(values: Float32Array, rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bilinear between pixels; a pixel that does not count is not looked at, even if it is invalid."""
     row, column = np.floor(rows).astype(int), np.floor(columns).astype(int)
     down, right = rows - row, columns - column

@@ -104,9 +104,8 @@ def _first_means(z_um: Float32Array, pitch_um: float) -> Means:
     for first, last in _bands(rows):
         shape = (last - first, columns)
         p, q, weight = _slopes(z_um, pitch_um, first, last)
-        fine = Means(
-            *(_padded(part, shape, 0.0) for part in (p, q, np.where(weight > 0, z_um[first:last], 0.0), weight))
-        )
+        inside = np.where(weight > 0, z_um[first:last], np.float32(0.0)).astype(np.float32)
+        fine = Means(*(_padded(part, shape, 0.0) for part in (p, q, inside, weight)))
         coarse = _halved(fine)
         there = slice(first // 2, last // 2)
         for name in ("p", "q", "z_um", "weight"):

@@ -1,8 +1,9 @@
 """Two presses of one thing laid on each other: shift, turn and level, and what remains.
 
 Phase correlation of the slopes finds the shift to a cell of the reduced field; it sees no level and no slow form. Then
-least squares over the common field find shift, turn, height and tilt together to a part of a pixel, pixels that do not
-fit weigh less. Why slopes and not heights for the first step: a press deeper or tilted has other heights, not other detail.
+least squares over the common field find shift, turn, height and tilt together to a part of a pixel; pixels that do not
+fit weigh less. Why slopes and not heights for the first step: a press deeper or tilted has other heights, but the same
+detail.
 """
 
 from __future__ import annotations
@@ -182,11 +183,11 @@ def _moved(z_um: Float32Array, pose: _Pose, shape: tuple[int, ...], step: int) -
 
 def _plane(shape: tuple[int, ...], level: Float64, step: int) -> Float32Array:
     row, column = _centred(shape, shape, step)
-    return (level[0] + level[1] * row + level[2] * column).astype(np.float32)
+    return np.asarray(level[0] + level[1] * row + level[2] * column, np.float32)
 
 
 def _centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[Float32Array, Float32Array]:
-    """Rows and columns of the cells' centres as seen from the map's centre, px of the full map: each of shape (h, w)."""
+    """Rows and columns of the cells' centres from the map's centre, px of the full map: arrays of shape (h, w)."""
     places = [
         ((np.arange(count) + 0.5) * step - 0.5 - 0.5 * (whole - 1)).astype(np.float32)
         for count, whole in zip(shape[:2], full[:2], strict=True)
