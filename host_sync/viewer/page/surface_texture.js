@@ -18,21 +18,24 @@ export class SurfaceTexture {
     this.renderer = renderer;
     this.gl = renderer.getContext();
     this.onlevel = onlevel;
-    this.surface = new ExternalTexture(this.make());
-    this.valid = new ExternalTexture(this.make());
+    this.skipped = this.finestPossible;
+    this.surface = new ExternalTexture(this.make(this.gl.RGBA16F));
+    this.valid = new ExternalTexture(this.make(this.gl.R8));
     this.wanted = this.count - 1;
     this.loading = null;
   }
 
-  make() {
+  make(form) {
     const { gl } = this;
     const texture = gl.createTexture();
     this.bind(texture);
+    const [rows, columns] = this.levelSize(this.skipped);
+    gl.texStorage2D(gl.TEXTURE_2D, this.count - this.skipped, form, columns, rows);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAX_LEVEL, this.count - 1);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAX_LEVEL, this.count - 1 - this.skipped);
     const sharper = gl.getExtension("EXT_texture_filter_anisotropic");
     if (sharper) {
       const most = gl.getParameter(sharper.MAX_TEXTURE_MAX_ANISOTROPY_EXT);
@@ -75,7 +78,7 @@ export class SurfaceTexture {
 
   /** Ask for levels down to this one; what is missing comes from coarse to fine. */
   want(level, page = 0) {
-    this.wanted = Math.max(this.finestPossible, Math.min(this.count - 1, level));
+    this.wanted = Math.max(this.skipped, Math.min(this.count - 1, level));
     if (page !== this.page) {
       this.stop();
       this.page = page;
@@ -102,17 +105,12 @@ export class SurfaceTexture {
 
   async loadLevel(level, page, signal) {
     const [rows, columns] = this.levelSize(level);
-    const { gl } = this;
     const step = Math.max(2, Math.floor(BAND_PIXELS / columns / 2) * 2);
-    this.allocate(level, rows, columns);
     for (let first = 0; first < rows; first += step) {
       const last = Math.min(first + step, rows);
       const part = await levelRows(this.facts.key, page, level, first, last, signal);
       if (signal.aborted) return;
-      this.bind(this.surface.sourceTexture);
-      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, first, columns, last - first, gl.RGBA, gl.HALF_FLOAT, part.surface);
-      this.bind(this.valid.sourceTexture);
-      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, first, columns, last - first, gl.RED, gl.UNSIGNED_BYTE, part.valid);
+      this.put(level, first, last - first, columns, part);
     }
     this.show(level);
   }
@@ -125,35 +123,26 @@ export class SurfaceTexture {
       parts.push([level, await levelRows(this.facts.key, page, level, 0, rows, signal)]);
     }
     if (signal.aborted) return;
-    const { gl } = this;
-    for (const [level, part] of parts) {
-      const [rows, columns] = this.levelSize(level);
-      this.allocate(level, rows, columns);
-      this.bind(this.surface.sourceTexture);
-      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, 0, columns, rows, gl.RGBA, gl.HALF_FLOAT, part.surface);
-      this.bind(this.valid.sourceTexture);
-      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, 0, columns, rows, gl.RED, gl.UNSIGNED_BYTE, part.valid);
-    }
+    for (const [level, part] of parts) this.put(level, 0, ...this.levelSize(level), part);
     this.fresh = false;
     this.show(this.wanted);
   }
 
-  allocate(level, rows, columns) {
+  /** Upload some rows of a level. */
+  put(level, first, rows, columns, part) {
     const { gl } = this;
-    this.allocated ??= new Set();
-    if (this.allocated.has(level)) return;
-    this.allocated.add(level);
+    const at = level - this.skipped;
     this.bind(this.surface.sourceTexture);
-    gl.texImage2D(gl.TEXTURE_2D, level, gl.RGBA16F, columns, rows, 0, gl.RGBA, gl.HALF_FLOAT, null);
+    gl.texSubImage2D(gl.TEXTURE_2D, at, 0, first, columns, rows, gl.RGBA, gl.HALF_FLOAT, part.surface);
     this.bind(this.valid.sourceTexture);
-    gl.texImage2D(gl.TEXTURE_2D, level, gl.R8, columns, rows, 0, gl.RED, gl.UNSIGNED_BYTE, null);
+    gl.texSubImage2D(gl.TEXTURE_2D, at, 0, first, columns, rows, gl.RED, gl.UNSIGNED_BYTE, part.valid);
   }
 
   show(level) {
     this.finest = level;
     for (const texture of [this.surface, this.valid]) {
       this.bind(texture.sourceTexture);
-      this.gl.texParameteri(this.gl.TEXTURE_2D, this.gl.TEXTURE_BASE_LEVEL, level);
+      this.gl.texParameteri(this.gl.TEXTURE_2D, this.gl.TEXTURE_BASE_LEVEL, level - this.skipped);
     }
     this.onlevel(level);
   }
