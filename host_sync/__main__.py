@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
-from host_sync.commands import exporting, offload, viewing
+from host_sync.commands import exporting, offload, rendering, viewing
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
 from host_sync.compile_notice import tell_of_compiling
@@ -71,6 +71,7 @@ offload.register(app)
 library_commands.register(app)
 exporting.register(app)
 viewing.register(app)
+rendering.register(app)
 
 
 @app.command

@@ -68,5 +68,9 @@ class FilterError(HostError, ValueError):
     """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""
 
 
+class RenderError(HostError, ValueError):
+    """A picture cannot be made as it was asked for. Give another size, light, viewpoint or kind of file."""
+
+
 class ViewError(HostError, LookupError):
     """What was to be looked at is not there, or cannot be shown. Name a library, a result or another scan."""

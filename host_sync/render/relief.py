@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from device.surface import HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.render.shading import flat_brightness, shade
 from host_sync.render.tints import HIGHLIGHT, tint_table
 
@@ -25,11 +25,19 @@ def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: f
     low_um, high_um : heights of the first and the last tint, µm
     exaggeration : factor on the slopes that are shaded
     """
+    return tinted(height, shade(height, exaggeration=exaggeration), flat_brightness(), low_um, high_um)
+
+
+def tinted(height: HeightMap, brightness: Float32Array, flat: float, low_um: float, high_um: float) -> Picture:
+    """Picture of shape (H, W, 3): the tint of the height, darker or lighter as it is less or more bright than a flat.
+
+    brightness : float32 array of shape (H, W), 0 to 1; NaN becomes white
+    flat : brightness of a flat under the same light
+    """
     picture = np.empty((*height.z_um.shape, 3), np.uint8)
     share = np.float32(1.0 / max(high_um - low_um, 1e-9))
-    brightness = shade(height, exaggeration=exaggeration)
-    flat = np.float32(flat_brightness())
-    _tint(np.ascontiguousarray(height.z_um), brightness, np.float32(low_um), share, flat, tint_table(), picture)
+    low = np.float32(low_um)
+    _tint(np.ascontiguousarray(height.z_um), brightness, low, share, np.float32(flat), tint_table(), picture)
     return picture
 
 

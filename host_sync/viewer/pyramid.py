@@ -129,8 +129,9 @@ def _slopes(
     kept = slice(first - top, last - top)
     p, q = p[kept], q[kept]
     known = np.isfinite(p) & np.isfinite(q)
-    p, q = (np.where(known, np.clip(slope, -STEEPEST, STEEPEST), np.float32(0.0)) for slope in (p, q))
-    return p.astype(np.float32), q.astype(np.float32), known.astype(np.float32)
+    bounded = (np.where(known, np.clip(slope, -STEEPEST, STEEPEST), np.float32(0.0)) for slope in (p, q))
+    p, q = (np.asarray(slope, np.float32) for slope in bounded)
+    return p, q, known.astype(np.float32)
 
 
 def _halved(fine: Means) -> Means:
@@ -142,7 +143,7 @@ def _halved(fine: Means) -> Means:
 
     weight = mean(fine.weight)
     share = np.maximum(weight, np.float32(1e-6))
-    p, q, z = (mean(part * fine.weight) / share for part in (fine.p, fine.q, fine.z_um))
+    p, q, z = (np.asarray(mean(part * fine.weight) / share, np.float32) for part in (fine.p, fine.q, fine.z_um))
     return Means(p, q, z, weight)
 
 

@@ -22,6 +22,10 @@ COARSE_PX: Final = 768
 FIT_PX: Final = 1024
 ROUNDS: Final = 12
 SETTLED_PX: Final = 0.002
+TURN_GAIN: Final = 0.9
+"""A turn counts when it leaves at most this share of the median that shift and level alone leave."""
+
+NOTHING_IN_COMMON: Final = "the two scans have hardly any pixel in common: choose two of the same place"
 LEAST_SHARE: Final = 0.02
 """The common field must be at least this share of the first map."""
 
@@ -69,17 +73,19 @@ def difference(first: HeightMap, second: HeightMap) -> Difference:
         They show nothing in common.
     """
     other = _at_pitch(second, first.pitch_um)
-    pose = _coarse(first.z_um, other)
-    pose, level = _refined(first.z_um, other, pose)
+    start = _coarse(first.z_um, other)
+    straight, turned = (_refined(first.z_um, other, start, turning=turning) for turning in (False, True))
+    # A round thing can be turned at will: a turn counts only when it explains what remains.
+    pose, level, _ = turned if turned[2] < TURN_GAIN * straight[2] else straight
     moved = _moved(other, pose, first.z_um.shape, 1)
     rest = moved - first.z_um - _plane(first.z_um.shape, level, 1)
     known = np.isfinite(rest)
     if known.mean() < LEAST_SHARE:
-        raise ViewError("the two scans have hardly any pixel in common: choose two of the same place")
+        raise ViewError(NOTHING_IN_COMMON)
     pitch_um = first.pitch_um
     return Difference(
         z_um=rest.astype(np.float32),
-        shift_um=(pose.down * pitch_um, pose.right * pitch_um),
+        shift_um=(float(pose.down) * pitch_um, float(pose.right) * pitch_um),
         turn_deg=float(np.degrees(pose.turn)),
         offset_um=float(level[0]),
         tilt=(float(level[1]) / pitch_um, float(level[2]) / pitch_um),
@@ -128,43 +134,47 @@ def _complex_slopes(z_um: Float32Array) -> NDArray[np.complex128]:
     return np.asarray(np.where(known, slopes - slopes[known].mean(), 0.0), np.complex128)
 
 
-def _refined(first: Float32Array, second: Float32Array, pose: _Pose) -> tuple[_Pose, Float64]:
-    """Shift and turn to a part of a pixel, and the level (height, tilt a row, tilt a column; µm and µm/px)."""
+def _refined(first: Float32Array, second: Float32Array, pose: _Pose, *, turning: bool) -> tuple[_Pose, Float64, float]:
+    """Shift and turn to a part of a pixel, level (height, tilts; µm, µm/px), and the median of what remains, µm."""
     step = max(1, int(np.ceil(max(first.shape) / FIT_PX)))
     fixed = _reduced(first, step)
     row, column = _centred(fixed.shape, first.shape, step)
-    level = np.zeros(3)
+    level, left_um = np.zeros(3), 0.0
     for _ in range(ROUNDS):
         moved = _moved(second, pose, fixed.shape, step)
         q, p = np.gradient(moved, float(step))
         rest = moved - fixed
         known = np.isfinite(rest) & np.isfinite(p) & np.isfinite(q)
         if known.mean() < LEAST_SHARE:
-            raise ViewError("the two scans have hardly any pixel in common: choose two of the same place")
-        turned = q * column - p * row
-        design = np.stack([np.ones_like(p), row, column, -q, -p, -turned], axis=-1)[known].astype(np.float64)
-        found = _robust(design, rest[known].astype(np.float64))
+            raise ViewError(NOTHING_IN_COMMON)
+        columns = [np.ones_like(p), row, column, -q, -p, p * row - q * column][: 6 if turning else 5]
+        design = np.stack(columns, axis=-1)[known].astype(np.float64)
+        found, left_um = _robust(design, rest[known].astype(np.float64))
         level = found[:3]
-        pose = _Pose(pose.down + found[3], pose.right + found[4], pose.turn + found[5])
+        pose = _Pose(pose.down + found[3], pose.right + found[4], pose.turn + (found[5] if turning else 0.0))
         if np.abs(found[3:5]).max() < SETTLED_PX:
             break
-    return pose, level
+    return pose, level, left_um
 
 
-def _robust(design: Float64, target: Float64) -> Float64:
-    """Least squares in which what is far off weighs less (Tukey); directions that nothing determines stay nought."""
+def _robust(design: Float64, target: Float64) -> tuple[Float64, float]:
+    """Least squares in which what is far off weighs less (Tukey), and the median of what remains.
+
+    Directions that nothing determines stay nought.
+    """
     scale = np.maximum(np.sqrt((design**2).mean(axis=0)), 1e-12)
     scaled = design / scale
     weight = np.ones(len(target))
-    found = np.zeros(design.shape[1])
+    found, median = np.zeros(design.shape[1]), 0.0
     for _ in range(4):
         weighted = scaled * weight[:, None]
         # Shift and tilt of a ball are one and the same: what the data leave open is not moved.
         found = np.linalg.lstsq(weighted.T @ scaled, weighted.T @ target, rcond=1e-6)[0]
         off = np.abs(target - scaled @ found)
-        spread = max(4.685 * 1.4826 * float(np.median(off)), 1e-9)
+        median = float(np.median(off))
+        spread = max(4.685 * 1.4826 * median, 1e-9)
         weight = np.clip(1.0 - (off / spread) ** 2, 0.0, None) ** 2
-    return np.asarray(found / scale)
+    return np.asarray(found / scale), median
 
 
 def _moved(z_um: Float32Array, pose: _Pose, shape: tuple[int, ...], step: int) -> Float32Array:
@@ -175,10 +185,10 @@ def _moved(z_um: Float32Array, pose: _Pose, shape: tuple[int, ...], step: int) -
     centre = (0.5 * (full[0] - 1), 0.5 * (full[1] - 1))
     at_row = centre[0] + pose.down + np.cos(pose.turn) * row + np.sin(pose.turn) * column
     at_column = centre[1] + pose.right - np.sin(pose.turn) * row + np.cos(pose.turn) * column
-    cells = [((at + 0.5) / step - 0.5).astype(np.float32) for at in (at_column, at_row)]
-    return np.asarray(
-        cv2.remap(small, *cells, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")), np.float32
-    )
+    right, down = (((at + 0.5) / step - 0.5).astype(np.float32) for at in (at_column, at_row))
+    blank = float("nan")
+    moved = cv2.remap(small, right, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=blank)
+    return np.asarray(moved, np.float32)
 
 
 def _plane(shape: tuple[int, ...], level: Float64, step: int) -> Float32Array:

@@ -11,6 +11,7 @@ async function ask(path, options = {}) {
   if (answer.ok) return answer;
   const kind = answer.headers.get("Content-Type") ?? "";
   if (kind.startsWith("application/json")) throw new Error((await answer.json()).error);
+  if (answer.status >= 500) throw new Error("The viewer failed at this: its terminal says how.");
   throw new Error("The viewer was started anew: open the address that it printed.");
 }
 

@@ -62,7 +62,7 @@ export class LookPanel {
       factor.textContent = `×${plain(Number(look.exaggeration.toPrecision(3)))}`;
       slider.setAttribute("aria-valuetext", `heights times ${plain(Number(look.exaggeration.toPrecision(3)))}`);
     });
-    const exaggeration = field("Heights", slider);
+    const exaggeration = field("Exaggerate", slider);
     exaggeration.append(factor);
     const colours = [["height", "Heights"], ["white", "White plaster"]];
     if (onframe) colours.push(["frame", "Frame"]);
@@ -72,8 +72,8 @@ export class LookPanel {
     this.element = h("div", { class: "sections" },
       section("Light", this.dial.element),
       section("Surface",
-        choice("colour", "Colour", colours),
-        choice("palette", "Colours", palettes),
+        choice("colour", "Colour by", colours),
+        choice("palette", "Palette", palettes),
         exaggeration,
         h("div", { class: "pair" }, number("low", "From", "µm"), number("high", "To", "µm")),
         h("div", { class: "row" }, toggle("shading", "Shading"),
@@ -126,4 +126,4 @@ function section(title, ...children) {
 
 const toSlider = (factor) => Math.round((100 * Math.log(factor)) / Math.log(50));
 const fromSlider = (place) => (place === 0 ? 1 : Number((50 ** (place / 100)).toPrecision(3)));
-const plainNumber = (value) => Number(value.toPrecision(5));
+const plainNumber = (value) => Number(value.toPrecision(4));

@@ -47,6 +47,7 @@ async function show() {
       : error.message;
     main.prepend(h("p", { class: "problem", role: "alert" }, words));
   }
+  main.scrollTop = 0;
   if (mine > 1) main.focus({ preventScroll: true });
 }
 

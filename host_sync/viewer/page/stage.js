@@ -65,7 +65,7 @@ export class Stage {
     this.relief.apply(this.look);
     const { look } = this;
     if (look.uncertainty && this.relief.sigmaHigh !== undefined) {
-      this.legend.show("cividis", 0, this.relief.sigmaHigh, "± one standard uncertainty, µm");
+      this.legend.show("cividis", 0, this.relief.sigmaHigh, "Uncertainty ±, µm");
     } else if (look.colour === "height") {
       this.legend.show(look.palette, look.low, look.high, this.facts.kind === "difference" ? "Difference, µm" : "Height, µm");
     } else this.legend.show(null);
