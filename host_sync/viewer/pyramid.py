@@ -128,7 +128,8 @@ def _slopes(
     q, p = np.gradient(z_um[top:bottom] / np.float32(pitch_um))
     kept = slice(first - top, last - top)
     p, q = p[kept], q[kept]
-    known = np.isfinite(p) & np.isfinite(q)
+    # A central difference does not look at its own pixel.
+    known = np.isfinite(p) & np.isfinite(q) & np.isfinite(z_um[first:last])
     bounded = (np.where(known, np.clip(slope, -STEEPEST, STEEPEST), np.float32(0.0)) for slope in (p, q))
     p, q = (np.asarray(slope, np.float32) for slope in bounded)
     return p, q, known.astype(np.float32)

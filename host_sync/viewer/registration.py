@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from device.surface import Float32Array, HeightMap
 from host_sync.errors import ViewError
+from host_sync.viewer.resampling import between_pixels
 
 COARSE_PX: Final = 768
 FIT_PX: Final = 1024
-ROUNDS: Final = 12
+ROUNDS: Final = 20
+MOST_EQUATIONS: Final = 60_000
 SETTLED_PX: Final = 0.002
 TURN_GAIN: Final = 0.9
 """A turn counts when it leaves at most this share of the median that shift and level alone leave."""
@@ -147,9 +149,11 @@ def _refined(first: Float32Array, second: Float32Array, pose: _Pose, *, turning:
         known = np.isfinite(rest) & np.isfinite(p) & np.isfinite(q)
         if known.mean() < LEAST_SHARE:
             raise ViewError(NOTHING_IN_COMMON)
-        columns = [np.ones_like(p), row, column, -q, -p, p * row - q * column][: 6 if turning else 5]
-        design = np.stack(columns, axis=-1)[known].astype(np.float64)
-        found, left_um = _robust(design, rest[known].astype(np.float64))
+        parts = [np.ones_like(p), row, column, -q, -p, p * row - q * column][: 6 if turning else 5]
+        places = np.flatnonzero(known)
+        places = places[:: max(1, len(places) // MOST_EQUATIONS)]
+        design = np.stack([part.ravel()[places] for part in parts], axis=-1).astype(np.float64)
+        found, left_um = _robust(design, rest.ravel()[places].astype(np.float64))
         level = found[:3]
         pose = _Pose(pose.down + found[3], pose.right + found[4], pose.turn + (found[5] if turning else 0.0))
         if np.abs(found[3:5]).max() < SETTLED_PX:
@@ -185,10 +189,8 @@ def _moved(z_um: Float32Array, pose: _Pose, shape: tuple[int, ...], step: int) -
     centre = (0.5 * (full[0] - 1), 0.5 * (full[1] - 1))
     at_row = centre[0] + pose.down + np.cos(pose.turn) * row + np.sin(pose.turn) * column
     at_column = centre[1] + pose.right - np.sin(pose.turn) * row + np.cos(pose.turn) * column
-    right, down = (((at + 0.5) / step - 0.5).astype(np.float32) for at in (at_column, at_row))
-    blank = float("nan")
-    moved = cv2.remap(small, right, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=blank)
-    return np.asarray(moved, np.float32)
+    down, right = (((at + 0.5) / step - 0.5).astype(np.float32) for at in (at_row, at_column))
+    return between_pixels(small, down, right)
 
 
 def _plane(shape: tuple[int, ...], level: Float64, step: int) -> Float32Array:

@@ -13,7 +13,7 @@ export class ProfilePlot {
   constructor(oncursor = () => {}) {
     this.oncursor = oncursor;
     this.drawing = svg("svg", { class: "plot" });
-    this.summary = h("p", { class: "plot-summary" });
+    this.summary = h("p", { class: "plot-summary" }, "Drag across the relief to draw a profile.");
     this.reading = h("p", { class: "plot-reading" });
     this.slider = h("input", { type: "range", min: 0, max: 0, step: 1, value: 0, class: "plot-cursor",
       "aria-label": "Place along the profile", oninput: () => this.point(Number(this.slider.value)) });

@@ -23,6 +23,7 @@ class ScanPage {
       label: facts.title,
       onlight: () => this.panel.changed(),
       online: (line) => this.profile(line),
+      ontool: (tool) => tool === "line" && (this.plotBox.hidden = false), // before drawing: nothing may move meanwhile
     });
     this.panel = new LookPanel(facts, this.look, {
       onchange: () => this.stage.relief && this.stage.apply(),

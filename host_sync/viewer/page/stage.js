@@ -14,14 +14,16 @@ export class Stage {
   /**
    * look: of this relief, changed by the light tool through `onlight`
    * online: called with the line when its ends move; null when profiles are not drawn here
+   * ontool: called with the tool that was chosen
    * onview: called when one of several linked views moves
    */
-  constructor(facts, look, palettes, { onlight, online = null, onview = () => {}, label }) {
+  constructor(facts, look, palettes, { onlight, online = null, ontool = () => {}, onview = () => {}, label }) {
     this.facts = facts;
     this.look = look;
     this.onlight = onlight;
     this.online = online;
     this.moved = onview;
+    this.ontool = ontool;
     this.tool = "move";
     this.line = null;
     this.canvas = h("canvas", { tabindex: 0, role: "application", "aria-roledescription": "relief", "aria-label":
@@ -95,6 +97,7 @@ export class Stage {
   choose(tool) {
     this.tool = tool;
     this.surface.dataset.tool = tool;
+    this.ontool(tool);
     for (const [name, button] of this.tools) button.setAttribute("aria-pressed", String(name === tool));
     announce({ move: "Dragging moves the view", light: "Dragging moves the light", line: "Dragging draws a profile" }[tool]);
   }
