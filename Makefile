@@ -39,7 +39,7 @@ test: set-up ## the one gate: lint, types, import contracts, tests
 powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, systemd's checks (asks for root)
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, systemd's checks (asks for root)
 	@bash .ci/test-deps
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)

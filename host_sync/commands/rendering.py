@@ -29,16 +29,26 @@ class Look:
 
     Attributes
     ----------
-    width: Of each picture, px.
-    azimuth: See the relief from here: degrees counter-clockwise from its right edge; 270 is before it.
-    elevation: See the relief from so many degrees above its plane; with neither, from straight above.
-    field: Width of the view in degrees; 0 is orthographic, as in the paper.
-    light_azimuth: Degrees counter-clockwise from the right edge; 135 is the upper left.
-    light_elevation: Degrees above the plane.
-    exaggeration: Factor on heights; chosen so that slopes are readable when not given.
-    colour: By height, or white plaster as in the paper.
-    shadow: Let the relief throw shadows.
-    occlusion: Darken what sees little of the sky.
+    width
+        Of each picture, px.
+    azimuth
+        See the relief from here: degrees counter-clockwise from its right edge; 270 is before it.
+    elevation
+        See the relief from so many degrees above its plane; with neither, from straight above.
+    field
+        Width of the view in degrees; 0 is orthographic, as in the paper.
+    light_azimuth
+        Degrees counter-clockwise from the right edge; 135 is the upper left.
+    light_elevation
+        Degrees above the plane.
+    exaggeration
+        Factor on heights; chosen so that slopes are readable when not given.
+    colour
+        By height, or white plaster as in the paper.
+    shadow
+        Let the relief throw shadows.
+    occlusion
+        Darken what sees little of the sky.
     """
 
     width: int = 1600
@@ -94,11 +104,16 @@ def render_command(
 
     Parameters
     ----------
-    results: Results, folders with results in them, or libraries.
-    out: The picture (.png, .jpg, .tif); a folder for those of several; with --turntable an .mp4 or .gif.
-    contact_sheet: All on one sheet, with names.
-    across: So many of a contact sheet side by side.
-    turntable: A movie that goes once around.
+    results
+        Results, folders with results in them, or libraries.
+    out
+        The picture (.png, .jpg, .tif); a folder for those of several; with --turntable an .mp4 or .gif.
+    contact_sheet
+        All on one sheet, with names.
+    across
+        So many of a contact sheet side by side.
+    turntable
+        A movie that goes once around.
     """
     look = look or Look()
     if contact_sheet and turntable:

@@ -31,12 +31,18 @@ def view_command(
 
     Parameters
     ----------
-    what: A library, a folder with results in it, or one result; ~/Retrograph when not given.
-    frames: The FRAMESET.toml that results were made from, to show their frames.
-    host: Address to listen at. Beyond this machine whoever has the printed address sees everything, unencrypted.
-    port: To listen at; a free one when not given.
-    cache: Folder that may be deleted at any time; in the user's cache when not given.
-    browser: Open the page in the desktop's browser.
+    what
+        A library, a folder with results in it, or one result; ~/Retrograph when not given.
+    frames
+        The FRAMESET.toml that results were made from, to show their frames.
+    host
+        Address to listen at. Beyond this machine whoever has the printed address sees everything, unencrypted.
+    port
+        To listen at; a free one when not given.
+    cache
+        Folder that may be deleted at any time; in the user's cache when not given.
+    browser
+        Open the page in the desktop's browser.
     """
     from host_sync.frame_set import load_frame_set
     from host_sync.viewer.access import LOOPBACK, Access
