@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 from cyclopts import App
@@ -63,7 +64,8 @@ def view_command(
         sys.stdout.flush()
         if browser and _has_desktop():
             webbrowser.open(access.address)
-        server.run(sockets=[listener])
+        with suppress(KeyboardInterrupt):  # that is how it is ended
+            server.run(sockets=[listener])
     return DONE
 
 

@@ -23,6 +23,8 @@ _FACTS: Final = (
 )  # fmt: skip
 """Entries of a record that the page shows."""
 
+_LISTS: Final = ("warnings", "shift_um", "tilt")
+
 
 def json_answer(content: Any) -> Response:
     """JSON; what is no number is null."""
@@ -41,20 +43,35 @@ def level_answer(level: Level) -> Response:
     return binary_answer(level.surface.tobytes() + level.valid.tobytes(), {"Rows": rows, "Columns": columns})
 
 
+def readable(text: str) -> str:
+    """A path's words without the bytes that are no text."""
+    return text.encode(errors="replace").decode()
+
+
+def _is_plain(value: Any, name: str) -> bool:
+    """Whether a record's value is of the kind that the page expects under that name."""
+    if name in _LISTS:
+        kind: Any = str if name == "warnings" else int | float
+        return isinstance(value, list | tuple) and all(isinstance(one, kind) for one in value)
+    if name.endswith(("_um", "_share", "_deg")):
+        return isinstance(value, int | float)
+    return isinstance(value, str | bool)
+
+
 def entry_facts(entry: Entry) -> dict[str, Any]:
     """What the list says of an entry."""
     hit = entry.hit
     told: dict[str, Any] = {
         "key": entry.key,
         "kind": entry.kind,
-        "title": entry.title,
+        "title": readable(entry.title),
         "rows": entry.shape[0],
         "columns": entry.shape[1],
         "pitch_um": entry.pitch_um,
         "pages": entry.pages,
         "rate_hz": entry.rate_hz,
         "stamp": entry.stamp(),
-        "record": {name: entry.record[name] for name in _FACTS if name in entry.record},
+        "record": {name: entry.record[name] for name in _FACTS if _is_plain(entry.record.get(name), name)},
     }
     if hit is not None:
         told |= {
@@ -77,7 +94,7 @@ def profile_facts(found: Profile, entry: Entry) -> dict[str, Any]:
     first, last = (int(ends[0]), int(ends[-1])) if ends.size else (0, 0)
     step = float(found.z_um[last] - found.z_um[first]) if ends.size else None
     return {
-        "title": entry.title,
+        "title": readable(entry.title),
         "distance_um": found.distance_um.tolist(),
         "z_um": _listed(found.z_um),
         "sigma_um": None if found.sigma_um is None else _listed(found.sigma_um),

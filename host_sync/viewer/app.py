@@ -26,6 +26,7 @@ from host_sync.viewer.answers import (
     level_answer,
     profile_csv,
     profile_facts,
+    readable,
 )
 from host_sync.viewer.catalogue import Wanted
 from host_sync.viewer.desk import Desk
@@ -81,7 +82,7 @@ def _answering(answer: Callable[[Request], Response]) -> Callable[[Request], Any
             return answer(request)
         except (HostError, DeviceError) as error:
             status = 404 if isinstance(error, LookupError) else 400
-            told = json_answer({"error": str(error)})
+            told = json_answer({"error": readable(str(error))})
             told.status_code = status
             return told
 
@@ -105,11 +106,11 @@ def _list(desk: Desk, request: Request) -> Response:
     only = desk.catalogue.only
     return json_answer(
         {
-            "root": str(desk.catalogue.root),
+            "root": readable(str(desk.catalogue.root)),
             "is_library": desk.catalogue.is_library,
             "only": only.key if only else None,
             "entries": [entry_facts(entry) for entry in listing.entries],
-            "complaints": listing.complaints,
+            "complaints": [readable(words) for words in listing.complaints],
         }
     )
 

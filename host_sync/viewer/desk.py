@@ -24,7 +24,7 @@ from host_sync.reconstruction.results import write_field
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import Entry, key_of
-from host_sync.viewer.heights import DRAWS_FILE, SIGMA_FILE, Heights, read_beside
+from host_sync.viewer.heights import DRAWS_FILE, SIGMA_FILE, Heights
 from host_sync.viewer.pictures import frame_picture, sigma_picture, thumbnail
 from host_sync.viewer.profile import Line, Profile, profile
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
@@ -74,7 +74,7 @@ class Desk:
         """The reduced map of ±, µm."""
         entry = self.catalogue.find(key)
         with self._turn():
-            found = read_beside(entry, SIGMA_FILE, 2)
+            found = self._heights.beside(entry, SIGMA_FILE, 2)
             if found is None:
                 raise ViewError(f"{entry.title}: states no ±: reconstruct it with this version")
             return sigma_picture(found)
@@ -83,8 +83,8 @@ class Desk:
         """The heights along a line."""
         entry = self.catalogue.find(key)
         with self._turn():
-            draws_um = read_beside(entry, DRAWS_FILE, 3)
-            sigma_um = read_beside(entry, SIGMA_FILE, 2) if draws_um is None else None
+            draws_um = self._heights.beside(entry, DRAWS_FILE, 3)
+            sigma_um = self._heights.beside(entry, SIGMA_FILE, 2) if draws_um is None else None
             return profile(self._heights.read(entry, page), entry.pitch_um, line, draws_um, sigma_um)
 
     def height(self, key: str, page: int, row: int, column: int) -> float:
@@ -104,8 +104,8 @@ class Desk:
             steep = _steep(z_um, entry.pitch_um)
         known = sample[np.isfinite(sample)]
         low, high = (float(end) for end in np.percentile(known, [0.1, 99.9])) if known.size else (0.0, 1.0)
-        if entry.kind == "video" and "colour_range_um" in entry.record:
-            low, high = (float(end) for end in entry.record["colour_range_um"])
+        if entry.kind == "video":
+            low, high = _stated_range(entry.record) or (low, high)
         return {
             "levels": level_count(entry.shape),
             "padded": padded_shape(entry.shape),
@@ -189,6 +189,14 @@ def _stored_difference(folder: Path) -> dict[str, Any] | None:
     except (OSError, msgspec.DecodeError):
         return None
     return record if (folder / "difference_um.tif").is_file() else None
+
+
+def _stated_range(record: dict[str, Any]) -> tuple[float, float] | None:
+    """What the heights of all a video's frames span, µm, when its record says so."""
+    ends = record.get("colour_range_um")
+    if not isinstance(ends, list) or len(ends) != 2 or not all(isinstance(end, int | float) for end in ends):
+        return None
+    return (float(ends[0]), float(ends[1])) if np.isfinite(ends).all() and ends[0] < ends[1] else None
 
 
 def _steep(z_um: Float32Array, pitch_um: float) -> float:

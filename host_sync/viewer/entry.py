@@ -19,6 +19,9 @@ Kind = Literal["result", "video", "quick look", "difference"]
 RESULT_HEIGHT: Final = "height_um.tif"
 VIDEO_HEIGHTS: Final = "heights_um.tif"
 RECORD_FILE: Final = "result.json"
+MOST_PIXELS: Final = 200_000_000
+MOST_PITCH_UM: Final = 1e6
+LONGEST_TITLE: Final = 200
 _RECORD_BYTES: Final = 16_000_000
 """A record that is larger was not written by this program."""
 
@@ -66,7 +69,7 @@ class Entry:
         except OSError as error:
             raise ViewError(f"{self.title}: its heights are gone from the disk: open the library again") from error
         words = f"{self.heights.resolve()}:{facts.st_size}:{facts.st_mtime_ns}:{self.pitch_um}"
-        return hashlib.sha256(words.encode()).hexdigest()[:32]
+        return hashlib.sha256(words.encode(errors="surrogateescape")).hexdigest()[:32]
 
 
 def key_of(path: Path) -> str:
@@ -91,12 +94,14 @@ def result_entry(folder: Path, scan: Path | None = None, hit: Hit | None = None)
         pitch_um = float(record["pixel_pitch_um"])
         pages = len(record["frames"]) if is_video else 1
         rate_hz = float(record["rate_hz"]) if is_video else None
-        title = str(record["name"])
+        title = str(record["name"])[:LONGEST_TITLE] or folder.name
     except (KeyError, TypeError, ValueError) as error:
         raise ViewError(f"{folder / RECORD_FILE}: lacks what a result says: reconstruct the scan again") from error
     heights = folder / (VIDEO_HEIGHTS if is_video else RESULT_HEIGHT)
-    if min(shape) < 2 or pages < 1 or not pitch_um > 0.0 or not heights.is_file():
+    if min(shape) < 2 or pages < 1 or not 0.0 < pitch_um < MOST_PITCH_UM or not heights.is_file():
         raise ViewError(f"{folder}: holds no heights: reconstruct the scan again")
+    if shape[0] * shape[1] > MOST_PIXELS:
+        raise ViewError(f"{folder}: is larger than can be shown ({shape[1]} × {shape[0]}): show a part of it")
     scan = scan or _scan_around(folder)
     return Entry(
         key=key_of(folder),
@@ -129,7 +134,7 @@ def quick_look_entry(scan: Path, hit: Hit, pixel_pitch_um: float, columns: int) 
             shape = tiff.pages.first.shape
     except (OSError, ValueError, tifffile.TiffFileError) as error:
         raise ViewError(f"{hit.scan_id}: has no quick look: reconstruct it to see it") from error
-    if len(shape) != 2 or min(shape) < 2:
+    if len(shape) != 2 or min(shape) < 2 or shape[0] * shape[1] > MOST_PIXELS:
         raise ViewError(f"{heights}: is no height map: pull the scan again")
     return Entry(
         key=key_of(scan),

@@ -22,7 +22,7 @@ from host_sync.viewer.resampling import between_pixels
 COARSE_PX: Final = 768
 FIT_PX: Final = 1024
 ROUNDS: Final = 20
-MOST_EQUATIONS: Final = 60_000
+MOST_EQUATIONS: Final = 30_000
 SETTLED_PX: Final = 0.002
 TURN_GAIN: Final = 0.9
 """A turn counts when it leaves at most this share of the median that shift and level alone leave."""

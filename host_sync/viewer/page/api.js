@@ -18,7 +18,7 @@ async function ask(path, options = {}) {
 const json = async (path, options) => (await ask(path, options)).json();
 
 export const list = (filters) => json(`/api/list?${new URLSearchParams(filters)}`);
-export const facts = (key, options) => json(`/api/scan/${key}`, options);
+export const facts = (key) => json(`/api/scan/${key}`);
 export const palettes = () => json("/api/palettes");
 export const thumbnail = (entry) => `/api/scan/${entry.key}/thumbnail?${entry.stamp}`;
 export const height = (key, page, row, column) =>

@@ -68,7 +68,7 @@ export class Relief {
       sigmaPalette: paletteTexture(this.palettes.cividis),
       padded: new Vector2(facts.padded[1], facts.padded[0]), size: new Vector2(facts.columns, facts.rows),
       light: new Vector3(0, 0, 1), exaggeration: 1, low: 0, high: 1, interval: 1, sigmaHigh: 1, pixelSize: 1,
-      colour: 0, shading: true, curves: false, hatch: true, uncertainty: false, space: false, grid: false,
+      colour: 0, shading: true, curves: false, hatch: true, uncertainty: false, space: false, grid: false, squares: false,
       backdrop: new Vector3(), ink: new Vector3(), lod: 0, raise: 0, base: 0,
     };
     return new ShaderMaterial({
@@ -165,7 +165,7 @@ export class Relief {
     uniforms.ink.value.set(...styleColour("--ink"));
     uniforms.raise.value = space ? uniforms.exaggeration.value / this.facts.pitch_um : 0;
     uniforms.base.value = (this.facts.low_um + this.facts.high_um) / 2;
-    this.texture.showSquares(space ? 1 : scale);
+    uniforms.squares.value = this.texture.showSquares(space ? 1 : scale);
     this.setMesh(space ? this.fullMesh : 1);
     const shownLevel = Math.log2(this.facts.columns / Math.max(2, this.meshSize));
     uniforms.lod.value = Math.max(0, shownLevel - this.texture.finest);

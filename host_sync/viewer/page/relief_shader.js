@@ -30,7 +30,7 @@ uniform vec2 padded, size;
 uniform vec3 light;
 uniform float exaggeration, low, high, interval, sigmaHigh, pixelSize;
 uniform int colour;
-uniform bool shading, curves, hatch, uncertainty, space, grid;
+uniform bool shading, curves, hatch, uncertainty, space, grid, squares;
 uniform vec3 backdrop, ink;
 in vec2 at;
 out vec4 shown;
@@ -53,6 +53,21 @@ vec3 lit(vec3 tint, float brightness) {
   return shaded + (vec3(1.0) - shaded) * HIGHLIGHT * max(brightness - flatness, 0.0) / max(1.0 - flatness, 1e-4);
 }
 
+float height(vec2 place) {
+  vec4 there = texture(surface, place / padded);
+  return there.b + there.a;
+}
+
+// Where pixels are drawn as squares, level curves still run between them.
+float smoothHeight() {
+  vec2 corner = floor(at - 0.5) + 0.5;
+  vec2 share = at - corner;
+  vec2 left = vec2(height(corner), height(corner + vec2(0.0, 1.0)));
+  vec2 right = vec2(height(corner + vec2(1.0, 0.0)), height(corner + 1.0));
+  vec2 both = mix(left, right, share.x);
+  return mix(both.x, both.y, share.y);
+}
+
 float curve(float z, float step_um, float run) {
   float off = abs(fract(z / step_um + 0.5) - 0.5) * step_um;
   float width = 0.9 * pixelSize;
@@ -63,7 +78,8 @@ void main() {
   vec2 uv = at / padded;
   vec4 here = texture(surface, uv);
   float z = here.b + here.a;
-  float run = length(vec2(dFdx(z), dFdy(z)));
+  float even = squares && curves ? smoothHeight() : z;
+  float run = length(vec2(dFdx(even), dFdy(even)));
   float share = texture(valid, uv).r;
   if (share < 0.5) {
     if (space) discard;
@@ -82,7 +98,7 @@ void main() {
   vec3 drawn = tint;
   if (shading) drawn = colour == 1 && !uncertainty ? vec3(brightness) : lit(tint, brightness);
   if (curves) {
-    float line = max(0.62 * curve(z, interval, run), 0.95 * curve(z, 5.0 * interval, run));
+    float line = max(0.62 * curve(even, interval, run), 0.95 * curve(even, 5.0 * interval, run));
     float bright = dot(drawn, vec3(0.299, 0.587, 0.114));
     drawn = mix(drawn, vec3(bright > 0.38 ? 0.04 : 0.97), line);
   }

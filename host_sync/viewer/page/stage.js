@@ -95,6 +95,7 @@ export class Stage {
   }
 
   choose(tool) {
+    if (tool === "line" && this.relief.eye.space) this.setSpace(false);
     this.tool = tool;
     this.surface.dataset.tool = tool;
     this.ontool(tool);
@@ -138,12 +139,12 @@ export class Stage {
         action = event.button === 2 ? (eye.space ? "pan" : "light") : event.shiftKey && eye.space ? "pan" : this.tool;
         const end = event.target.dataset?.end;
         if (end) action = `end-${end}`;
-        else if (action === "line" && !eye.space) this.setLine({ from: this.inside(at), to: this.inside(at) }, false);
+        else if (action === "line") this.begun = this.inside(at);
         else if (action === "light") this.lightAt(at);
       },
       drag: (at, right, down) => {
         if (action === "light") this.lightAt(at);
-        else if (action === "line" && !eye.space) this.setLine({ ...this.line, to: this.inside(at) });
+        else if (action === "line") this.setLine({ from: this.begun, to: this.inside(at) });
         else if (action === "end-from" || action === "end-to") this.setLine({ ...this.line, [action.slice(4)]: this.inside(at) });
         else if (eye.space && action !== "pan") eye.orbit(-right * 0.35, down * 0.35);
         else eye.pan(right, down);
@@ -204,11 +205,11 @@ export class Stage {
     };
   }
 
-  setLine(line, told = true) {
+  setLine(line) {
     this.line = line;
     this.profile = null;
     this.overlay();
-    if (told) this.online(line);
+    this.online(line);
   }
 
   async read({ row, column }) {

@@ -65,15 +65,17 @@ export class SurfaceTexture {
     return level;
   }
 
-  /** Single pixels are shown as squares when they are large. */
+  /** Show single pixels as squares when they are large; returns whether they are. */
   showSquares(screenPerPixel) {
     const way = screenPerPixel >= NEAREST_ZOOM && this.finest === 0 ? this.gl.NEAREST : this.gl.LINEAR;
-    if (way === this.way) return;
-    this.way = way;
-    for (const texture of [this.surface, this.valid]) {
-      this.bind(texture.sourceTexture);
-      this.gl.texParameteri(this.gl.TEXTURE_2D, this.gl.TEXTURE_MAG_FILTER, way);
+    if (way !== this.way) {
+      this.way = way;
+      for (const texture of [this.surface, this.valid]) {
+        this.bind(texture.sourceTexture);
+        this.gl.texParameteri(this.gl.TEXTURE_2D, this.gl.TEXTURE_MAG_FILTER, way);
+      }
     }
+    return way === this.gl.NEAREST;
   }
 
   /** Ask for levels down to this one; what is missing comes from coarse to fine. */

@@ -1,3 +1,5 @@
+import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -122,3 +124,37 @@ def test_nothing_is_written_beside_the_results(results: Path, served: Any) -> No
         served.get(f"/api/scan/{key}/thumbnail")
         served.get(f"/api/scan/{key}/level/1?first=0&last=4")
     assert listed() == before
+
+
+def test_a_record_of_the_wrong_kinds_is_shown_without_them(
+    world: Any, tmp_path: Path, serve: Callable[[Path], Any]
+) -> None:
+    folder = world.write_result(tmp_path / "r", world.surface(), "r")
+    record = json.loads((folder / "result.json").read_text())
+    odd = {"warnings": "none", "masked_share": "all", "height_min_um": [1], "method": {"a": 1}, "tilt": [{}]}
+    (folder / "result.json").write_text(json.dumps(record | odd))
+    (entry,) = serve(folder).json("/api/list")["entries"]
+    assert not odd.keys() & entry["record"].keys()
+
+
+def test_a_name_that_is_no_text_is_shown_as_far_as_it_goes(
+    world: Any, tmp_path: Path, serve: Callable[[Path], Any]
+) -> None:
+    root = tmp_path / os.fsdecode(b"r\xffesults")
+    world.write_result(root / os.fsdecode(b"\xfe"), world.surface(), "r")
+    (root / os.fsdecode(b"\xfd")).mkdir()
+    (root / os.fsdecode(b"\xfd") / "result.json").write_text("{")
+    told = serve(root).json("/api/list")
+    assert len(told["entries"]) == len(told["complaints"]) == 1
+    assert "r?esults" in told["root"]
+
+
+@pytest.mark.parametrize(("name", "value"), [("rows", 10**7), ("columns", -4), ("pixel_pitch_um", 0), ("rows", "x")])
+def test_sizes_that_cannot_be_are_refused_before_anything_is_read(
+    world: Any, tmp_path: Path, name: str, value: Any
+) -> None:
+    folder = world.write_result(tmp_path / "r", world.surface(), "r")
+    record = json.loads((folder / "result.json").read_text())
+    (folder / "result.json").write_text(json.dumps(record | {name: value}))
+    with pytest.raises(ViewError):
+        result_entry(folder)
