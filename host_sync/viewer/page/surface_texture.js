@@ -36,12 +36,17 @@ export class SurfaceTexture {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAX_LEVEL, this.count - 1 - this.skipped);
-    const sharper = gl.getExtension("EXT_texture_filter_anisotropic");
-    if (sharper) {
-      const most = gl.getParameter(sharper.MAX_TEXTURE_MAX_ANISOTROPY_EXT);
-      gl.texParameterf(gl.TEXTURE_2D, sharper.TEXTURE_MAX_ANISOTROPY_EXT, Math.min(8, most));
-    }
+    this.sharpen(8);
     return texture;
+  }
+
+  /** How much sharper the bound texture is when it is seen aslant. */
+  sharpen(times) {
+    const { gl } = this;
+    const how = gl.getExtension("EXT_texture_filter_anisotropic");
+    if (!how) return;
+    const most = gl.getParameter(how.MAX_TEXTURE_MAX_ANISOTROPY_EXT);
+    gl.texParameterf(gl.TEXTURE_2D, how.TEXTURE_MAX_ANISOTROPY_EXT, Math.min(times, most));
   }
 
   bind(texture) {
@@ -73,6 +78,7 @@ export class SurfaceTexture {
       for (const texture of [this.surface, this.valid]) {
         this.bind(texture.sourceTexture);
         this.gl.texParameteri(this.gl.TEXTURE_2D, this.gl.TEXTURE_MAG_FILTER, way);
+        this.sharpen(way === this.gl.NEAREST ? 1 : 8); // together with squares it is not defined what is seen
       }
     }
     return way === this.gl.NEAREST;

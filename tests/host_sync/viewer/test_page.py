@@ -122,6 +122,29 @@ def test_pixels_are_as_bright_as_computed(
     assert bool(changed > 10.0) is ((azimuth, elevation) != (135, 40))
 
 
+def test_zoomed_in_each_pixel_is_one_square_of_its_own_brightness(
+    served: Any, results: Path, visit: Callable[..., Any]
+) -> None:
+    page = visit(served)
+    open_scan(page, "hill")
+    page.select_option("select:has(option[value=white])", "white")
+    set_slider(page, "Exaggerate", 0)
+    page.get_by_role("button", name="1:1").click()
+    for _ in range(6):
+        page.get_by_role("button", name="+", exact=True).click()
+    settle(page)
+    shown = stage_picture(page)[..., 0].astype(float)
+    z_um = tifffile.imread(results / "hill" / "height_um.tif")
+    expected = 255.0 * shade(HeightMap(z_um, 12.0))
+    zoom = 1.5**6
+    rows, columns = np.mgrid[90:115, 125:155]
+    across = (columns - (z_um.shape[1] - 1) / 2) * zoom + shown.shape[1] / 2
+    down = (rows - (z_um.shape[0] - 1) / 2) * zoom + shown.shape[0] / 2
+    for off in (-0.35, 0.0, 0.35):  # within a pixel nothing changes
+        seen = shown[(down + off * zoom).astype(int), (across + off * zoom).astype(int)]
+        assert np.abs(seen - expected[rows, columns]).max() < 2.5
+
+
 def test_the_light_is_dragged_over_the_relief(served: Any, visit: Callable[..., Any]) -> None:
     page = visit(served)
     open_scan(page, "hill")
