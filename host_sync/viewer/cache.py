@@ -20,6 +20,9 @@ from host_sync.viewer.entry import Entry
 from host_sync.viewer.heights import Heights
 from host_sync.viewer.pyramid import Level, coarse_levels, finest_rows, level_count, padded_shape
 
+FORM: Final = 1
+"""Of what is stored: a program that computes or stores otherwise gets another number."""
+
 MOST_BYTES: Final = 4_000_000_000
 _UNFINISHED: Final = ".unfinished-"
 
@@ -83,7 +86,7 @@ class Cache:
 
     def folder(self, stamp: str) -> Path:
         """Where the files of one height map lie."""
-        return self._folder / stamp
+        return self._folder / f"{FORM}-{stamp}"
 
     def _stored(self, entry: Entry, page: int, level: int) -> Level:
         stamp = entry.stamp()

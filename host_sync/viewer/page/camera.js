@@ -38,7 +38,7 @@ export class Eye {
     this.elevation = 42;
     const aspect = this.view.width / this.view.height;
     const reach = Math.hypot(this.size.rows, this.size.columns) / 2;
-    this.distance = (reach / Math.tan(MathUtils.degToRad(FIELD_DEG / 2))) * Math.max(1, 1.05 / aspect) * 0.87;
+    this.distance = (reach / Math.tan(MathUtils.degToRad(FIELD_DEG / 2))) * Math.max(1, 1.25 / aspect) * 0.87;
   }
 
   /** Screen pixels a pixel of the height map, at the middle of the view. */
