@@ -103,14 +103,20 @@ def _list(desk: Desk, request: Request) -> Response:
             texts[name] = text if name == "verdict" else f"*{_literal(text)}*"
     wanted = Wanted(Query(**texts), tuple(asked.get("q", "")[:LONGEST_TEXT].split()))
     listing = desk.catalogue.list(wanted)
+    entries, complaints = [], list(listing.complaints)
+    for entry in listing.entries:
+        try:
+            entries.append(entry_facts(entry))
+        except ViewError as error:
+            complaints.append(str(error))
     only = desk.catalogue.only
     return json_answer(
         {
             "root": readable(str(desk.catalogue.root)),
             "is_library": desk.catalogue.is_library,
             "only": only.key if only else None,
-            "entries": [entry_facts(entry) for entry in listing.entries],
-            "complaints": [readable(words) for words in listing.complaints],
+            "entries": entries,
+            "complaints": [readable(words) for words in complaints],
         }
     )
 

@@ -6,8 +6,10 @@ Nothing in it is true of a library; the oldest goes when it is larger than agree
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from threading import Lock
@@ -25,6 +27,7 @@ FORM: Final = 1
 
 MOST_BYTES: Final = 4_000_000_000
 _UNFINISHED: Final = ".unfinished-"
+_OWN: Final = re.compile(r"[0-9]+-[0-9a-f]{32}")
 
 
 def default_cache() -> Path:
@@ -116,8 +119,8 @@ class Cache:
         return True
 
     def _prune(self, keep: Path) -> None:
-        """Delete what was used longest ago until the rest is small enough; never `keep`."""
-        folders = [one for one in self._folder.iterdir() if one.is_dir()]
+        """Delete what was used longest ago until the rest is small enough; never `keep`, and nothing but its own."""
+        folders = [one for one in self._folder.iterdir() if _OWN.fullmatch(one.name) and one.is_dir()]
         sizes = {one: sum(file.stat().st_size for file in one.rglob("*") if file.is_file()) for one in folders}
         used = {one: one.stat().st_mtime_ns for one in folders}
         total = sum(sizes.values())
@@ -135,7 +138,9 @@ def _open(folder: Path, entry: Entry, level: int) -> Level | None:
     try:
         surface = np.memmap(folder / f"surface-{level}.f16", np.float16, "r")
         valid = np.memmap(folder / f"valid-{level}.u8", np.uint8, "r")
-        os.utime(folder.parent)
-        return Level(surface.reshape(rows, columns, 4), valid.reshape(rows, columns))
+        found = Level(surface.reshape(rows, columns, 4), valid.reshape(rows, columns))
     except (OSError, ValueError):
         return None
+    with suppress(OSError):
+        os.utime(folder.parent)  # it was used just now
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from typing import Final
@@ -14,7 +14,7 @@ from device.scan_bundle import read_scan
 from host_sync.errors import ViewError
 from host_sync.library import Library
 from host_sync.library_index import Hit, Query, search
-from host_sync.viewer.entry import RECORD_FILE, Entry, quick_look_entry, result_entry
+from host_sync.viewer.entry import RECORD_FILE, Entry, key_of, quick_look_entry, result_entry
 
 DEEPEST: Final = 3
 """Folders of results are looked for so many levels below the one that was named."""
@@ -124,20 +124,25 @@ class Catalogue:
     def _of_library(self, query: Query) -> Iterator[Entry | str]:
         library = Library(self.root)
         for hit in reversed(search(library, query)):
-            yield from _of_scan(self.root / "scans" / hit.scan_id, hit)
+            scan = self.root / "scans" / hit.scan_id
+            with self._lock:
+                seen = self._known.get(key_of(scan))
+            yield from _of_scan(scan, hit, seen)
 
 
-def _of_scan(scan: Path, hit: Hit) -> Iterator[Entry | str]:
-    """The results of a scan, newest first, else its quick look."""
+def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
+    """The results of a scan, newest first, else its quick look: `seen`, if it was read before."""
     shown = 0
-    for folder in sorted(_result_folders(scan / "results"), key=lambda one: one.stat().st_mtime_ns, reverse=True):
+    for folder in sorted(_result_folders(scan / "results"), key=_changed_ns, reverse=True):
         try:
             yield result_entry(folder, scan, hit)
         except ViewError as error:
             yield str(error)
         else:
             shown += 1
-    if not shown:
+    if not shown and seen is not None and seen.heights.is_file():
+        yield replace(seen, hit=hit)
+    elif not shown:
         try:
             record = read_scan(scan).record
             yield quick_look_entry(scan, hit, record.pixel_pitch_um, record.shape[1])
@@ -164,6 +169,14 @@ def _result_folders(root: Path, depth: int = DEEPEST) -> list[Path]:
         except OSError:
             continue  # a folder that may not be read shows nothing
     return found
+
+
+def _changed_ns(folder: Path) -> int:
+    """When a folder was last changed; one that has just vanished is the oldest."""
+    try:
+        return folder.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _answers(entry: Entry, words: tuple[str, ...]) -> bool:

@@ -28,7 +28,7 @@ def test_one_result_becomes_one_picture(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_several_become_a_folder_whose_names_are_safe(tmp_path: Path) -> None:
-    for number, name in enumerate(("../../evil", "../../evil", "a/b\x00c", "")):
+    for number, name in enumerate(("../../evil", "../../evil", "a/b\x00c", "…")):
         result(tmp_path / "results" / str(number), name)
     out = tmp_path / "pictures"
     assert main(["render", str(tmp_path / "results"), "--out", str(out), "--width", "60"]) == 0

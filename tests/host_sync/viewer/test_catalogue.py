@@ -96,11 +96,16 @@ def test_only_a_few_height_maps_are_held(world: Any, tmp_path: Path) -> None:
 
 def test_the_cache_may_vanish_at_any_time_and_forgets_the_oldest(world: Any, tmp_path: Path) -> None:
     entries = [result_entry(world.write_result(tmp_path / str(n), world.surface(), str(n))) for n in range(3)]
+    theirs = tmp_path / "cache" / "photographs"
+    theirs.mkdir(parents=True)
+    (theirs / "one.jpg").write_bytes(bytes(400_000))
+    os.utime(theirs, (0, 0))
     cache = Cache(tmp_path / "cache", Heights(), most_bytes=300_000)
     levels = [cache.level(entry, 0, 1, 0, 20) for entry in entries]
     kept = [entry for entry in entries if cache.folder(entry.stamp()).is_dir()]
     assert entries[-1] in kept
     assert len(kept) < 3
+    assert (theirs / "one.jpg").is_file()
     shutil.rmtree(tmp_path / "cache")
     again = cache.level(entries[0], 0, 1, 0, 20)
     np.testing.assert_array_equal(again.surface, levels[0].surface)
