@@ -20,7 +20,6 @@ import numpy as np
 from device.surface import Float32Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.frame_set import FrameSet
-from host_sync.reconstruction.results import write_field
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import Entry, key_of
@@ -28,7 +27,6 @@ from host_sync.viewer.heights import DRAWS_FILE, SIGMA_FILE, Heights
 from host_sync.viewer.pictures import frame_picture, sigma_picture, thumbnail
 from host_sync.viewer.profile import Line, Profile, profile
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
-from host_sync.viewer.registration import difference
 
 HEAVY: Final = 2
 
@@ -151,6 +149,10 @@ class Desk:
         return entry
 
     def _make_difference(self, first: Entry, second: Entry, folder: Path) -> dict[str, Any]:
+        # Compiled code is loaded when it is first needed: the list is to be there at once.
+        from host_sync.reconstruction.results import write_field
+        from host_sync.viewer.registration import difference
+
         found = difference(
             HeightMap(self._heights.read(first, first.pages // 2), first.pitch_um),
             HeightMap(self._heights.read(second, second.pages // 2), second.pitch_um),

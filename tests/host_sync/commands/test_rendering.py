@@ -1,3 +1,8 @@
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -91,3 +96,18 @@ def test_a_viewer_that_cannot_open_says_why(
     places = {"empty": tmp_path / "empty", "nowhere": tmp_path / "no", "result": result(tmp_path / "r", "r")}
     assert main(["view", "--no-browser", *(argument.format(**places) for argument in arguments)]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_the_viewer_ends_when_it_is_told_to(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "host_sync", "view", str(result(tmp_path / "r", "r")), "--no-browser"]
+    with subprocess.Popen(
+        [*command, "--cache", str(tmp_path / "c")], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as run:
+        assert run.stdout is not None
+        address = run.stdout.readline().split()[1].decode()
+        assert address.startswith("http://127.0.0.1:")
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address.partition("?")[0])  # noqa: S310
+        run.send_signal(signal.SIGINT)
+        _, said = run.communicate(timeout=60)
+    assert (run.returncode, said) == (0, b"")

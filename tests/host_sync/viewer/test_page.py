@@ -357,3 +357,11 @@ def test_on_a_telephone_nothing_is_cut_off(served: Any, visit: Callable[..., Any
     box = page.locator(".toolbar").bounding_box()
     page.touchscreen.tap(box["x"] + 150, box["y"] + 20)
     page.get_by_label("Level curves").check()
+    page.evaluate("document.querySelector('main').scrollTop = 0")
+    before = page.locator(".scale-bar").text_content()
+    touch = page.context.new_cdp_session(page)
+    for kind, apart in (("touchStart", 40), ("touchMove", 80), ("touchMove", 130), ("touchEnd", None)):
+        fingers = [] if apart is None else [{"x": 195 - apart, "y": 300}, {"x": 195 + apart, "y": 300}]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+    settle(page)
+    assert page.locator(".scale-bar").text_content() != before
