@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import fields
 from datetime import date
@@ -48,8 +49,10 @@ def make_app(desk: Desk, access: Access) -> Starlette:
         name = request.path_params.get("name", "index.html")
         if name not in pages:
             return refused("There is no such page here: go back to the list.", 404)
-        data, media = pages[name]
-        return Response(data, media_type=media, headers={"Cache-Control": "no-cache"})
+        data, media, tag = pages[name]
+        kept = request.headers.get("if-none-match") == tag
+        headers = {"Cache-Control": "no-cache", "ETag": tag}
+        return Response(status_code=304, headers=headers) if kept else Response(data, media_type=media, headers=headers)
 
     routes = [
         Route("/", file),
@@ -189,8 +192,8 @@ def _number(text: str, read: Callable[[str], NumberT], name: str) -> NumberT:
         raise ViewError(f"{name}: is not what it should be: load the page again") from error
 
 
-def _page_files() -> dict[str, tuple[bytes, str]]:
-    """The page's own files by name; nothing else of the disk can be asked for."""
+def _page_files() -> dict[str, tuple[bytes, str, str]]:
+    """The page's own files by name, with kind and tag; nothing else of the disk can be asked for."""
     folder = files("host_sync.viewer") / "page"
     found = {}
     for place in (folder, folder / "vendor"):
@@ -198,5 +201,6 @@ def _page_files() -> dict[str, tuple[bytes, str]]:
         for one in place.iterdir():
             suffix = one.name[one.name.rfind(".") :]
             if one.is_file() and suffix in MEDIA:
-                found[prefix + one.name] = (one.read_bytes(), f"{MEDIA[suffix]}")
+                data = one.read_bytes()
+                found[prefix + one.name] = (data, MEDIA[suffix], f'"{hashlib.sha256(data).hexdigest()[:32]}"')
     return found

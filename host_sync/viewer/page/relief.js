@@ -10,7 +10,7 @@ import { FRAGMENT, VERTEX } from "./relief_shader.js";
 import { SurfaceTexture } from "./surface_texture.js";
 import { styleColour } from "./theme.js";
 
-const FIRST_MESH = 320;
+const FIRST_MESH = 192;
 const FINEST_MESH = 1280;
 const QUICK_MS = 10;
 

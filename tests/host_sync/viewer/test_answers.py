@@ -138,6 +138,13 @@ def test_compare_says_shift_and_residual_and_can_be_opened(served: Any) -> None:
     assert served.get(f"/api/compare?first={keys['hill']}&second={keys['moved']}")[0] == 405
 
 
+def test_a_page_that_is_kept_is_not_sent_again(served: Any) -> None:
+    _, headers, _ = served.get("/page/main.js")
+    status, _, body = served.ask("/page/main.js", Cookie=served.cookie, If_None_Match=headers["etag"])
+    assert (status, body) == (304, b"")
+    assert served.ask("/page/main.js", If_None_Match=headers["etag"])[0] == 403
+
+
 def test_thumbnails_are_pictures(served: Any) -> None:
     for key in served.keys().values():
         status, headers, body = served.get(f"/api/scan/{key}/thumbnail")
