@@ -19,7 +19,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz bench format lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz bench format board release lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -47,8 +47,8 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
 	fi
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power (asks for root)
-	@bash .ci/test-deps
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (asks for root)
+	@bash .ci/test-deps all
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
 	@bash .ci/set-up-bench "$(VENV)"
@@ -58,6 +58,15 @@ format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
 
+board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ anew
+	@PYTHONPATH=. "$(VENV)/bin/python" docs/board/drawings.py
+
+release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/ and systemd/ (docs/build.md)
+	@rm -rf dist/release
+	"$(VENV)/bin/python" -m hatchling build -t wheel -d dist/release >/dev/null
+	cp -r requirements-device.lock board systemd dist/release/
+	echo "dist/release is ready: copy it to the handheld and run sudo board/install.sh --board NAME there"
+
 lock: ## choose the newest versions that pyproject.toml allows and pin them (wants the network)
 	@bash .ci/set-up check "$(PYTHON)"
 	"$(PYTHON)" -m venv --clear .lock-tool
@@ -66,6 +75,9 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links \
 	    --extra device --extra host --extra dev --output-file requirements.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
+	    --extra device --extra pi --output-file requirements-device.lock pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \

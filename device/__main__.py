@@ -17,16 +17,20 @@ from pathlib import Path
 from device.active_calibration import read_active
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationRecord
-from device.errors import DeviceError, FrameNotProven
+from device.errors import DeviceError, FrameNotProven, InstrumentBusy
 from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
 from device.scanning.balance import balance, warning
 from device.scanning.calibrate import calibrate
+from device.scanning.instrument_lock import owned_hardware, sole_owner
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.scanning.selftest import selftest
+from device.scanning.service_commands import add_service_commands
+from device.scanning.supervision import Supervisor
 from device.scanning.watching import watch
 from device.store_location import default_store
 from hal.board_profile import load_board_profile, profile_names
+from hal.clock import SystemClock
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.hardware import Hardware, open_hardware
 from hal.interfaces import PressObject
@@ -43,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
-    except (HalError, FrameNotProven) as error:
+    except (HalError, FrameNotProven, InstrumentBusy) as error:
         return _complain(error, 3)
     except DeviceError as error:
         return _complain(error, 2)
@@ -78,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     watch.set_defaults(command=_watch)
 
     add_offload_commands(commands, _folder, _say)
+    add_service_commands(commands, _say, _warn)
 
     test = commands.add_parser("selftest", help="walk through every part and say which one is at fault")
     test.add_argument("--push", action="store_true", help="also wait for a push of the button")
@@ -118,7 +123,7 @@ def _positive(text: str) -> float:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    with _hardware(options) as hardware:
+    with owned_hardware(load_board_profile(options.board)) as hardware:
         store = _store(options, hardware)
         plan = balance(hardware, options.ball_radius_mm, _say).plan if options.balance else None
         outcome = calibrate(hardware, store, options.ball_radius_mm, _say, plan)
@@ -131,7 +136,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _scan(options: argparse.Namespace) -> int:
-    with _hardware(options) as hardware:
+    with owned_hardware(load_board_profile(options.board)) as hardware:
         scanner = Scanner(hardware, _calibrated_store(options, hardware))
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
@@ -142,18 +147,25 @@ def _scan(options: argparse.Namespace) -> int:
 
 
 def _watch(options: argparse.Namespace) -> int:
-    with _hardware(options) as hardware:
+    profile, supervisor = load_board_profile(options.board), Supervisor.from_environment(os.environ)
+    # As a service the twin lives in real time too, or its waits would take none.
+    with owned_hardware(profile, SystemClock() if supervisor.is_there else None) as hardware:
         store = _calibrated_store(options, hardware)
         take_inbox(store, _say)
-        watch(hardware, store, _annotations(options), _report, _warn, _say)
+        try:
+            watch(hardware, store, _annotations(options), _report, _warn, _say, supervisor)
+        finally:
+            supervisor.stopping()
     return 0
 
 
 def _selftest(options: argparse.Namespace) -> int:
     failed = 0
-    for finding in selftest(_hardware(options), options.push):
-        _say(f"{finding.state:8} {finding.part}: {finding.sentence}")
-        failed += finding.state == "failed"
+    profile = load_board_profile(options.board)
+    with sole_owner(profile):
+        for finding in selftest(open_hardware(profile), options.push):
+            _say(f"{finding.state:8} {finding.part}: {finding.sentence}")
+            failed += finding.state == "failed"
     return 3 if failed else 0
 
 
@@ -161,10 +173,6 @@ def _lights_off(options: argparse.Namespace) -> int:
     with open_hardware(load_board_profile(options.board)).lights as lights:
         lights.dark()
     return 0
-
-
-def _hardware(options: argparse.Namespace) -> Hardware:
-    return open_hardware(load_board_profile(options.board))
 
 
 def _store(options: argparse.Namespace, hardware: Hardware) -> BundleStore:

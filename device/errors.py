@@ -38,3 +38,7 @@ class StoreError(DeviceError, OSError):
 
 class PairingRefused(DeviceError, PermissionError):
     """No workstation was paired: none came in time, or the code was wrong. Open the window again."""
+
+
+class InstrumentBusy(DeviceError, BlockingIOError):
+    """Another program has camera and lights. End it, or wait until it has ended."""

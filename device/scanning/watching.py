@@ -15,6 +15,7 @@ from device.errors import DeviceError
 from device.scan_bundle import Annotations
 from device.scanning.darkness import next_push
 from device.scanning.scanner import Scanner, ScanOutcome
+from device.scanning.supervision import Supervisor
 from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import Cue
@@ -30,8 +31,11 @@ def watch(
     report: Callable[[ScanOutcome], None],
     complain: Callable[[object], None],
     tell: Callable[[str], None],
+    supervisor: Supervisor,
 ) -> None:
     """Scan at every push until the button says no more; what fails is complained of, and the next push is heard.
+
+    supervisor : is told when the loop begins and in each of its turns, and how it is watched bounds each wait
 
     Raises
     ------
@@ -41,9 +45,15 @@ def watch(
         The button cannot be read any more.
     """
     scanner = Scanner(hardware, store)
-    tell(f"Ready: room for {scanner.check_room()} scans. Push the button to scan, Ctrl-C to stop.")
+    room = f"room for {scanner.check_room()} scans"
+    tell(f"Ready: {room}. Push the button to scan, Ctrl-C to stop.")
     _show(hardware, "idle")
-    while (began_ns := next_push(hardware)) is not None:
+    supervisor.ready(f"ready, {room}")
+    while True:
+        began_ns = next_push(hardware, supervisor.longest_wait_s)
+        supervisor.alive()
+        if began_ns is None:
+            continue
         _show(hardware, "busy")
         try:
             press = scanner.take(lambda: _show(hardware, "may lift"))

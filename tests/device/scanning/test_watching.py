@@ -9,6 +9,7 @@ from device.bundle_store import BundleStore
 from device.scan_bundle import Annotations
 from device.scanning.scanner import ScanOutcome
 from device.scanning.selftest import selftest
+from device.scanning.supervision import Supervisor
 from device.scanning.watching import watch
 from hal.errors import ButtonError, IndicatorError
 from hal.interfaces import ButtonPress
@@ -40,7 +41,15 @@ class Watched:
             self.then()
 
         with pytest.raises(ButtonError, match="nobody will push"):
-            watch(self.wired.hardware, self.store, Annotations(), self.outcomes.append, complain, self.said.append)
+            watch(
+                self.wired.hardware,
+                self.store,
+                Annotations(),
+                self.outcomes.append,
+                complain,
+                self.said.append,
+                Supervisor(None, None),
+            )
 
 
 @pytest.fixture

@@ -1,0 +1,224 @@
+// The handheld's housing, lights and calibration cap. All lengths in mm; z = 0 is the resting skin, +z towards the camera.
+//
+//   openscad -D 'part="body"' -o body.stl board/enclosure/retrograph.scad
+//
+// part: body, led_holder (print 3), gel_frame, camera_plate, tray, cap, plate (machine it, do not print it), block (cast
+// or machine it of acrylic and polish it), assembly (to look at, cut open).
+part = "assembly";
+
+/* [Optics: what the board profile and the lens say] */
+pixel_um = 3.45;            // of the sensor: IMX296 3.45, IMX477 1.55, IMX708 binned 2.8
+pitch_um = 12.0;            // at the skin: sensor.pixel_pitch_um of the profile
+field = [17.5, 13.1];       // columns and rows times the pitch
+focal = 25;                 // of the lens
+flange = 17.526;            // C mount; CS mount 12.526
+
+/* [Lights: as board/light-geometry.md has them] */
+distance = 25;              // from the skin's centre, inside gel and block
+elevation = 30;             // inside the gel
+azimuths = [-90, 150, 30];  // red, green, blue, as position_mm of the profiles
+led = 5.2;                  // bore for a 5 mm LED
+
+/* [Gel and block] */
+gel_thickness = 2.5;        // slab_thickness_mm of the profile
+gel_side = 32;
+n_gel = 1.41;               // silicone
+n_block = 1.49;             // acrylic
+block_top = 16;
+facet_at = 20;              // distance of each facet from the skin's centre, along the light's ray
+
+/* [Housing] */
+wall = 2.4;
+gap = 0.25;                 // between parts that slide; tune to your printer
+inner_r = 31;
+button_bore = 12.2;
+m25 = 2.9;
+m3 = 3.3;
+
+/* [Calibration cap] */
+ball_r = 1.0;               // 2.000 mm bearing balls, grade 10 or better
+ball_pitch = 2.5;
+balls = [7, 5];
+indentation = 0.7;          // how far the cap's rim lets them in: contact to 40 degrees on a 2.5 mm gel
+ball_stands_out = 0.95;     // above the plate, which so stays clear of the skin
+backing = 2;                // flat glass that the balls stand on
+
+$fn = $preview ? 48 : 72;
+
+// --- what follows from these -----------------------------------------------------------------------------------------
+
+magnification = pixel_um / pitch_um;
+working = focal * (1 + 1 / magnification);                          // skin to the lens's front principal plane, in air
+optical_shift = (block_top - gel_thickness) * (1 - 1 / n_block) + gel_thickness * (1 - 1 / n_gel);
+camera_z = working + optical_shift;                                 // the glass lets the skin seem nearer
+body_top = camera_z - 12;                                           // the lens's barrel reaches into the body
+// Snell at the gel's upper face: the ray must stand higher in the block to arrive at `elevation` in the gel.
+block_elevation = acos(cos(elevation) * n_gel / n_block);
+outer_r = inner_r + wall;
+seat_r = inner_r - wall;                                            // where the block sits the wall is twice as thick
+screw_r = (seat_r + outer_r) / 2;
+tray_at = [30, 30 + 60];
+plate_thickness = 2 * ball_r - ball_stands_out;                     // the balls stand on the glass below it
+frame_above_skin = 0.5;
+clear_top = (facet_at - block_top * sin(block_elevation)) / cos(block_elevation);
+half_diagonal = norm(field) / 2;
+
+echo(camera_z = camera_z, block_elevation = block_elevation, clear_top = clear_top);
+assert(cos(elevation) * n_gel / n_block < 1, "no ray of this elevation reaches the gel out of this block");
+assert(clear_top > half_diagonal, "the block's top hides corners of the field: lower block_top or move the facets out");
+assert(gel_side / 2 < inner_r - wall, "the gel does not fit the body");
+assert(distance > facet_at, "the lights stand inside the block");
+assert(indentation < gel_thickness / 2, "the balls are pressed deeper than half the gel");
+assert(ball_stands_out >= indentation + 0.2, "the plate touches the skin before the balls are in");
+assert(ball_stands_out <= ball_r, "the plate holds less than half of each ball: they fall out");
+assert(ball_pitch > 2 * ball_r * sin(40) + 0.8, "the balls stand too near for the skin to come down between them");
+assert((balls.x - 1) * ball_pitch + 2 * ball_r < field.x + 2, "the grid is wider than the field");
+
+// --- parts -------------------------------------------------------------------------------------------------------------
+
+// Everything along one light's ray: its axis becomes +z, the skin's centre the origin.
+module along_ray(azimuth) rotate([0, 90 - block_elevation, azimuth]) children();
+
+// The clear block: a frustum whose three facets stand square to the rays, so that no light is bent or lost there. Light
+// that comes from above through a flat window never arrives lower than acos(1 / n_gel), 45 degrees.
+module block() {
+    intersection() {
+        translate([0, 0, gel_thickness]) cylinder(r = seat_r - gap, h = block_top - gel_thickness);
+        for_all_facets() along_ray(0) translate([-60, -60, -60]) cube([120, 120, 60 + facet_at]);
+    }
+}
+module for_all_facets() {
+    intersection() {
+        rotate(azimuths[0]) children();
+        rotate(azimuths[1]) children();
+        rotate(azimuths[2]) children();
+    }
+}
+
+// A sleeve for one LED, glued into the body when the light is set: its front end lies on the facet, the LED comes from
+// outside up to the shoulder.
+module led_holder() {
+    length = (outer_r + 3) / cos(block_elevation) - facet_at;
+    difference() {
+        cylinder(r = led / 2 + 1.6, h = length);
+        translate([0, 0, -1]) cylinder(r = led / 2 - 0.6, h = length + 2);
+        translate([0, 0, distance - facet_at]) cylinder(r = led / 2, h = length);
+    }
+}
+
+module body() {
+    difference() {
+        union() {
+            difference() {
+                union() {
+                    translate([0, 0, gel_thickness]) cylinder(r = outer_r, h = body_top - gel_thickness);
+                    translate([0, 0, body_top - 6]) cylinder(r = outer_r + 6, h = 6);
+                    for (z = tray_at) translate([0, -7, z - 7]) cube([outer_r + 8, 14, 14]);
+                }
+                cylinder(r = seat_r, h = block_top + 6);
+                translate([0, 0, block_top + 6]) cylinder(r = inner_r, h = body_top);
+            }
+            // The block is pushed up against these three.
+            for (azimuth = azimuths) rotate(azimuth + 180) translate([seat_r - 5, -4, block_top]) cube([7, 8, 4]);
+            for (azimuth = azimuths) intersection() {
+                along_ray(azimuth) translate([0, 0, seat_r / cos(block_elevation)]) cylinder(r = led / 2 + 4, h = 10);
+                translate([0, 0, gel_thickness]) cylinder(r = outer_r + 4, h = 60);
+            }
+        }
+        for (azimuth = azimuths) along_ray(azimuth)
+            translate([0, 0, facet_at]) cylinder(r = led / 2 + 1.6 + gap, h = 40);
+        for (a = azimuths) rotate(a + 60) translate([screw_r, 0, 0]) cylinder(r = 1.05, h = 12);
+        translate([0, 0, body_top / 2]) rotate([0, 90, 90]) cylinder(r = button_bore / 2, h = 60);
+        translate([-4, -60, body_top - 22]) cube([8, 60, 10]);                        // cables
+        for (z = tray_at) translate([outer_r - 6, 0, z]) rotate([0, 90, 0]) cylinder(r = 1.25, h = 20);
+        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, body_top - 10]) cylinder(r = m3 / 2, h = 12);
+    }
+}
+
+// Holds gel and block from below, with three M2.5 screws; its lower face is 0.5 above the skin, so that only gel touches.
+module gel_frame() {
+    difference() {
+        translate([0, 0, frame_above_skin]) cylinder(r = outer_r, h = gel_thickness - frame_above_skin);
+        translate([-gel_side / 2, -gel_side / 2, -1]) cube([gel_side, gel_side, 9]);
+        for (a = azimuths) rotate(a + 60) translate([screw_r, 0, -1]) cylinder(r = m25 / 2, h = 9);
+    }
+}
+
+module camera_plate() {
+    difference() {
+        cylinder(r = outer_r + 6, h = 4);
+        translate([0, 0, -1]) cylinder(r = 18, h = 6);
+        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, -1]) cylinder(r = m3 / 2, h = 6);
+        // Camera Module HQ and Global Shutter Camera: 30 x 30 mm, M2.5.
+        for (x = [-15, 15], y = [-15, 15]) translate([x, y, -1]) cylinder(r = m25 / 2, h = 6);
+    }
+}
+
+// Carries the Raspberry Pi (58 x 49 mm) and the light driver; screwed to the body's two lugs.
+module tray() {
+    difference() {
+        union() {
+            cube([95, 66, 2.4]);
+            for (x = [3.5, 61.5], y = [8.5, 57.5]) translate([x + 6, y, 0]) cylinder(r = 3.2, h = 7);
+        }
+        for (x = [3.5, 61.5], y = [8.5, 57.5]) translate([x + 6, y, -1]) cylinder(r = m25 / 2, h = 9);
+        for (x = [78, 90], y = [12, 54]) translate([x, y, -1]) cylinder(r = m25 / 2, h = 9);
+        for (z = tray_at) translate([z - 10, 33, -1]) cylinder(r = m3 / 2, h = 9);
+    }
+}
+
+// The plate that keeps the balls in their places, bored through; glued on flat glass, which keeps them in one plane.
+module plate() {
+    size = [(balls.x + 1) * ball_pitch + 4, (balls.y + 1) * ball_pitch + 4];
+    difference() {
+        translate([-size.x / 2, -size.y / 2, 0]) cube([size.x, size.y, plate_thickness]);
+        for (i = [0:balls.x - 1], j = [0:balls.y - 1])
+            translate([(i - (balls.x - 1) / 2) * ball_pitch, (j - (balls.y - 1) / 2) * ball_pitch, -1])
+                cylinder(r = ball_r + 0.01, h = plate_thickness + 2, $fn = 24);
+    }
+}
+
+// Slips over the nose until its floor meets the gel's frame (z = 0): then the balls are in by `indentation`. Plate and
+// glass are glued into its pocket.
+module cap() {
+    size = [(balls.x + 1) * ball_pitch + 4.4, (balls.y + 1) * ball_pitch + 4.4];
+    drop = frame_above_skin + ball_stands_out - indentation;        // from the floor down to the plate's face
+    pocket = drop + plate_thickness + backing;
+    difference() {
+        translate([0, 0, -pocket - 2]) cylinder(r = outer_r + gap + wall, h = pocket + 2 + 8);
+        cylinder(r = outer_r + gap, h = 20);
+        translate([0, 0, -drop]) cylinder(r = gel_side * 0.75, h = 20);
+        translate([-size.x / 2, -size.y / 2, -pocket]) cube([size.x, size.y, 20]);
+    }
+}
+
+// Cut open along the red light's ray.
+module assembly() {
+    difference() {
+        union() {
+            color("dimgray") body();
+            color("gray") gel_frame();
+            color("black") translate([0, 0, body_top]) camera_plate();
+            translate([0, 0, -18]) {
+                color("goldenrod") translate([0, 0, -plate_thickness - 0.75]) plate();
+                color("slategray") cap();
+            }
+        }
+        translate([-150, -100, -60]) cube([150, 200, 300]);
+    }
+    color("lightblue", 0.5) block();
+    color("silver") translate([-gel_side / 2, -gel_side / 2, 0]) cube([gel_side, gel_side, gel_thickness]);
+    for (i = [0:2]) color(["red", "green", "blue"][i]) along_ray(azimuths[i]) translate([0, 0, facet_at]) led_holder();
+    color("darkgreen") translate([outer_r + 8, -33, 20]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
+}
+
+if (part == "body") body();
+else if (part == "led_holder") led_holder();
+else if (part == "gel_frame") gel_frame();
+else if (part == "camera_plate") camera_plate();
+else if (part == "tray") tray();
+else if (part == "cap") cap();
+else if (part == "plate") plate();
+else if (part == "block") block();
+else if (part == "assembly") assembly();
+else assert(false, str("there is no part ", part));
