@@ -47,7 +47,7 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
 	fi
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, sshd, disks that lose power, dtc, openscad (asks for root)
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (asks for root)
 	@bash .ci/test-deps all
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from device.errors import DeviceError
-from host_sync.commands import devices, exporting, gaging, measuring, offload, reporting
+from host_sync.commands import devices, exporting, gaging, measuring, offload, rendering, reporting, viewing
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, say, telling
 from host_sync.compile_notice import tell_of_compiling
@@ -72,6 +72,8 @@ exporting.register(app)
 measuring.register(app)
 gaging.register(app)
 reporting.register(app)
+viewing.register(app)
+rendering.register(app)
 
 
 @app.command

@@ -74,3 +74,11 @@ class FilterError(HostError, ValueError):
 
 class MeasurementError(HostError, ValueError):
     """A result or a recipe cannot be measured as asked. Mend the file, key or place that the message names."""
+
+
+class RenderError(HostError, ValueError):
+    """A picture cannot be made as it was asked for. Give another size, light, viewpoint or kind of file."""
+
+
+class ViewError(HostError, LookupError):
+    """What was to be looked at is not there, or cannot be shown. Name a library, a result or another scan."""

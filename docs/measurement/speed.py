@@ -69,7 +69,6 @@ def synthetic(shape: tuple[int, int], draws: int) -> ResultSurface:
             rows=shape[0],
             columns=shape[1],
             pixel_pitch_um=PITCH_UM,
-            steepest_slope_deg=40.0,
         ),
         height=HeightMap(z_um, PITCH_UM),
         draws_um=errors if draws else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from host_sync.calibration.calibration_verdict import Check
+from device.calibration_checks import Check
 from host_sync.calibration.full_calibration import Calibration
 
 

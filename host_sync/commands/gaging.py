@@ -64,7 +64,8 @@ def gage_command(
         rows, unit = _measured(planned, chosen, number)
     found = study(*crossed(rows), tolerance=tolerance)
     if json != Path("-"):
-        say(study_text(found, what, unit))
+        for line in study_text(found, what, unit).splitlines():
+            say(line)
     if json is not None:
         record = msgspec.to_builtins(found) | {"number": what, "unit": unit, "schema": "retrograph.gage/1"}
         write_text(json, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())

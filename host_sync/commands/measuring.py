@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -83,7 +84,8 @@ def measure_command(
 
         done.append(found)
         if not alone:
-            say(as_text(found) + "\n")
+            for line in (*as_text(found).splitlines(), ""):
+                say(line)
     _write_files(done, json, csv)
     if failed:
         return PARTLY if done else BAD_INPUT
@@ -168,6 +170,6 @@ def write_text(path: Path, text: str) -> None:
         The place cannot be written.
     """
     if path == Path("-"):
-        say(text.rstrip("\n"))
+        sys.stdout.write(text.rstrip("\n") + "\n")
         return
     write_whole(path, text.encode())

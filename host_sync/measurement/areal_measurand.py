@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, HeightMap, MaskArray, surface_slopes
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, ParameterKind
 from host_sync.measurement.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
 from host_sync.measurement.geometry import Region
@@ -19,7 +19,7 @@ from host_sync.measurement.recipe import Recipe
 
 EDGE_SHARE: Final = 0.25
 MASKED_SHARE: Final = 0.1
-STEEP_SHARE: Final = 0.005
+BEYOND_SHARE: Final = 0.005
 """Shares of the area from which on filter ends, holes and slopes beyond the calibration's make numbers doubtful."""
 
 FEWEST_LENGTHS: Final = 5.0
@@ -36,12 +36,12 @@ class ArealMeasurand:
     ----------
     recipe : what is done and asked for
     height : the whole height map
-    steepest_deg : slope up to which the calibration's balls taught it, if that is known
+    extrapolated : where slopes lie beyond what the calibration taught, bool array of shape (H, W), if that is known
     """
 
     name = AREAL_SUBJECT
 
-    def __init__(self, recipe: Recipe, height: HeightMap, steepest_deg: float | None) -> None:
+    def __init__(self, recipe: Recipe, height: HeightMap, extrapolated: MaskArray | None) -> None:
         self._recipe = recipe
         self._pitch_um = height.pitch_um
         shape = (height.z_um.shape[0], height.z_um.shape[1])
@@ -52,8 +52,7 @@ class ArealMeasurand:
         self._wanted = _wanted(recipe)
         self._correlation = Autocorrelation(self._preparation.valid) if self._asks("spatial") else None
         self.masked_share = 1.0 - float(self._preparation.valid.mean())
-        self._steep_share = _steep_share(part, steepest_deg)
-        self._steepest_deg = steepest_deg
+        self._beyond_share = 0.0 if extrapolated is None else float(extrapolated[self._window].mean())
         self._decay: Decay | None = None
 
     @property
@@ -99,8 +98,8 @@ class ArealMeasurand:
             every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
         if self.masked_share > MASKED_SHARE:
             every.append(f"{self.masked_share:.0%} of the area is masked: what is under the mask may differ")
-        if self._steep_share > STEEP_SHARE:
-            every.append(f"{self._steep_share:.1%} of the area is steeper than the balls' {self._steepest_deg:.0f}°")
+        if self._beyond_share > BEYOND_SHARE:
+            every.append(f"{self._beyond_share:.1%} of the area has slopes beyond what the calibration's balls taught")
         return {"": tuple(every)} | self._spatial_doubts()
 
     def notes(self) -> tuple[str, ...]:
@@ -147,13 +146,3 @@ def _smc(percent: float) -> str:
 
 def _smr(height_um: float) -> str:
     return f"Smr({height_um:g} µm)"
-
-
-def _steep_share(height: HeightMap, steepest_deg: float | None) -> float:
-    """Share of the pixels with a slope that is steeper than the calibration's balls showed; 0 when that is unknown."""
-    if steepest_deg is None:
-        return 0.0
-    p, q = surface_slopes(height)
-    square = p * p + q * q
-    seen = np.isfinite(square)
-    return float((square[seen] > np.tan(np.radians(steepest_deg)) ** 2).mean()) if seen.any() else 0.0

@@ -89,11 +89,6 @@ class HeightDraws:
     def __len__(self) -> int:
         return len(self._draws_um)
 
-    @property
-    def cell_px(self) -> float:
-        """Pixels along a cell of the draws."""
-        return float(self._z_um.shape[1] / max(self._draws_um.shape[2], 1))
-
     def surfaces(self) -> Iterator[DrawnSurface]:
         """Every surface, one after the other; the same ones at each call."""
         size = (self._z_um.shape[1], self._z_um.shape[0])

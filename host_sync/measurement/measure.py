@@ -59,7 +59,7 @@ class _Instrument:
 
     def __init__(self, surface: ResultSurface, recipe: Recipe) -> None:
         height = surface.height
-        self.areal = ArealMeasurand(recipe, height, surface.record.steepest_slope_deg)
+        self.areal = ArealMeasurand(recipe, height, surface.extrapolated)
         self.profiles = [ProfileMeasurand(table, height) for table in recipe.profile]
         self.others: list[Measurand] = [*self.profiles, *_others(recipe, height)]
         self._spectrum: RadialSpectrum | None = None
@@ -88,7 +88,8 @@ class _Instrument:
 
     def spectrum(self, look: _Look) -> PowerSpectrum | None:
         """The spectrum of a look."""
-        return None if self._spectrum is None else PowerSpectrum(self._spectrum.per_um, look.traces[-1])
+        bands = self._spectrum
+        return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, look.traces[-1])
 
 
 def measure_result(

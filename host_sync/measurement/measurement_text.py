@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.plain_text import printable
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 
@@ -33,7 +33,7 @@ CSV_COLUMNS: Final = (
 )
 
 
-def operations(recipe: Recipe, region_um: tuple[float, ...] | None = None) -> str:
+def operations(recipe: Recipe) -> str:
     """What was done to the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
     parts = [f"form removed: {recipe.form}" + ("" if recipe.form == "none" else " (least squares)")]
     for name, index_um in (("S", recipe.s_filter_um), ("L", recipe.l_filter_um)):
@@ -41,7 +41,7 @@ def operations(recipe: Recipe, region_um: tuple[float, ...] | None = None) -> st
             parts.append(f"{name}-filter: none")
         else:
             parts.append(f"{name}-filter: nesting index {index_um:g} µm (Gaussian, ISO 16610-61)")
-    region = region_um or recipe.region_um
+    region = recipe.region_um
     place = "whole field" if region is None else "region {:g} {:g} {:g} {:g} µm".format(*region)
     return "; ".join([place, *parts])
 
@@ -63,7 +63,7 @@ def as_text(measurement: Measurement) -> str:
             )
         lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
     lines += ["", *(f"- {note}" for note in measurement.notes)]
-    return "\n".join(printable(line) for line in lines)
+    return "\n".join(lines)
 
 
 def as_record(measurement: Measurement) -> dict[str, Any]:
@@ -78,7 +78,7 @@ def as_record(measurement: Measurement) -> dict[str, Any]:
         "program": record.program,
         "recipe": measurement.recipe,
         "operations": operations(measurement.recipe),
-        "quantities": measurement.quantities,
+        "quantities": [msgspec.to_builtins(one) | {"sentence": one.sentence} for one in measurement.quantities],
         "notes": measurement.notes,
         "profiles": [
             {
@@ -142,6 +142,7 @@ def _spectrum(measurement: Measurement) -> dict[str, Any] | None:
         return None
     return {
         "frequency_per_um": _numbers(found.spectrum.per_um),
+        "width_per_um": _numbers(found.spectrum.width_per_um),
         "density_um3": _numbers(found.spectrum.density_um3),
         "sigma_um3": None if found.sigma_um3 is None else _numbers(found.sigma_um3),
     }

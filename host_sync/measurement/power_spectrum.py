@@ -16,17 +16,19 @@ import scipy.fft
 from device.surface import Float32Array, Float64Array, MaskArray
 
 BINS_PER_OCTAVE: Final = 6
+EVEN_BANDS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PowerSpectrum:
     """Densities by spatial frequency.
 
-    per_um : float64 array of shape (N,), middle frequencies, 1/µm
+    per_um, width_per_um : float64 arrays of shape (N,), middle and width of the bands, 1/µm
     density_um3 : float64 array of shape (N,), µm³
     """
 
     per_um: Float64Array
+    width_per_um: Float64Array
     density_um3: Float64Array
 
 
@@ -47,12 +49,11 @@ class RadialSpectrum:
         row = scipy.fft.fftfreq(self._size[0], pitch_um)
         column = scipy.fft.rfftfreq(self._size[1], pitch_um)
         frequency = np.hypot(row[:, None], column).astype(np.float32)
-        least, most = 1.0 / (max(valid.shape) * pitch_um), 0.5 / pitch_um
-        count = max(int(np.ceil(BINS_PER_OCTAVE * np.log2(most / least))), 1)
-        self._edges = np.geomspace(least, most, count + 1)
+        self._edges = _band_edges(1.0 / (min(valid.shape) * pitch_um), 0.5 / pitch_um)
         self._band = np.digitize(frequency, self._edges).astype(np.int32)
-        self._seen = np.bincount(self._band.ravel(), minlength=count + 2)[1:-1] > 0
+        self._seen = np.bincount(self._band.ravel(), minlength=len(self._edges) + 1)[1:-1] > 0
         self.per_um: Float64Array = np.sqrt(self._edges[:-1] * self._edges[1:])[self._seen]
+        self.width_per_um: Float64Array = np.diff(self._edges)[self._seen]
         # The half spectrum stands for both signs of the column's frequency.
         self._twice = np.full(column.size, 2.0, np.float32)
         self._twice[0] = 1.0
@@ -69,4 +70,11 @@ class RadialSpectrum:
         power = (spectrum.real**2 + spectrum.imag**2) * self._twice
         total = np.bincount(self._band.ravel(), power.ravel(), len(self._edges) + 1)[1:-1]
         density = total / (weight * self._size[0] * self._size[1]) / np.diff(self._edges)
-        return PowerSpectrum(self.per_um, density[self._seen])
+        return PowerSpectrum(self.per_um, self.width_per_um, density[self._seen])
+
+
+def _band_edges(step: float, most: float) -> Float64Array:
+    """Edges of the bands: as wide as the field's own step of frequency, from the eighth on sixths of an octave."""
+    even = step * (np.arange(EVEN_BANDS + 1) + 0.5)
+    count = max(int(np.ceil(BINS_PER_OCTAVE * np.log2(most / even[-1]))), 1) if most > even[-1] else 0
+    return np.concatenate([even[even < most], np.geomspace(even[-1], most, count + 1)[1:] if count else [most]])

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import cv2
 import msgspec
 import numpy as np
 import tifffile
 
 from device.records import explain_validation
-from device.surface import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap, MaskArray
 from device.tiff_reading import TIFF_READ_ERRORS, quiet_tiff_log
 from host_sync.errors import MeasurementError
 
@@ -21,6 +22,7 @@ HEIGHT_FILE: Final = "height_um.tif"
 DRAWS_FILE: Final = "height_draws_um.tif"
 SLOPE_SIGMA_FILE: Final = "slope_sigma.tif"
 HEIGHT_SIGMA_FILE: Final = "height_sigma_um.tif"
+EXTRAPOLATED_FILE: Final = "extrapolated.png"
 
 
 class HeightScale(msgspec.Struct, frozen=True):
@@ -53,7 +55,6 @@ class ResultRecord(msgspec.Struct, frozen=True, kw_only=True):
     clipped_share: float | None = None
     warnings: tuple[str, ...] = ()
     held_out_error_deg: float | None = None
-    steepest_slope_deg: float | None = None
     height_scale: HeightScale = HeightScale()
 
 
@@ -65,6 +66,7 @@ class ResultSurface:
         the result holds none
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid; or None
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, likewise; or None
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught; or None
     """
 
     folder: Path
@@ -73,6 +75,7 @@ class ResultSurface:
     draws_um: Float32Array | None
     slope_sigma: Float32Array | None
     sigma_um: Float32Array | None = None
+    extrapolated: MaskArray | None = None
 
 
 def read_record(folder: Path) -> ResultRecord:
@@ -122,6 +125,7 @@ def read_result(folder: Path) -> ResultSurface:
         draws_um=_read_field(draws, 3) if draws.is_file() else None,
         slope_sigma=slope_sigma,
         sigma_um=sigma_um,
+        extrapolated=_read_mask(folder / EXTRAPOLATED_FILE, shape),
     )
 
 
@@ -156,6 +160,16 @@ def read_beside(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
     if values.shape != shape:
         raise MeasurementError(f"{path}: is not as large as the height map: reconstruct the scan again")
     return values
+
+
+def _read_mask(path: Path, shape: tuple[int, int]) -> MaskArray | None:
+    """A mask of the height map's size, None if the result is of a version that did not write it."""
+    if not path.is_file():
+        return None
+    found = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if found is None or found.shape != shape:
+        raise MeasurementError(f"{path}: is damaged or not as large as the height map: reconstruct the scan again")
+    return np.asarray(found > 0)
 
 
 def _read_field(path: Path, dimensions: int) -> Float32Array:

@@ -151,7 +151,6 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         "calibration_passed": calibration.assessment.passed,
         "calibration_notes": list(calibration.assessment.notes),
         "height_scale": calibration.assessment.scale,
-        "steepest_slope_deg": float(np.degrees(np.arctan(calibration.inverse.map.steepest))),
         "slope_sigma_median": float(np.nanmedian(reconstruction.slope_sigma)) if finite else None,
         "held_out_error_deg": _number(calibration.held_out_deg[reconstruction.method]),
         "integration": {

@@ -99,8 +99,9 @@ def _calibration(measurement: Measurement, origin: Origin) -> Table:
     rows.append(("reference", record.reference or "-"))
     if record.held_out_error_deg is not None:
         rows.append(("error of normals on balls kept out", f"{record.held_out_error_deg:.2f}°"))
-    if record.steepest_slope_deg is not None:
-        rows.append(("steepest slope that balls showed", f"{record.steepest_slope_deg:.0f}°"))
+    steepest_deg = (origin.calibration or {}).get("steepest_slope_deg")
+    if isinstance(steepest_deg, float):
+        rows.append(("steepest slope that balls showed", f"{steepest_deg:.0f}°"))
     scale = record.height_scale
     for label, share in (("pixel pitch", scale.pixel_pitch_share), ("ball radius", scale.ball_radius_share)):
         rows.append((f"± of the {label}", "not measured" if share is None else f"{100.0 * share:.2g} %"))

@@ -9,7 +9,7 @@ import base64
 from html import escape as escape_markup
 from typing import Final
 
-from host_sync.measurement.plain_text import printable
+from host_sync.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -28,7 +28,7 @@ from reportlab.platypus import (
     TableStyle,
 )
 
-from host_sync.measurement.plain_text import printable
+from host_sync.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
 
 WIDTH: Final = A4[0] - 30.0 * mm - 12.0

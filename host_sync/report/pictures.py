@@ -18,7 +18,7 @@ from device.scan_bundle import ScanBundle
 from device.surface import Float32Array, HeightMap
 from host_sync.measurement.material_ratio import MaterialRatioCurve
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
-from host_sync.measurement.plain_text import printable
+from host_sync.plain_text import printable
 from host_sync.render.relief_axes import draw_relief
 from host_sync.render.relief_sheet import WIDEST_PX
 from host_sync.render.shading import reduced

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -170,10 +171,14 @@ def test_noise_finer_than_the_draws_counts_in_the_slopes() -> None:
 def test_doubts_are_said(write_result: Write, wave: np.ndarray) -> None:
     torn = wave.copy()
     torn[:60, :60] = np.nan
-    found = measure_result(write_result(torn, steepest_slope_deg=1.0), Recipe(l_filter_um=600.0))
+    folder = write_result(torn)
+    beyond = np.zeros(SHAPE, np.uint8)
+    beyond[:, 120:] = 255
+    cv2.imwrite(str(folder / "extrapolated.png"), beyond)
+    found = measure_result(folder, Recipe(l_filter_um=600.0))
     doubts = " ".join(number(found, "Sa").doubts)
     assert "within half the L-filter's nesting index" in doubts
-    assert "steeper than the balls' 1°" in doubts
+    assert "50.0% of the area has slopes beyond what the calibration's balls taught" in doubts
     assert "at most this" in " ".join(number(found, "Str").doubts)
 
 
