@@ -77,7 +77,7 @@ def _export_surface(
     line_um: LineUm | None,
     overwrite: bool,
 ) -> list[Path]:
-    # Pillow and OpenCV load here, so that the other commands start without them.
+    # Pillow and the writers load here, so that the other commands start without them.
     from host_sync.export.source_surface import read_surface
     from host_sync.export.surface_export import ExportChoices, SurfaceFormat, export_surface
     from host_sync.export.tmd import read_tmd

@@ -1,21 +1,21 @@
-"""Colours of heights: cividis, which readers without colour vision see too, from the lowest to the highest percent."""
+"""Colours of heights: the tints of our pictures, from the lowest to the highest percent."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from host_sync.export.mesh import ROWS, Mesh
+from host_sync.render.tints import tint_table
 
 
 def vertex_colours(mesh: Mesh) -> Iterator[NDArray[np.uint8]]:
     """Colours of the vertices in order, some at a time: uint8 arrays of shape (N, 3), sRGB."""
     low, high = np.nanpercentile(mesh.z_um, [1.0, 99.0])
     span = float(high - low) or 1.0
-    palette = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_CIVIDIS)[:, 0, ::-1]
+    palette = np.rint(tint_table()).astype(np.uint8)
     for first in range(0, mesh.z_um.shape[0], ROWS):
         z = mesh.z_um[first : first + ROWS]
         shade = np.clip((z[np.isfinite(z)] - low) / span * 255.0, 0.0, 255.0)

@@ -10,7 +10,7 @@ from host_sync.export.source_surface import SourceSurface
 
 
 def write_npz(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write `z_um`, `sigma_um` (if known), `valid`, `pixel_pitch_um`, `name`, `origin` and `written_utc`."""
+    """Write `z_um`, `valid`, `pixel_pitch_um`, `name`, `origin`, `written_utc`; if known `sigma_um`, `extrapolated`."""
     arrays: dict[str, Any] = {
         "z_um": surface.z_um,
         "valid": np.isfinite(surface.z_um),
@@ -21,4 +21,6 @@ def write_npz(file: BinaryIO, surface: SourceSurface) -> None:
     }
     if surface.sigma_um is not None:
         arrays["sigma_um"] = surface.sigma_um
+    if surface.extrapolated is not None:
+        arrays["extrapolated"] = surface.extrapolated
     np.savez(file, allow_pickle=False, **arrays)

@@ -9,9 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array
+from device.surface import Float32Array, MaskArray
 from host_sync.errors import ExportError
-from host_sync.measurement.result_surface import HEIGHT_SIGMA_FILE, read_beside, read_height, read_record
+from host_sync.measurement.result_surface import (
+    EXTRAPOLATED_FILE,
+    HEIGHT_SIGMA_FILE,
+    read_beside,
+    read_height,
+    read_mask,
+    read_record,
+)
 
 LONGEST_PITCH_UM: Final = 1e6
 
@@ -24,6 +31,7 @@ class SourceSurface:
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid; or None
     written_utc : when the result was written, as 2026-11-21T14:30:00Z; empty if unknown
     origin : what is known of it, one sentence of printable characters
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught; or None
     """
 
     name: str
@@ -32,6 +40,7 @@ class SourceSurface:
     sigma_um: Float32Array | None = None
     written_utc: str = ""
     origin: str = ""
+    extrapolated: MaskArray | None = None
 
     @property
     def rows(self) -> int:
@@ -65,6 +74,7 @@ def read_surface(folder: Path) -> SourceSurface:
             sigma_um=read_beside(folder / HEIGHT_SIGMA_FILE, height.z_um.shape),
             written_utc=one_line(record.written_utc),
             origin=one_line("; ".join(part for part in parts if part)),
+            extrapolated=read_mask(folder / EXTRAPOLATED_FILE, height.z_um.shape),
         ),
         folder,
     )

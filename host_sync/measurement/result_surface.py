@@ -125,7 +125,7 @@ def read_result(folder: Path) -> ResultSurface:
         draws_um=_read_field(draws, 3) if draws.is_file() else None,
         slope_sigma=slope_sigma,
         sigma_um=sigma_um,
-        extrapolated=_read_mask(folder / EXTRAPOLATED_FILE, shape),
+        extrapolated=read_mask(folder / EXTRAPOLATED_FILE, height.z_um.shape),
     )
 
 
@@ -162,8 +162,14 @@ def read_beside(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
     return values
 
 
-def _read_mask(path: Path, shape: tuple[int, int]) -> MaskArray | None:
-    """A mask of the height map's size, None if the result is of a version that did not write it."""
+def read_mask(path: Path, shape: tuple[int, ...]) -> MaskArray | None:
+    """A mask of the height map's size, None if the result is of a version that did not write it.
+
+    Raises
+    ------
+    MeasurementError
+        The file is damaged, or of another size.
+    """
     if not path.is_file():
         return None
     found = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)

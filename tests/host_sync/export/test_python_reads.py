@@ -94,11 +94,16 @@ def test_png_by_its_own_text_and_by_its_sidecar(exported: Export, z_um: Float32A
     assert np.nanmax(z_um) - np.nanmin(z_um) == pytest.approx(65534 * step_um, rel=1e-6)
 
 
-def test_npz_holds_all_without_pickles(exported: Export, z_um: Float32Array, sigma_um: Float32Array) -> None:
+def test_npz_holds_all_without_pickles(
+    exported: Export, result: Path, z_um: Float32Array, sigma_um: Float32Array
+) -> None:
+    beyond = z_um > 8.0
+    assert cv2.imwrite(str(result / "extrapolated.png"), beyond.astype(np.uint8) * 255)
     with np.load(exported("npz"), allow_pickle=False) as held:
         assert np.array_equal(held["z_um"], z_um, equal_nan=True)
         assert np.array_equal(held["sigma_um"], sigma_um, equal_nan=True)
         assert np.array_equal(held["valid"], np.isfinite(z_um))
+        assert np.array_equal(held["extrapolated"], beyond)
         assert held["pixel_pitch_um"] == PITCH_UM
         assert str(held["name"]) == "part-7"
 
