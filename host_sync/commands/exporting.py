@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Final, Literal, cast, get_args
 
@@ -54,7 +55,7 @@ def export_command(
     """
     forms = tuple(dict.fromkeys(to))
     place, scan = Path(source), None
-    if not _is_surface(place):
+    if os.sep not in source and not _is_surface(place):
         shelf = Library(library or default_library())
         scan = shelf.find(source)
         if set(forms) - set(RAW):

@@ -45,25 +45,31 @@ def read_tmd(path: Path) -> SourceSurface:
         It is none, is damaged, or its pixels are not square.
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            head = file.read(len(MAGIC) + LONGEST_COMMENT + struct.calcsize(SIZES))
+        size = path.stat().st_size
     except OSError as error:
         raise ExportError(f"{path}: cannot be read {explain_refusal(error)}") from error
-    if not data.startswith(MAGIC):
-        what = "is a TMD file of another version" if data.startswith(ANY_VERSION) else "is no TMD file"
+    if not head.startswith(MAGIC):
+        what = "is a TMD file of another version" if head.startswith(ANY_VERSION) else "is no TMD file"
         raise ExportError(f"{path}: {what}: name one of version 2.0")
-    end = data.find(b"\0", len(MAGIC), len(MAGIC) + LONGEST_COMMENT)
+    end = head.find(b"\0", len(MAGIC), len(MAGIC) + LONGEST_COMMENT)
     start = end + 1 + struct.calcsize(SIZES)
-    if end < 0 or len(data) < start:
+    if end < 0 or len(head) < start:
         raise ExportError(f"{path}: ends before its sizes do: copy it again")
-    columns, rows, across_mm, down_mm, _, _ = struct.unpack_from(SIZES, data, end + 1)
-    if not 0 < columns * rows <= MOST_PIXELS or len(data) < start + 4 * columns * rows:
+    columns, rows, across_mm, down_mm, _, _ = struct.unpack_from(SIZES, head, end + 1)
+    if not 0 < columns * rows <= MOST_PIXELS or size < start + 4 * columns * rows:
         raise ExportError(f"{path}: is too short for the {columns}x{rows} pixels that it names: copy it again")
     pitch_um, down_um = across_mm / columns / UM_TO_MM, down_mm / rows / UM_TO_MM
     if not abs(pitch_um - down_um) <= SQUARE * abs(pitch_um):
         raise ExportError(f"{path}: its pixels are {pitch_um:g} x {down_um:g} um: export one with square pixels")
-    z_um = np.frombuffer(data, "<f4", columns * rows, start).reshape(rows, columns) / np.float32(UM_TO_MM)
-    comment = data[len(MAGIC) : end].decode("ascii", "replace")
+    z_um = np.fromfile(path, "<f4", columns * rows, offset=start).reshape(rows, columns)
+    z_um /= np.float32(UM_TO_MM)
+    comment = head[len(MAGIC) : end].decode("ascii", "replace")
     surface = SourceSurface(
-        name=path.stem, z_um=z_um.astype(np.float32), pitch_um=pitch_um, origin=one_line(f"TMD file; {comment}")
+        name=path.stem,
+        z_um=z_um.astype(np.float32, copy=False),
+        pitch_um=pitch_um,
+        origin=one_line(f"TMD file; {comment}"),
     )
     return checked_surface(surface, path)
