@@ -103,7 +103,7 @@ def check_mesh_size(surface: SourceSurface, step: int | None) -> None:
             enough += 1
         raise ExportError(
             f"{surface.name}: a mesh of {columns}x{rows} pixels has {2 * rows * columns / 1e6:.0f} million triangles, "
-            f"more than most programs open: add --mesh-step {enough}, which takes every {enough}. row and column"
+            f"more than most programs open: add --mesh-step {enough}, which keeps one row and column in {enough}"
         )
 
 
