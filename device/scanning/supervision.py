@@ -19,6 +19,9 @@ from typing import Final, Self
 BEATS_PER_TIMEOUT: Final = 4
 """A quarter of the watchdog's time between two beats leaves room for one long scan."""
 
+PATIENCE_S: Final = 1.0
+"""A service manager that does not take a message within this time goes without it: work never waits for it."""
+
 POWER_OFF_FILE: Final = "poweroff"
 
 
@@ -86,6 +89,7 @@ class Supervisor:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as telling:
+            telling.settimeout(PATIENCE_S)
             telling.connect(address)
             telling.sendall(message.encode())
 

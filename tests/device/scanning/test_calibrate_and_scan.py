@@ -63,7 +63,7 @@ def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, sto
         flat, peak = (bundle.record.figures[f"{what}_level_{colour}"] for what in ("flat", "brightest"))
         assert 0.1 < (flat or 0.0) < (peak or 0.0) < 1.0
     stored = read_model(bundle.path(bundle.record.model_files[0]))
-    np.testing.assert_array_equal(stored.coefficients, outcome.fit.map.coefficients)
+    np.testing.assert_array_equal(stored.curve.coefficients, outcome.fit.map.curve.coefficients)
 
 
 def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(

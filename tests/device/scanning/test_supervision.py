@@ -106,18 +106,20 @@ def test_the_work_loop_itself_feeds_the_watchdog(
     supervisor = Supervisor.from_environment(environment(tmp_path))
     clock = bench.clock
     began_ns = clock.monotonic_ns()
-    bench.schedule_button(ButtonPress(began_ns + 10_000_000_000, 0.1))
+    bench.schedule_button(ButtonPress(began_ns + 1_000_000_000, 0.1))
     beats_ns = [began_ns]
+    told: list[str] = []
 
     def go_on() -> bool:
         supervisor.alive()
+        told.extend(messages(heard))
         beats_ns.append(clock.monotonic_ns())
-        return beats_ns[-1] - began_ns < 20e9
+        return beats_ns[-1] - began_ns < 2.5e9
 
     with Instrument(hardware, calibrated) as instrument:
         run_headless(instrument, lambda _line: None, print, go_on)
     assert len(calibrated.scans().bundles) == 1
-    assert messages(heard) == ["WATCHDOG=1"] * (len(beats_ns) - 1)
+    assert told == ["WATCHDOG=1"] * (len(beats_ns) - 1)
     longest_wait_s = supervisor.longest_wait_s
     assert longest_wait_s is not None
     assert max(later - earlier for earlier, later in pairwise(beats_ns)) * 1e-9 < longest_wait_s
