@@ -19,12 +19,12 @@ from host_sync.commands import devices, exporting, gaging, measuring, offload, r
 from host_sync.commands import library as library_commands
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, say, telling
 from host_sync.compile_notice import tell_of_compiling
+from host_sync.detail_band import DetailBand
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library
 from host_sync.method_name import MethodName
 from host_sync.picture_format import PictureFormat
-from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.video_command import video
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from host_sync.calibration.ball_location import GridSpacing, PressFrame
 from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
+from host_sync.detail_band import DetailBand
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
 from host_sync.frame_set import FrameSet, PressSpec, ScanSpec
-from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.results import write_result
 

@@ -14,8 +14,8 @@ from host_sync.calibration.ball_location import PressFrame
 from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.report import write_report
+from host_sync.detail_band import DetailBand
 from host_sync.library import Library
-from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
 from host_sync.reconstruction.results import write_result
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from device.surface import Float32Array, HeightMap
 from host_sync.calibration.full_calibration import Calibration
-from host_sync.reconstruction.detail_filter import DetailBand, detail
+from host_sync.detail_band import DetailBand
+from host_sync.reconstruction.detail_filter import detail
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.reconstruction.whole_directory import whole_directory
 from host_sync.render.detail_picture import write_detail
