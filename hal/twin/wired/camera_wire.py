@@ -42,7 +42,8 @@ class StackFaults:
     no_memory : the kernel has no contiguous memory when the camera is configured
     in_use : another program holds the camera
     raw_format : the format that is granted whatever is asked for
-    no_raw : the camera has no raw stream, as libcamera's virtual one
+    no_raw : the camera has no raw modes, as libcamera's virtual one: picamera2 stumbles over that as it opens it
+    no_raw_granted : no raw stream is granted
     rows_lost : rows that are missing at the end of every raw buffer
     stalled_openings : times that the opened camera delivers nothing until it is opened again
     unmappable : buffers cannot be mapped
@@ -54,6 +55,7 @@ class StackFaults:
     in_use: bool = False
     raw_format: str = ""
     no_raw: bool = False
+    no_raw_granted: bool = False
     rows_lost: int = 0
     stalled_openings: int = 0
     unmappable: bool = False
@@ -79,6 +81,8 @@ class CameraWire:
 
     def __call__(self, camera_num: int) -> WiredCamera:
         """The opened camera."""
+        if self.faults.no_raw:
+            raise RuntimeError("Camera __init__ sequence did not complete.") from AttributeError("at")
         if self.faults.in_use or self.opened:
             raise RuntimeError("Camera __init__ sequence did not complete.")
         self.opened += 1
@@ -116,7 +120,7 @@ class WiredCamera:
 
     def camera_configuration(self) -> dict[str, Any]:
         """What was granted."""
-        return {**self.configuration, "raw": None} if self.wire.faults.no_raw else self.configuration
+        return {**self.configuration, "raw": None} if self.wire.faults.no_raw_granted else self.configuration
 
     def set_controls(self, controls: Mapping[str, Any]) -> None:
         """Ask for controls; exposure and gain arrive frames later."""
