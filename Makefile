@@ -42,16 +42,16 @@ powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qem
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
 
 system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
-	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system tests/system/test_virtual_camera.py
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
 
 system-test: system-cache ## the whole handheld on a virtual board: install, scan, pull, hang, update, power cuts (QEMU)
-	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system tests/system
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
 
 system-cache: set-up
 	@bash tests/system/build "$(SYSTEM_CACHE)" "$(VENV)/bin/python"
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, systemd's checks (asks for root)
-	@bash .ci/test-deps
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, dtc, shellcheck, openscad (asks for root)
+	@bash .ci/test-deps all
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
 	@bash .ci/set-up-bench "$(VENV)"

@@ -46,6 +46,8 @@ while [ $# -gt 0 ]; do
     shift
 done
 
+include=$'\n[all]\ninclude retrograph.txt\n'
+
 say() { printf '%s\n' "$*"; }
 refuse() {
     printf 'install.sh: %s\n' "$1" >&2
@@ -201,8 +203,9 @@ mount_data() {
     local part
     folder /data/store 750 retroscan
     folder /data/pairing 750 retroscan
-    for part in journal timesync app; do folder "/data/$part" 755; done
-    for part in ssh network; do folder "/data/$part" 700; done
+    # The host key itself is 0600; its public half is read by the instrument's user when a workstation pairs.
+    for part in journal timesync app ssh; do folder "/data/$part" 755; done
+    folder /data/network 700
     keep_what_was_there
     for part in "$here"/systemd/{var,etc,srv}-*.mount; do put "$part" "/etc/systemd/system/$(basename "$part")"; done
 }
@@ -286,10 +289,10 @@ set_up_firmware() {
         say "  (dtc is not there yet: retrograph.dtbo is compiled by the next run)"
     fi
     grep -qx 'include retrograph.txt' "$root$boot/config.txt" ||
-        act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" $'\n[all]\ninclude retrograph.txt'
+        act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
     [ "$read_only" = no ] || set_overlay "$root$boot/cmdline.txt" overlayroot=tmpfs:recurse=0
 }
-append() { { cat "$1" && printf '%s\n' "$2"; } >"$1.new" && mv "$1.new" "$1"; }
+append() { { cat "$1" && printf '%s' "$2"; } >"$1.new" && mv "$1.new" "$1"; }
 
 # The kernel's command line is one line; recurse=0 leaves the data partition as it is.
 set_overlay() {
@@ -389,8 +392,15 @@ take_away() {
     [ ! -d "$root/data/app" ] || act "remove the program" rm -rf "${root:?}/data/app"
     say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync."
 }
+# The exact undoing of `append`; where more was written after it, the one line goes.
 drop_include() {
-    sed '/^include retrograph\.txt$/d' "$1" | sed -e :a -e '/^\n*$/{$d;N;ba' -e '}' | sed '${/^\[all\]$/d}' >"$1.new"
+    local text
+    text=$(cat "$1" && echo x)
+    text=${text%x}
+    case $text in
+    *"$include") printf '%s' "${text%"$include"}" >"$1.new" ;;
+    *) printf '%s' "$text" | sed '/^include retrograph\.txt$/d' >"$1.new" ;;
+    esac
     mv "$1.new" "$1"
 }
 give_back_host_key() {

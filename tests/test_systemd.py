@@ -1,67 +1,167 @@
-"""The handheld's unit: systemd accepts it, and what it runs exists and ends dark."""
+"""The handheld's units: systemd accepts them, they are shut in, and what they run exists and ends dark."""
 
-import configparser
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
-UNIT = Path(__file__).parent.parent / "systemd" / "retroscan.service"
+SYSTEMD = Path(__file__).parent.parent / "systemd"
 PROGRAM = "/usr/local/bin/retroscan"
+INSTRUMENTS = ("retroscan.service", "retroscan-tui.service")
+UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
+MOST_EXPOSED = 25
+"""Of `systemd-analyze security`, in tenths: what an unprivileged unit may not exceed."""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
+Settings = dict[str, list[str]]
+
+
+def unit_files() -> list[Path]:
+    return sorted(path for path in SYSTEMD.iterdir() if path.suffix in {".service", ".mount", ".path"})
+
+
+def settings(name: str) -> Settings:
+    """What a unit says, each key with all its values."""
+    found: Settings = {}
+    for line in (SYSTEMD / name).read_text(encoding="utf-8").splitlines():
+        if "=" in line and not line.startswith(("#", "[")):
+            key, _, value = line.partition("=")
+            found.setdefault(key, []).append(value)
+    return found
+
 
 @pytest.fixture
-def service() -> configparser.SectionProxy:
-    parser = configparser.ConfigParser(interpolation=None, delimiters=("=",), strict=False)
-    parser.optionxform = str  # type: ignore[assignment, method-assign]
-    parser.read(UNIT, encoding="utf-8")
-    return parser["Service"]
+def units_of_this_machine(tmp_path: Path) -> Path:
+    """All units, with programs that are there, since systemd looks for them."""
+    for path in unit_files():
+        text = re.sub(r"/usr/local/(bin|sbin|lib)/[a-z/-]+", sys.executable, path.read_text(encoding="utf-8"))
+        (tmp_path / path.name).write_text(text, encoding="utf-8")
+    return tmp_path
 
 
-@pytest.fixture
-def unit_of_this_machine(tmp_path: Path) -> Path:
-    """The unit with a program that is there, since systemd looks for it."""
-    unit = tmp_path / UNIT.name
-    unit.write_text(UNIT.read_text(encoding="utf-8").replace(PROGRAM, sys.executable), encoding="utf-8")
-    return unit
+@pytest.mark.parametrize("unit", INSTRUMENTS)
+def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
+    said = settings(unit)
+    assert said["Type"] == ["notify"]
+    assert 20 <= int(said["WatchdogSec"][0]) <= 120
+    assert shlex.split(said["ExecStart"][0])[-1] in {"watch", "tui"}
+    assert "--board ${RETROSCAN_BOARD}" in said["ExecStart"][0]
+    assert shlex.split(said["ExecStopPost"][0])[-1] == "lights-off"
+    assert said["User"] == ["retroscan"]
+    assert said["StartLimitIntervalSec"] == ["0"]
 
 
-def test_watches_and_ends_dark(service: configparser.SectionProxy) -> None:
-    assert shlex.split(service["ExecStart"])[-1] == "watch"
-    assert shlex.split(service["ExecStopPost"])[-1] == "lights-off"
-    assert "--board ${RETROSCAN_BOARD}" in service["ExecStart"]
+def test_the_camera_has_one_owner() -> None:
+    """Each of the two ends the other, and both hold the program's lock in the same folder."""
+    for unit, other in (INSTRUMENTS, INSTRUMENTS[::-1]):
+        said = settings(unit)
+        assert other in said["Conflicts"][0].split()
+        assert (said["RuntimeDirectory"], said["RuntimeDirectoryPreserve"]) == (["retroscan"], ["yes"])
 
 
-def test_what_runs_after_the_stop_works_on_the_twin(service: configparser.SectionProxy) -> None:
-    program, *arguments = shlex.split(service["ExecStopPost"].replace("${RETROSCAN_BOARD}", "twin"))
-    assert program == PROGRAM
-    ran = subprocess.run([sys.executable, "-m", "device", *arguments], capture_output=True, text=True, check=False)
-    assert (ran.returncode, ran.stderr) == (0, "")
+def test_what_runs_after_the_stop_works_on_the_twin() -> None:
+    for unit in INSTRUMENTS:
+        command = settings(unit)["ExecStopPost"][0].replace("${RETROSCAN_BOARD}", "twin")
+        program, *arguments = shlex.split(command)
+        assert program == PROGRAM
+        ran = subprocess.run([sys.executable, "-m", "device", *arguments], capture_output=True, text=True, check=False)
+        assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def test_every_command_of_the_units_is_one_of_the_program() -> None:
+    helped = subprocess.run([sys.executable, "-m", "device", "--help"], capture_output=True, text=True, check=True)
+    known = set(re.findall(r"^    ([a-z-]+)", helped.stdout, re.MULTILINE)) | {"tui"}
+    lines = [line for path in unit_files() for line in path.read_text(encoding="utf-8").splitlines()]
+    commands = [shlex.split(line) for line in lines if line.startswith("Exec") and PROGRAM in line]
+    asked = {next(word for word in reversed(words) if not word.startswith("-")) for words in commands}
+    assert asked >= {"watch", "lights-off", "pair", "guard-battery"}
+    assert asked <= known
+
+
+def test_only_what_an_instrument_needs_of_the_devices() -> None:
+    for unit in UNPRIVILEGED:
+        said = settings(unit)
+        assert said.get("DevicePolicy") == ["closed"] or said.get("PrivateDevices") == ["yes"]
+        assert all("mem" not in device and "block" not in device for device in said.get("DeviceAllow", []))
+
+
+def test_nothing_waits_for_a_network_or_for_the_time() -> None:
+    for path in unit_files():
+        text = path.read_text(encoding="utf-8")
+        assert "network-online.target" not in text
+        assert "time-sync.target" not in text
+        assert "time-set.target" not in text
 
 
 @needs_systemd
-def test_systemd_accepts_it(unit_of_this_machine: Path) -> None:
-    ran = subprocess.run(
-        ["systemd-analyze", "verify", unit_of_this_machine], capture_output=True, text=True, check=False
-    )
-    complaints = [line for line in ran.stderr.splitlines() if UNIT.stem in line]
-    assert (ran.returncode, complaints) == (0, [])
+def test_systemd_accepts_all_of_them(units_of_this_machine: Path) -> None:
+    units = sorted(units_of_this_machine.iterdir())
+    ran = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
+    complaints = [line for line in ran.stderr.splitlines() if "retro" in line or "data" in line]
+    assert complaints == []
+    assert ran.returncode == 0, ran.stderr
 
 
 @needs_systemd
-def test_it_is_shut_in(unit_of_this_machine: Path) -> None:
+@pytest.mark.parametrize("unit", UNPRIVILEGED)
+def test_it_is_shut_in(units_of_this_machine: Path, unit: str) -> None:
     ran = subprocess.run(
-        ["systemd-analyze", "security", "--offline=yes", "--threshold=25", unit_of_this_machine],
+        [
+            "systemd-analyze",
+            "security",
+            "--offline=yes",
+            f"--threshold={MOST_EXPOSED}",
+            units_of_this_machine / unit,
+        ],
         capture_output=True,
         text=True,
         check=False,
     )
     assert ran.returncode == 0, ran.stdout
+
+
+@pytest.mark.skipif(shutil.which("systemd-escape") is None, reason="systemd-escape is not installed")
+def test_a_mount_is_named_after_its_place() -> None:
+    for path in SYSTEMD.glob("*.mount"):
+        where = settings(path.name)["Where"][0]
+        escaped = subprocess.run(
+            ["systemd-escape", "--path", "--suffix=mount", where], capture_output=True, text=True, check=True
+        )
+        assert escaped.stdout.strip() == path.name
+
+
+@pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
+@pytest.mark.skipif(not Path("/proc/self/uid_map").exists(), reason="this is no Linux")
+def test_users_and_folders_are_made(tmp_path: Path) -> None:
+    (tmp_path / "etc").mkdir()
+    sysusers = ["systemd-sysusers", f"--root={tmp_path}", SYSTEMD / "sysusers-retrograph.conf"]
+    subprocess.run(sysusers, check=True, capture_output=True)
+    users = dict(line.split(":", 1) for line in (tmp_path / "etc/passwd").read_text().splitlines())
+    assert users.keys() == {"retroscan", "retrosync"}
+    assert users["retroscan"].split(":")[2] == users["retrosync"].split(":")[2], "one group: the store's owner's"
+    lines = (SYSTEMD / "tmpfiles-retrograph.conf").read_text(encoding="utf-8").splitlines()
+    modes = {words[1]: (words[2], words[3]) for line in lines if len(words := line.split()) >= 5 and words[0] == "d"}
+    assert modes["/srv/retrograph"] == ("0755", "root"), "sshd asks this of a chroot"
+    assert modes["/var/lib/retroscan/receipts"][0] == modes["/var/lib/retroscan/inbox"][0] == "0770"
+    assert modes["/var/lib/retroscan"] == ("0750", "retroscan"), "the offload's user reads, and writes nothing else"
+
+
+def test_the_journal_is_bounded() -> None:
+    said = settings("journald-retrograph.conf")
+    assert said["Storage"] == ["persistent"]
+    assert said["SystemMaxUse"] == ["64M"]
+
+
+def test_avahi_announces_what_discovery_looks_for() -> None:
+    service = ElementTree.parse(SYSTEMD / "avahi-retrograph.xml").getroot()  # noqa: S314
+    assert service.findtext("service/type") == "_sftp-ssh._tcp"
+    assert service.findtext("service/txt-record") == "retrograph=1"
 
 
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/local/sbin:/usr/bin")
@@ -72,7 +172,7 @@ def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
     assert SSHD is not None
     key = tmp_path / "host_key"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
-    drop_in = (UNIT.parent / "sshd-retrograph.conf").read_text(encoding="utf-8")
+    drop_in = (SYSTEMD / "sshd-retrograph.conf").read_text(encoding="utf-8")
     (tmp_path / "sshd_config").write_text(f"HostKey {key}\nPasswordAuthentication yes\n{drop_in}", encoding="utf-8")
 
     def effective(user: str) -> dict[str, str]:
@@ -87,10 +187,3 @@ def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
     assert (offload["authenticationmethods"], offload["passwordauthentication"]) == ("publickey", "no")
     assert (offload["disableforwarding"], offload["permittty"], offload["authorizedkeysfile"]) == ("yes", "no", "none")
     assert effective("somebody")["passwordauthentication"] == "yes"
-
-
-@needs_systemd
-def test_systemd_accepts_the_mount() -> None:
-    mount = UNIT.parent / "srv-retrograph-store.mount"
-    ran = subprocess.run(["systemd-analyze", "verify", mount], capture_output=True, text=True, check=False)
-    assert [line for line in ran.stderr.splitlines() if "retrograph" in line] == []

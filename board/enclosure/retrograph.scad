@@ -16,7 +16,7 @@ flange = 17.526;            // C mount; CS mount 12.526
 /* [Lights: as board/light-geometry.md has them] */
 distance = 25;              // from the skin's centre, inside gel and block
 elevation = 30;             // inside the gel
-azimuths = [-90, 30, 150];  // red, green, blue, as position_mm of the profiles
+azimuths = [-90, 150, 30];  // red, green, blue, as position_mm of the profiles
 led = 5.2;                  // bore for a 5 mm LED
 
 /* [Gel and block] */

@@ -13,10 +13,13 @@ import os
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Final, Self
 
 BEATS_PER_TIMEOUT: Final = 4
 """A quarter of the watchdog's time between two beats leaves room for one long scan."""
+
+POWER_OFF_FILE: Final = "poweroff"
 
 
 class Supervisor:
@@ -26,11 +29,13 @@ class Supervisor:
     ----------
     address : of the socket, a path or a name in the abstract namespace that begins with "@"; None when there is none
     timeout_s : silence after which the service manager ends the program; None when it does not watch
+    folder : where a file named `poweroff` is a wish that it grants (`systemd/retrograph-poweroff.path`)
     """
 
-    def __init__(self, address: str | None, timeout_s: float | None) -> None:
+    def __init__(self, address: str | None, timeout_s: float | None, folder: Path | None = None) -> None:
         self._address = address
         self._timeout_s = timeout_s if address else None
+        self._folder = folder
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
@@ -39,7 +44,8 @@ class Supervisor:
         microseconds = environment.get("WATCHDOG_USEC", "")
         is_meant = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watches = is_meant and microseconds.isdecimal() and int(microseconds) > 0
-        return cls(address, int(microseconds) * 1e-6 if watches else None)
+        folder = Path(environment["RUNTIME_DIRECTORY"]) if address and environment.get("RUNTIME_DIRECTORY") else None
+        return cls(address, int(microseconds) * 1e-6 if watches else None, folder)
 
     @property
     def is_there(self) -> bool:
@@ -63,6 +69,16 @@ class Supervisor:
     def stopping(self) -> None:
         """The work loop has ended."""
         self._tell("STOPPING=1")
+
+    def power_off(self) -> bool:
+        """Ask for an orderly end of the whole device; False when there is nobody to ask."""
+        if self._folder is None:
+            return False
+        try:
+            (self._folder / POWER_OFF_FILE).touch()
+        except OSError:
+            return False
+        return True
 
     def _tell(self, message: str) -> None:
         """Send; a service manager that has gone must not cost a scan."""

@@ -1,0 +1,67 @@
+#!/bin/bash
+# Gives a freshly flashed Raspberry Pi OS card (or image file) its data partition, before its first boot. Raspberry Pi OS lets
+# its root file system grow over the whole card only when nothing lies behind it, so this must come first.
+#
+# usage: sudo board/prepare-card.sh [--root-gib 8] DEVICE-or-IMAGE
+#
+# Root grows to that size; what is left becomes an ext4 partition labelled retrograph-data. Nothing but a card with exactly
+# Raspberry Pi OS's two partitions is touched; one that has its data partition already is left as it is.
+set -euo pipefail
+
+sector=512
+root_gib=8
+
+refuse() {
+    printf 'prepare-card.sh: %s\n' "$1" >&2
+    exit 2
+}
+usage() { refuse "usage: board/prepare-card.sh [--root-gib 8] DEVICE-or-IMAGE"; }
+
+# One number or word of a partition (1 is the first) as sfdisk tells it.
+of_partition() {
+    sfdisk --dump "$card" 2>/dev/null | grep -E 'start=' | sed -n "$1p" | sed -n "s/.*$2= *\([^, ]*\).*/\1/p"
+}
+count_partitions() { sfdisk --dump "$card" 2>/dev/null | grep -c 'start=' || true; }
+# A file system is named by its place on the card: no partition node is needed, and image files work as cards do.
+label_at() { blkid --probe --offset "$(($1 * sector))" --match-tag LABEL --output value "$card" 2>/dev/null || true; }
+
+case ${1:-} in
+--root-gib)
+    [[ ${2:-} =~ ^[0-9]+$ ]] || usage
+    root_gib=$2
+    shift 2
+    ;;
+esac
+[ $# = 1 ] || usage
+card=$1
+
+[ -b "$card" ] || [ -f "$card" ] || refuse "$card: is neither a device nor an image file"
+[ -w "$card" ] || refuse "$card: cannot be written; use sudo"
+if [ -b "$card" ] && lsblk --noheadings --output MOUNTPOINTS "$card" | grep -q /; then
+    refuse "$card: is mounted: unmount its partitions, and make sure that it is the card you mean"
+fi
+
+if [ "$(count_partitions)" = 3 ] && [ "$(label_at "$(of_partition 3 start)")" = retrograph-data ]; then
+    echo "Everything is in place."
+    exit
+fi
+[ "$(count_partitions)" = 2 ] || refuse "$card: holds $(count_partitions) partitions, not Raspberry Pi OS's two"
+root_start=$(of_partition 2 start)
+[ "$(label_at "$root_start")" = rootfs ] || refuse "$card: its second partition is not Raspberry Pi OS's rootfs"
+
+if [ -b "$card" ]; then size=$(blockdev --getsz "$card"); else size=$(($(stat -c %s "$card") / sector)); fi
+root_end=$(((root_gib << 30) / sector + root_start))
+data_start=$(((root_end + 8191) / 8192 * 8192))
+[ $((size - data_start)) -gt $(((1 << 30) / sector)) ] ||
+    refuse "$card: $((size * sector >> 30)) GiB are too small for a root of $root_gib GiB and a gigabyte of scans"
+[ "$root_end" -ge $((root_start + $(of_partition 2 size))) ] || refuse "$card: root is larger than $root_gib GiB already"
+
+echo "Root grows to $root_gib GiB, $(((size - data_start) * sector >> 30)) GiB become the data partition."
+root_size=$((data_start - root_start))
+echo ", $root_size" | sfdisk --quiet --no-reread --partno 2 "$card"
+echo "$data_start, $((size - data_start)), L" | sfdisk --quiet --no-reread --append "$card"
+e2fsck -f -p "$card?offset=$((root_start * sector))" >/dev/null || [ $? -le 1 ]
+resize2fs "$card?offset=$((root_start * sector))" "${root_size}s" >/dev/null 2>&1
+mkfs.ext4 -q -F -L retrograph-data -E "offset=$((data_start * sector))" "$card" $(((size - data_start) * sector / 1024))k
+sync
+echo "Done: boot it, then sudo board/install.sh --board NAME"

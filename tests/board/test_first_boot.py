@@ -1,0 +1,91 @@
+"""What a device gets of its own at its first boot, once; and the USB adapter that it shows."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+needs_ssh = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
+
+
+@pytest.fixture
+def program(fresh: Path) -> Path:
+    """A `retroscan` that draws another id whenever it is asked."""
+    path = fresh / "usr/local/bin/retroscan"
+    path.parent.mkdir(parents=True)
+    path.write_text('#!/bin/bash\necho "$*" >>"${0}-calls"\necho "rg$RANDOM"\n')
+    path.chmod(0o755)
+    return path
+
+
+@needs_ssh
+def test_key_and_name_are_made_once(fresh: Path, run: Run, program: Path) -> None:
+    first = run("systemd/first-boot", RETROSCAN_BOARD="twin")
+    assert first.returncode == 0, first.stderr
+    key, name = fresh / "data/ssh/ssh_host_ed25519_key", fresh / "data/hostname"
+    made = (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text())
+    assert key.stat().st_mode & 0o777 == 0o600
+    assert made[2].startswith("rg")
+    assert "made the host key SHA256:" in first.stdout
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
+    assert (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text()) == made
+    store = fresh / "var/lib/retroscan"
+    assert program.with_name("retroscan-calls").read_text() == f"--board twin --store {store} identity\n"
+
+
+@needs_ssh
+def test_a_power_cut_in_the_middle_costs_nothing(fresh: Path, run: Run, program: Path) -> None:
+    folder = fresh / "data/ssh"
+    folder.mkdir(parents=True)
+    (folder / "ssh_host_ed25519_key.new").write_text("half")
+    (folder / "ssh_host_ed25519_key").touch()
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").returncode == 0
+    assert b"PRIVATE KEY" in (folder / "ssh_host_ed25519_key").read_bytes()
+    assert not (folder / "ssh_host_ed25519_key.new").exists()
+
+
+@needs_ssh
+def test_a_name_that_is_none_is_refused(fresh: Path, run: Run, program: Path) -> None:
+    program.write_text("#!/bin/bash\necho 'rg1; reboot'\n")
+    ran = run("systemd/first-boot", RETROSCAN_BOARD="twin")
+    assert ran.returncode != 0
+    assert "tells no id" in ran.stderr
+    assert not (fresh / "data/hostname").exists()
+
+
+@pytest.fixture
+def gadget(fresh: Path) -> Path:
+    (fresh / "sys/class/udc/fe980000.usb").mkdir(parents=True)
+    (fresh / "sys/firmware/devicetree/base").mkdir(parents=True)
+    (fresh / "sys/firmware/devicetree/base/serial-number").write_bytes(b"100000001234abcd\0")
+    return fresh / "sys/kernel/config/usb_gadget/retrograph"
+
+
+def test_the_usb_adapter_has_addresses_of_its_own(gadget: Path, run: Run) -> None:
+    assert run("systemd/usb-gadget", "start").returncode == 0
+    assert (gadget / "UDC").read_text() == "fe980000.usb"
+    device, host = ((gadget / f"functions/ncm.usb0/{end}_addr").read_text() for end in ("dev", "host"))
+    assert device != host
+    assert device.startswith("02:")
+    assert host.startswith("06:")
+    assert device[2:] == host[2:]
+    assert len(device.split(":")) == 6
+    assert (gadget / "strings/0x409/serialnumber").read_text() == "100000001234abcd"
+    before = (gadget / "UDC").stat().st_mtime_ns
+    assert run("systemd/usb-gadget", "start").returncode == 0
+    assert (gadget / "UDC").stat().st_mtime_ns == before
+
+
+def test_without_a_device_port_it_says_what_is_missing(gadget: Path, fresh: Path, run: Run) -> None:
+    (fresh / "sys/class/udc/fe980000.usb").rmdir()
+    ran = run("systemd/usb-gadget", "start")
+    assert ran.returncode == 0
+    assert "dtoverlay=dwc2" in ran.stderr
+    assert not gadget.exists()
+
+
+def test_usb_usage(run: Run) -> None:
+    assert run("systemd/usb-gadget").returncode == 2

@@ -1,0 +1,196 @@
+"""install.sh on a scratch root: what a dry run says is done, a second run has nothing to do, and back again."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hal.board_profile import load_board_profile
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("systemctl") is None or shutil.which("systemd-sysusers") is None, reason="systemd is not installed"
+)
+CONFIG = "dtparam=spi=on\n\n[all]\nenable_uart=1\n"
+BOARD = ("--board", "pi5-imx296", "--no-app")
+
+
+def tree(root: Path) -> dict[str, bytes | str]:
+    """Every file of a tree by name, without the user data base."""
+    return {
+        str(path.relative_to(root)): str(path.readlink()) if path.is_symlink() else path.read_bytes()
+        for path in sorted(root.rglob("*"))
+        if (path.is_symlink() or path.is_file()) and not path.match("etc/*shadow*") and path.name not in USER_FILES
+    }
+
+
+USER_FILES = {"passwd", "passwd-", "group", "group-", ".pwd.lock"}
+
+
+def done(run: subprocess.CompletedProcess[str]) -> list[str]:
+    """What it said it did."""
+    assert run.returncode == 0, run.stderr
+    return [line.strip() for line in run.stdout.splitlines() if line.startswith("  ") and "(" not in line]
+
+
+def test_a_dry_run_says_all_and_does_nothing(fresh: Path, run: Run) -> None:
+    before = tree(fresh)
+    promised = done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb", "--dry-run"))
+    assert tree(fresh) == before
+    assert done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb")) == promised
+
+
+def test_a_second_run_finds_everything_in_place(fresh: Path, run: Run) -> None:
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
+    after = tree(fresh)
+    again = run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb")
+    assert done(again) == []
+    assert "Everything is in place." in again.stdout
+    assert tree(fresh) == after
+
+
+def test_what_is_installed(fresh: Path, run: Run) -> None:
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
+    assert (fresh / "etc/default/retroscan").read_text() == "RETROSCAN_BOARD=pi5-imx296\n"
+    assert "include retrograph.txt" in (fresh / "boot/firmware/config.txt").read_text()
+    assert "dtoverlay=dwc2,dr_mode=peripheral" in (fresh / "boot/firmware/retrograph.txt").read_text()
+    line = (fresh / "boot/firmware/cmdline.txt").read_text()
+    assert line.endswith("rootwait overlayroot=tmpfs:recurse=0\n")
+    assert line.count("\n") == 1
+    wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
+    assert {"retroscan.service", "data.mount", "retrograph-first-boot.service", "retrograph-usb.service"} <= wanted
+    assert "retroscan-tui.service" not in wanted
+    network = fresh / "data/network/retrograph-usb.nmconnection"
+    assert network.stat().st_mode & 0o777 == 0o600
+    users = (fresh / "etc/passwd").read_text()
+    assert {line.split(":")[0] for line in users.splitlines()} == {"retroscan", "retrosync"}
+    assert all(line.endswith("/nologin") for line in users.splitlines())
+
+
+def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh: Path, run: Run) -> None:
+    def wanted() -> set[str]:
+        found = {path.name for path in (fresh / "etc/systemd/system").glob("multi-user.target.wants/*")}
+        return found & {"retroscan.service", "retroscan-tui.service"}
+
+    for screen, unit in (
+        ("none", "retroscan.service"),
+        ("panel", "retroscan-tui.service"),
+        ("none", "retroscan.service"),
+    ):
+        done(run("board/install.sh", "--root", fresh, *BOARD, "--screen", screen))
+        assert wanted() == {unit}
+
+
+def test_it_goes_on_where_it_was_interrupted(fresh: Path, run: Run) -> None:
+    """Whatever is missing or half, a run makes whole; nothing else is touched."""
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    whole = tree(fresh)
+    (fresh / "etc/systemd/system/retroscan.service").write_text("[Unit]\n")
+    (fresh / "etc/default/retroscan").unlink()
+    (fresh / "usr/local/bin/retroscan").unlink()
+    (fresh / "boot/firmware/config.txt").write_text(CONFIG)
+    shutil.rmtree(fresh / "etc/udev/rules.d")
+    repaired = done(run("board/install.sh", "--root", fresh, *BOARD))
+    assert len(repaired) == 5
+    assert tree(fresh) == whole
+
+
+def test_uninstall_leaves_the_card_as_it_was_and_every_scan(fresh: Path, run: Run) -> None:
+    before = tree(fresh)
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
+    scan = fresh / "data/store/scans/rg1-00000000-000001/scan.json"
+    scan.parent.mkdir(parents=True)
+    scan.write_text("{}")
+    dry = done(run("board/install.sh", "--root", fresh, "--uninstall", "--dry-run"))
+    assert scan.exists()
+    assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == dry
+    kept = str(scan.relative_to(fresh))
+    assert tree(fresh) == before | {kept: b"{}"}
+    assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == []
+
+
+def test_uninstall_keeps_what_was_added_to_the_configuration_since(fresh: Path, run: Run) -> None:
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    config = fresh / "boot/firmware/config.txt"
+    config.write_text(config.read_text() + "dtoverlay=mine\n")
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    assert config.read_text() == CONFIG + "\n[all]\ndtoverlay=mine\n"
+
+
+def test_what_a_card_held_before_is_kept(fresh: Path, run: Run) -> None:
+    """Scans of an earlier life, the host key that workstations pinned, and a name that somebody chose."""
+    scan = fresh / "var/lib/retroscan/scans/old/scan.json"
+    scan.parent.mkdir(parents=True)
+    scan.write_text("old")
+    key = fresh / "etc/ssh/ssh_host_ed25519_key"
+    key.parent.mkdir(parents=True)
+    key.write_text("secret")
+    key.with_name(key.name + ".pub").write_text("public")
+    (fresh / "etc/hostname").write_text("turbine-lab\n")
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    assert (fresh / "data/store/scans/old/scan.json").read_text() == "old"
+    assert (fresh / "data/ssh/ssh_host_ed25519_key").read_text() == "secret"
+    assert key.is_symlink()
+    assert (fresh / "data/hostname").read_text() == "turbine-lab\n"
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    assert not key.is_symlink()
+    assert key.read_text() == "secret"
+    assert (fresh / "data/store/scans/old/scan.json").read_text() == "old"
+    assert scan.read_text() == "old"
+
+
+def test_a_named_device_is_mounted_and_checked(fresh: Path, run: Run) -> None:
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--data", "/dev/disk/by-id/usb-x_1-part2"))
+    mount = (fresh / "etc/systemd/system/data.mount").read_text()
+    assert "What=/dev/disk/by-id/usb-x_1-part2\n" in mount
+    assert mount.count(r"systemd-fsck@dev-disk-by\x2did-usb\x2dx_1\x2dpart2.service") == 2
+    assert "retrograph-data" not in mount
+
+
+def test_a_profile_of_ones_own_is_copied(fresh: Path, run: Run, tmp_path: Path) -> None:
+    own = tmp_path / "mine.toml"
+    shutil.copy(Path(__file__).parents[2] / "board" / "twin.toml", own)
+    done(run("board/install.sh", "--root", fresh, "--board", own, "--no-app"))
+    assert (fresh / "etc/default/retroscan").read_text() == "RETROSCAN_BOARD=/etc/retrograph/board.toml\n"
+    assert load_board_profile(fresh / "etc/retrograph/board.toml").name == "twin"
+    assert not (fresh / "etc/systemd/system/retroscan.service.d").exists()
+
+
+def test_the_program_comes_with_it_once(fresh: Path, run: Run, release: Callable[..., Path]) -> None:
+    arguments = ("--root", fresh, "--board", "twin", "--release", release("1.0"))
+    assert "install version 1.0" in " ".join(done(run("board/install.sh", *arguments)))
+    assert (fresh / "data/app/current").readlink() == Path("a")
+    assert (fresh / "usr/local/bin/retroscan").readlink() == Path("/data/app/current/bin/retroscan")
+    assert done(run("board/install.sh", *arguments)) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--board", "moon", "--no-app"], "there is no board profile 'moon': pi4-imx477"),
+        ([*BOARD, "--data", "sda1"], "a device such as /dev/sda1"),
+        ([*BOARD, "--data", "folder", "--read-only"], "would be lost"),
+        ([*BOARD, "--screen", "huge"], "panel or none"),
+        (["--board", "twin", "--release", "/nowhere"], "is no folder: run `make release` first"),
+        (["--board"], "usage:"),
+        (["--root", "/nowhere", "--no-app", "--board", "twin"], "is no folder"),
+        (["--frobnicate"], "usage:"),
+    ],
+)
+def test_bad_wishes_are_refused_before_anything_is_done(
+    fresh: Path, run: Run, arguments: list[str], sentence: str
+) -> None:
+    before = tree(fresh)
+    ran = run("board/install.sh", "--root", fresh, *arguments)
+    assert ran.returncode == 2
+    assert sentence in ran.stderr
+    assert tree(fresh) == before
+
+
+def test_another_system_is_refused(fresh: Path, run: Run) -> None:
+    (fresh / "etc/os-release").write_text("ID=debian\nVERSION_CODENAME=bullseye\n")
+    ran = run("board/install.sh", "--root", fresh, *BOARD)
+    assert (ran.returncode, "this is 'bullseye'" in ran.stderr) == (2, True)

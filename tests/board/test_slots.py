@@ -1,0 +1,148 @@
+"""Two slots for the program: an update takes over only when it proves itself, and otherwise nothing has changed."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+Release = Callable[..., Path]
+SLOT = "board/retrograph-slot"
+
+
+@pytest.fixture
+def app(fresh: Path) -> Path:
+    (fresh / "etc/default").mkdir(parents=True)
+    (fresh / "etc/default/retroscan").write_text("RETROSCAN_BOARD=twin\n")
+    return fresh / "data/app"
+
+
+def version_in_use(app: Path) -> str:
+    return (app / "current" / "ready").read_text().strip()
+
+
+def put_on_trial(app: Path, starts: int = 0) -> None:
+    """As it is between the swap and the first start."""
+    previous = "b" if (app / "current").readlink() == Path("a") else "a"
+    (app / "trial").write_text(f"{previous} {starts}\n")
+
+
+def test_the_first_one_goes_into_slot_a(app: Path, run: Run, release: Release) -> None:
+    assert run(SLOT, "install", release("1.0")).returncode == 0
+    assert (app / "current").readlink() == Path("a")
+    assert "slot a: 1.0, in use" in run(SLOT, "status").stdout
+
+
+def test_updates_alternate(app: Path, run: Run, release: Release) -> None:
+    for version, slot in (("1.0", "a"), ("1.1", "b"), ("1.2", "a")):
+        assert run(SLOT, "install", release(version)).returncode == 0
+        assert (app / "current").readlink() == Path(slot)
+        assert version_in_use(app) == version
+
+
+def test_one_that_fails_its_selftest_is_refused_and_the_old_one_stays(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    ran = run(SLOT, "install", release("1.1", selftest=3))
+    assert ran.returncode == 1
+    assert "version 1.1 fails its self-test: version 1.0 stays" in ran.stderr
+    assert "mend the hardware" not in ran.stderr
+    assert version_in_use(app) == "1.0"
+    assert not (app / "trial").exists()
+
+
+def test_when_the_old_one_fails_too_the_hardware_is_named(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0", selftest=3))
+    assert "mend the hardware first" in run(SLOT, "install", release("1.1", selftest=3)).stderr
+
+
+@pytest.mark.parametrize("broken", ["does not start", "no wheel", "two wheels", "no lock", "no folder"])
+def test_what_cannot_be_installed_changes_nothing(app: Path, run: Run, release: Release, broken: str) -> None:
+    run(SLOT, "install", release("1.0"))
+    folder = release("1.1", start=1 if broken == "does not start" else 0)
+    if broken == "no wheel":
+        next(folder.glob("*.whl")).unlink()
+    if broken == "two wheels":
+        (folder / "retrograph-9-py3-none-any.whl").touch()
+    if broken == "no lock":
+        (folder / "requirements-device.lock").unlink()
+    ran = run(SLOT, "install", folder / "nowhere" if broken == "no folder" else folder)
+    assert ran.returncode in (1, 2)
+    assert ran.stderr.count("\n") == 1
+    assert version_in_use(app) == "1.0"
+    assert "slot a: 1.0, in use" in run(SLOT, "status").stdout
+
+
+def test_packages_are_proven_by_hash_and_taken_from_the_folder_when_it_has_them(
+    app: Path, run: Run, release: Release
+) -> None:
+    folder = release("1.0")
+    run(SLOT, "install", folder)
+    (folder / "wheels").mkdir()
+    run(SLOT, "install", folder)
+    online, offline = ((app / slot / "bin/pip-calls").read_text() for slot in "ab")
+    assert "--require-hashes" in online
+    assert "--no-index" not in online
+    assert f"--no-index --find-links {folder}/wheels" in offline
+
+
+def test_an_interrupted_filling_is_no_slot_to_go_back_to(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    (app / "b/bin").mkdir(parents=True)
+    ran = run(SLOT, "rollback")
+    assert ran.returncode == 3
+    assert "slot b holds no whole version" in ran.stderr
+    assert version_in_use(app) == "1.0"
+
+
+def test_by_hand_back_and_forth(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    for version in ("1.0", "1.1"):
+        assert run(SLOT, "rollback").returncode == 0
+        assert version_in_use(app) == version
+
+
+def test_after_a_power_cut_an_update_proves_itself_at_boot(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    assert run(SLOT, "trial").returncode == 0
+    assert version_in_use(app) == "1.1"
+    assert run(SLOT, "confirm").returncode == 0
+    assert not (app / "trial").exists()
+
+
+def test_after_a_power_cut_one_that_fails_goes_back(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1", selftest=3), "--skip-selftest")
+    put_on_trial(app)
+    ran = run(SLOT, "trial")
+    assert "version 1.1 fails its self-test at boot: back to version 1.0 in slot a" in ran.stderr
+    assert version_in_use(app) == "1.0"
+    assert not (app / "trial").exists()
+
+
+def test_one_that_never_becomes_ready_goes_back_at_its_fourth_start(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    for _ in range(3):
+        run(SLOT, "starting")
+        assert version_in_use(app) == "1.1"
+    assert "was started 3 times and never became ready: back to version 1.0" in run(SLOT, "starting").stderr
+    assert version_in_use(app) == "1.0"
+
+
+def test_a_confirmed_one_stays_however_often_it_starts(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    for _ in range(9):
+        run(SLOT, "starting")
+    assert version_in_use(app) == "1.1"
+
+
+@pytest.mark.parametrize("arguments", [[], ["install"], ["install", ".", "--force"], ["frob"]])
+def test_usage(app: Path, run: Run, arguments: list[str]) -> None:
+    ran = run(SLOT, *arguments)
+    assert (ran.returncode, ran.stderr.startswith("usage: retrograph-slot")) == (2, True)
