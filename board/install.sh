@@ -163,7 +163,7 @@ profile_file() {
 
 install_packages() {
     local wanted=(python3-venv openssh-server avahi-daemon systemd-timesyncd device-tree-compiler) missing=() package
-    is_twin || wanted+=(python3-picamera2)
+    ! grep -q '^driver = "picamera2"' "$(profile_file)" || wanted+=(python3-picamera2)
     [ "$read_only" = no ] || wanted+=(overlayroot)
     if ! live; then
         say "  (packages are not installed into --root: ${wanted[*]})"
@@ -346,7 +346,8 @@ start_now() {
     systemctl daemon-reload
     systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
-    udevadm control --reload 2>/dev/null || true
+    # Bus and lines that are there already get the groups that the rules name.
+    udevadm control --reload 2>/dev/null && udevadm trigger --subsystem-match=i2c-dev --subsystem-match=gpio || true
 }
 
 # --- and back -----------------------------------------------------------------------------------------------------------

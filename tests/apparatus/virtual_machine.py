@@ -144,7 +144,7 @@ class VirtualMachine:
             "-display", "none", "-monitor", "none", "-serial", f"file:{self.console}",
             "-kernel", str(self.cache / "bzImage"),
             "-append", f"root=/dev/vda rw console=ttyS0 quiet init={self.init} systemd.show_status=yes",
-            "-drive", f"file={overlay},if=virtio,cache=unsafe",
+            "-drive", f"file={overlay},if=none,id=root,cache=unsafe", "-device", "virtio-blk-pci,drive=root",
             "-netdev", f"user,id=net,restrict=on,{forwards}", "-device", "virtio-net-pci,netdev=net,romfile=",
             "-device", "virtio-rng-pci", "-device", "virtio-serial-pci",
             "-chardev", f"socket,id=agent,path={self.folder / 'agent'},server=on,wait=off",
