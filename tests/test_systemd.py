@@ -91,6 +91,11 @@ def test_only_what_an_instrument_needs_of_the_devices() -> None:
         assert all("mem" not in device and "block" not in device for device in said.get("DeviceAllow", []))
 
 
+def test_a_stop_by_hand_powers_nothing_off() -> None:
+    """SuccessAction= and FailureAction= act on `systemctl stop` and on skipped starts too."""
+    assert [path.name for path in unit_files() if {"SuccessAction", "FailureAction"} & settings(path.name).keys()] == []
+
+
 def test_nothing_waits_for_a_network_or_for_the_time() -> None:
     for path in unit_files():
         text = path.read_text(encoding="utf-8")

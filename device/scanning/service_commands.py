@@ -9,6 +9,7 @@ from functools import partial
 
 from device.bundle_store import BundleStore
 from device.scanning.battery_guard import NothingToGuard, wait_until_low
+from device.scanning.supervision import Supervisor
 from device.store_location import default_store
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
@@ -28,7 +29,7 @@ def add_service_commands(
     identity = commands.add_parser("identity", help="this device's id, drawn when there is none yet")
     identity.set_defaults(command=partial(_identity, say))
 
-    guard = commands.add_parser("guard-battery", help="wait, and end with success once the battery is nearly empty")
+    guard = commands.add_parser("guard-battery", help="power the device off once the battery is nearly empty")
     guard.add_argument("--check", action="store_true", help="only say whether this board measures a battery")
     guard.set_defaults(command=partial(_guard_battery, say, complain))
 
@@ -48,6 +49,9 @@ def _guard_battery(say: Say, complain: Callable[[object], None], options: argpar
         reading = wait_until_low(power, clock, complain)
     share = "unknown" if reading.battery_share is None else f"{reading.battery_share:.0%}"
     say(f"The battery is nearly empty (charge {share}): powering off.")
+    if not Supervisor.from_environment(os.environ).power_off():
+        complain("nobody powers this device off: do so now, or charge it")
+        return 3
     return 0
 
 

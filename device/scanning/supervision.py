@@ -44,8 +44,8 @@ class Supervisor:
         microseconds = environment.get("WATCHDOG_USEC", "")
         is_meant = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watches = is_meant and microseconds.isdecimal() and int(microseconds) > 0
-        folder = Path(environment["RUNTIME_DIRECTORY"]) if address and environment.get("RUNTIME_DIRECTORY") else None
-        return cls(address, int(microseconds) * 1e-6 if watches else None, folder)
+        folder = environment.get("RUNTIME_DIRECTORY")
+        return cls(address, int(microseconds) * 1e-6 if watches else None, Path(folder) if folder else None)
 
     @property
     def is_there(self) -> bool:

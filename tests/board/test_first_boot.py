@@ -16,7 +16,10 @@ def program(fresh: Path) -> Path:
     """A `retroscan` that draws another id whenever it is asked."""
     path = fresh / "usr/local/bin/retroscan"
     path.parent.mkdir(parents=True)
-    path.write_text('#!/bin/bash\necho "$*" >>"${0}-calls"\necho "rg$RANDOM"\n')
+    store = fresh / "var/lib/retroscan"
+    store.mkdir(parents=True)
+    drawn = f'echo "{{}}" >"{store}/device.json"'
+    path.write_text(f'#!/bin/bash\necho "$*" >>"${{0}}-calls"\n{drawn}\necho "rg$RANDOM"\n')
     path.chmod(0o755)
     return path
 
@@ -28,12 +31,23 @@ def test_key_and_name_are_made_once(fresh: Path, run: Run, program: Path) -> Non
     key, name = fresh / "data/ssh/ssh_host_ed25519_key", fresh / "data/hostname"
     made = (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text())
     assert key.stat().st_mode & 0o777 == 0o600
+    assert key.with_name(key.name + ".pub").stat().st_mode & 0o777 == 0o644, "read when a workstation pairs"
     assert made[2].startswith("rg")
     assert "made the host key SHA256:" in first.stdout
     assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
     assert (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text()) == made
     store = fresh / "var/lib/retroscan"
     assert program.with_name("retroscan-calls").read_text() == f"--board twin --store {store} identity\n"
+
+
+@needs_ssh
+def test_a_name_that_somebody_chose_stays(fresh: Path, run: Run, program: Path) -> None:
+    name = fresh / "data/hostname"
+    name.parent.mkdir(parents=True)
+    name.write_text("turbine-lab\n")
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").returncode == 0
+    assert name.read_text() == "turbine-lab\n"
+    assert (fresh / "var/lib/retroscan/device.json").exists()
 
 
 @needs_ssh

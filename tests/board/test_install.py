@@ -173,6 +173,8 @@ def test_the_program_comes_with_it_once(fresh: Path, run: Run, release: Callable
         (["--board", "moon", "--no-app"], "there is no board profile 'moon': pi4-imx477"),
         ([*BOARD, "--data", "sda1"], "a device such as /dev/sda1"),
         ([*BOARD, "--data", "folder", "--read-only"], "would be lost"),
+        ([*BOARD, "--data", "/dev/sda1|e id"], "such a name no device has"),
+        (["--board", "wiring/wiring", "--no-app"], "the name of a profile"),
         ([*BOARD, "--screen", "huge"], "panel or none"),
         (["--board", "twin", "--release", "/nowhere"], "is no folder: run `make release` first"),
         (["--board"], "usage:"),

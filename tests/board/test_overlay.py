@@ -61,14 +61,15 @@ def test_it_applies(applied: str) -> None:
 
 def test_it_names_the_lines_that_are_wired() -> None:
     wiring = tomllib.loads((BOARD / "wiring" / "wiring.toml").read_text(encoding="utf-8"))
-    pins = numbers("brcm,pins")
-    assert pins[2] == wiring["power_fail"]["line"]
+    assert numbers("brcm,pins") == [wiring["power_fail"]["line"]]
+    configured = (BOARD / "config.txt").read_text(encoding="utf-8")
+    button, indicator = (int(line) for line in re.findall(r"^gpio=(\d+)=", configured, re.MULTILINE))
     profiles = [load_board_profile(name) for name in profile_names()]
     wired = [profile for profile in profiles if profile.button is not None]
-    assert {profile.button.line for profile in wired if profile.button} == {pins[0]}
+    assert {profile.button.line for profile in wired if profile.button} == {button}
     lines = {profile.indicator.line for profile in wired if profile.indicator}
-    assert lines - {None} == {pins[1]}
-    assert len(numbers("brcm,function")) == len(numbers("brcm,pull")) == len(pins)
+    assert lines - {None} == {indicator}
+    assert (numbers("brcm,function"), numbers("brcm,pull")) == ([0], [2])
 
 
 def test_config_txt_says_what_the_drivers_need() -> None:

@@ -49,6 +49,8 @@ def test_one_that_fails_its_selftest_is_refused_and_the_old_one_stays(app: Path,
     assert "mend the hardware" not in ran.stderr
     assert version_in_use(app) == "1.0"
     assert not (app / "trial").exists()
+    assert run(SLOT, "rollback").returncode == 3, "what failed is nothing to go back to"
+    assert version_in_use(app) == "1.0"
 
 
 def test_when_the_old_one_fails_too_the_hardware_is_named(app: Path, run: Run, release: Release) -> None:

@@ -125,7 +125,7 @@ def test_after_a_reboot_only_the_calibration_is_missing(board: Board) -> None:
         "/dev/vdb",
         "/var/lib/retroscan",
     ]
-    assert "no calibration" in board.machine.run("journalctl -b -u retroscan -o cat --no-pager")
+    assert "no calibration is active" in board.machine.run("journalctl -b -u retroscan -o cat --no-pager")
     board.machine.run("systemctl stop retroscan")
 
 

@@ -1,5 +1,6 @@
 """The battery's guard: one bad reading ends nothing, an empty battery does, and a board without a gauge has none."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -8,8 +9,10 @@ import pytest
 from device.__main__ import main
 from device.bundle_store import BundleStore
 from device.scanning.battery_guard import EVERY_S, LOW_IN_A_ROW, is_low, wait_until_low
+from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock
 from hal.errors import PowerError
+from hal.hardware import open_hardware
 from hal.interfaces import PowerReading
 
 
@@ -72,6 +75,21 @@ def test_a_board_without_a_gauge_has_nothing_to_guard(capsys: pytest.CaptureFixt
     assert main(["--board", "pi4-imx477", "guard-battery", "--check"]) == 2
     assert "has no battery gauge" in capsys.readouterr().err
     assert main(["--board", "pi5-imx296", "guard-battery", "--check"]) == 0
+
+
+def test_an_empty_battery_powers_the_device_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emptied = replace(open_hardware(load_board_profile("pi5-imx296")), power=Discharge(0.03))
+    monkeypatch.setattr("device.scanning.service_commands.open_hardware", lambda *_: emptied)
+    monkeypatch.setattr("device.scanning.service_commands.SystemClock", VirtualClock)
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    assert main(["--board", "pi5-imx296", "guard-battery"]) == 0
+    assert "nearly empty (charge 3%): powering off" in capsys.readouterr().out
+    assert (tmp_path / "poweroff").exists()
+    monkeypatch.delenv("RUNTIME_DIRECTORY")
+    assert main(["--board", "pi5-imx296", "guard-battery"]) == 3
+    assert "nobody powers this device off" in capsys.readouterr().err
 
 
 def test_identity_is_drawn_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,59 @@
+# shellcheck shell=bash disable=SC2154
+# The boot partition: config.txt, the overlay, and the kernel's command line. Its file system knows neither owners nor modes.
+
+include=$'\n[all]\ninclude retrograph.txt\n'
+
+boot_folder() {
+    local folder
+    for folder in /boot/firmware /boot; do
+        if [ -f "$root$folder/config.txt" ]; then
+            echo "$folder"
+            return
+        fi
+    done
+}
+
+set_up_firmware() {
+    local boot
+    boot=$(boot_folder)
+    if [ -z "$boot" ]; then
+        say "  (no config.txt: this is no Raspberry Pi, its firmware is left alone)"
+        return
+    fi
+    put_text "$boot/retrograph.txt" 755 < <(
+        cat "$here/board/config.txt"
+        [ "$usb" = no ] || echo "dtoverlay=dwc2,dr_mode=peripheral"
+    )
+    if command -v dtc >/dev/null; then
+        dtc -@ -q -I dts -O dtb -o "$scratch/overlay" "$here/board/overlay/retrograph.dts"
+        put "$scratch/overlay" "$boot/overlays/retrograph.dtbo" 755
+    else
+        say "  (dtc is not there yet: retrograph.dtbo is compiled by the next run)"
+    fi
+    grep -qx 'include retrograph.txt' "$root$boot/config.txt" ||
+        act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
+    [ "$read_only" = no ] || set_overlay "$root$boot/cmdline.txt" overlayroot=tmpfs:recurse=0
+}
+append() { { cat "$1" && printf '%s' "$2"; } >"$1.new" && mv "$1.new" "$1"; }
+
+# The kernel's command line is one line; recurse=0 leaves the data partition as it is.
+set_overlay() {
+    [ -f "$1" ] || return 0
+    local line
+    line=$(sed 's/ *overlayroot=[^ ]*//g' "$1")
+    line="$line${2:+ $2}"
+    [ "$(cat "$1")" = "$line" ] || act "write ${1#"$root"}" rewrite "$1" "$line"
+}
+rewrite() { printf '%s\n' "$2" >"$1.new" && mv "$1.new" "$1"; }
+
+# The exact undoing of `append`; where more was written after it, the one line goes.
+drop_include() {
+    local text
+    text=$(cat "$1" && echo x)
+    text=${text%x}
+    case $text in
+    *"$include") printf '%s' "${text%"$include"}" >"$1.new" ;;
+    *) printf '%s' "$text" | sed '/^include retrograph\.txt$/d' >"$1.new" ;;
+    esac
+    mv "$1.new" "$1"
+}

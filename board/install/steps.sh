@@ -1,0 +1,157 @@
+# shellcheck shell=bash disable=SC2154
+# The steps of an installation, each doing only what is missing. install.sh sets here, root, board, data and the other wishes.
+
+install_packages() {
+    local wanted=(python3-venv openssh-server avahi-daemon systemd-timesyncd) missing=() package
+    [ -z "$(boot_folder)" ] || wanted+=(device-tree-compiler)
+    is_twin || wanted+=(python3-picamera2)
+    [ "$read_only" = no ] || wanted+=(overlayroot)
+    if ! live; then
+        say "  (packages are not installed into --root: ${wanted[*]})"
+        return
+    fi
+    for package in "${wanted[@]}"; do
+        dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+    done
+    [ ${#missing[@]} = 0 ] || act "install ${missing[*]}" apt_install "${missing[@]}"
+}
+apt_install() {
+    apt-get update -qq
+    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+make_users() {
+    put "$here/systemd/sysusers-retrograph.conf" /etc/sysusers.d/retrograph.conf
+    if ! grep -qs '^retrosync:' "$root/etc/passwd"; then
+        act "make the users retroscan and retrosync" quietly systemd-sysusers ${root:+--root="$root"}
+    fi
+    # Where sshd goes without PAM, an account with a '!' is refused even by key; '*' is no password either.
+    if live && [ "$dry" = no ] && grep -q '^retrosync:!' /etc/shadow; then usermod -p '*' retrosync; fi
+}
+
+mount_data() {
+    if [ "$data" = folder ]; then
+        folder /data 755
+    else
+        put_text /etc/systemd/system/data.mount < <(
+            sed "s|^What=.*|What=$data|; s|dev-disk-by.x2dlabel-retrograph.x2ddata|$(escaped "$data")|g" \
+                "$here/systemd/data.mount"
+        )
+        folder /data 755
+        if live && [ "$dry" = no ] && ! mountpoint -q /data; then
+            mount -t ext4 -o noatime,nosuid,nodev "$data" /data ||
+                refuse "$data cannot be mounted: is it ext4? (mkfs.ext4 -L retrograph-data $data)"
+        fi
+    fi
+    local part
+    folder /data/store 750 retroscan
+    folder /data/pairing 750 retroscan
+    # The host key itself is 0600; its public half is read by the instrument's user when a workstation pairs.
+    for part in journal timesync app ssh; do folder "/data/$part" 755; done
+    folder /data/network 700
+    keep_what_was_there
+    for part in "$here"/systemd/{var,etc,srv}-*.mount; do put "$part" "/etc/systemd/system/$(basename "$part")"; done
+}
+# The unit name of a path, as systemd writes it, without needing systemd: the few characters that a device's path has.
+escaped() { printf '%s' "${1#/}" | sed 's/-/\\\\x2d/g; s|/|-|g'; }
+
+# Scans of a card that was used before, networks, and the host key that workstations may know: copied once, never moved.
+keep_what_was_there() {
+    take_over /var/lib/retroscan store
+    take_over /var/lib/retroscan-pairing pairing
+    take_over /etc/NetworkManager/system-connections network
+    if [ -f "$root/etc/ssh/ssh_host_ed25519_key" ] && [ ! -L "$root/etc/ssh/ssh_host_ed25519_key" ] &&
+        [ ! -e "$root/data/ssh/ssh_host_ed25519_key" ]; then
+        act "keep the host key" cp -a "$root/etc/ssh/ssh_host_ed25519_key" "$root/etc/ssh/ssh_host_ed25519_key.pub" "$root/data/ssh/"
+    fi
+    local name
+    name=$(cat "$root/etc/hostname" 2>/dev/null || true)
+    case $name in '' | raspberrypi | localhost | debian) ;; *)
+        [ -e "$root/data/hostname" ] || put_text /data/hostname <<<"$name"
+        ;;
+    esac
+}
+take_over() {
+    local from=$root$1 to=$root/data/$2
+    if [ -d "$from" ] && ! { live && mountpoint -q "$from"; } && [ -n "$(ls -A "$from")" ] && [ -z "$(ls -A "$to" 2>/dev/null)" ]; then
+        act "copy $1 to /data/$2" cp -a "$from/." "$to/"
+    fi
+}
+
+put_files() {
+    local unit
+    for unit in "$here"/systemd/*.service "$here"/systemd/*.path; do put "$unit" "/etc/systemd/system/$(basename "$unit")"; done
+    put "$here/systemd/tmpfiles-retrograph.conf" /etc/tmpfiles.d/retrograph.conf
+    put "$here/systemd/journald-retrograph.conf" /etc/systemd/journald.conf.d/retrograph.conf
+    put "$here/systemd/system-retrograph.conf" /etc/systemd/system.conf.d/retrograph.conf
+    put "$here/systemd/logind-retrograph.conf" /etc/systemd/logind.conf.d/retrograph.conf
+    put "$here/systemd/timesyncd-retrograph.conf" /etc/systemd/timesyncd.conf.d/retrograph.conf
+    put "$here/systemd/sshd-retrograph.conf" /etc/ssh/sshd_config.d/retrograph.conf
+    put "$here/systemd/avahi-retrograph.xml" /etc/avahi/services/retrograph.service
+    put "$here/systemd/first-boot" /usr/local/lib/retrograph/first-boot 755
+    put "$here/systemd/usb-gadget" /usr/local/lib/retrograph/usb-gadget 755
+    put "$here/board/retrograph-slot" /usr/local/sbin/retrograph-slot 755
+    put "$here/board/99-retrograph.rules" /etc/udev/rules.d/99-retrograph.rules
+    [ "$usb" = no ] || put "$here/systemd/usb-network.nmconnection" /data/network/retrograph-usb.nmconnection 600
+    local name=$board
+    case $board in *.toml)
+        put "$board" /etc/retrograph/board.toml
+        name=/etc/retrograph/board.toml
+        ;;
+    esac
+    put_text /etc/default/retroscan <<<"RETROSCAN_BOARD=$name"
+    is_twin || put "$here/systemd/wait-for-i2c.conf" /etc/systemd/system/retroscan.service.d/i2c.conf
+    is_twin || put "$here/systemd/wait-for-i2c.conf" /etc/systemd/system/retroscan-tui.service.d/i2c.conf
+    link /data/app/current/bin/retroscan /usr/local/bin/retroscan
+    link /data/ssh/ssh_host_ed25519_key /etc/ssh/ssh_host_ed25519_key
+    link /data/ssh/ssh_host_ed25519_key.pub /etc/ssh/ssh_host_ed25519_key.pub
+}
+
+install_program() {
+    if [ "$with_app" = no ]; then return; fi
+    local wheel version current
+    wheel=$(find "$release" -maxdepth 1 -name 'retrograph-*.whl' 2>/dev/null | head -n 1)
+    version=$(basename "${wheel:-none-none}" | cut -d - -f 2)
+    current=$(cat "$root/data/app/current/ready" 2>/dev/null || true)
+    if [ -n "$current" ] && [ "$current" = "$version" ]; then return; fi
+    act "install version $version from $release" \
+        env RETROGRAPH_ROOT="$root" bash "$here/board/retrograph-slot" install "$release"
+}
+
+units() {
+    echo data.mount srv-retrograph-store.mount retrograph-first-boot.service retrograph-trial.service
+    echo retrograph-power.service retrograph-poweroff.path
+    (cd "$here/systemd" && ls var-*.mount etc-*.mount)
+    [ "$usb" = no ] || echo retrograph-usb.service
+    if [ "$screen" = panel ]; then echo retroscan-tui.service; else echo retroscan.service; fi
+}
+other_instrument() { if [ "$screen" = panel ]; then echo retroscan.service; else echo retroscan-tui.service; fi; }
+
+enable_units() {
+    local unit wanted=()
+    while read -r unit; do
+        [ "$dry" = yes ] || [ -e "$root/etc/systemd/system/$unit" ] || continue
+        is_enabled "$unit" || wanted+=("$unit")
+    done < <(units | tr ' ' '\n')
+    [ ${#wanted[@]} = 0 ] || act "enable ${wanted[*]}" systemctl ${root:+--root="$root"} --quiet enable "${wanted[@]}"
+    ! is_enabled "$(other_instrument)" ||
+        act "disable $(other_instrument)" systemctl ${root:+--root="$root"} --quiet disable "$(other_instrument)"
+    # Nothing ever waits for a network or for the time.
+    for unit in NetworkManager-wait-online.service systemd-networkd-wait-online.service systemd-time-wait-sync.service; do
+        [ "$(readlink "$root/etc/systemd/system/$unit" 2>/dev/null)" = /dev/null ] ||
+            act "mask $unit" systemctl ${root:+--root="$root"} --quiet mask "$unit"
+    done
+}
+is_enabled() { find "$root/etc/systemd/system" -path '*.wants/*' -name "${1//\\/\\\\}" 2>/dev/null | grep -q .; }
+
+start_now() {
+    live && [ -d /run/systemd/system ] && [ "$dry" = no ] || return 0
+    local unit
+    systemctl daemon-reload
+    (cd "$here/systemd" && echo ./*.mount) | tr ' ' '\n' | sed 's|^./||' | while read -r unit; do
+        [ ! -e "/etc/systemd/system/$unit" ] || systemctl start "$unit"
+    done
+    systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
+    systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
+    udevadm control --reload 2>/dev/null || true
+}
