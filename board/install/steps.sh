@@ -154,5 +154,6 @@ start_now() {
     systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
     # Bus and lines that are there already get the groups that the rules name.
-    udevadm control --reload 2>/dev/null && udevadm trigger --subsystem-match=i2c-dev --subsystem-match=gpio || true
+    udevadm control --reload 2>/dev/null || true
+    udevadm trigger --subsystem-match=i2c-dev --subsystem-match=gpio 2>/dev/null || true
 }
