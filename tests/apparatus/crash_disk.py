@@ -6,7 +6,6 @@ half of what was written since, as a disk's cache does; then the file system is 
 
 from __future__ import annotations
 
-import shutil
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
@@ -80,14 +79,14 @@ def read_log(log: Path) -> list[Write]:
 def crash_images(recording: Recording, points: list[int], image: Path, rng: np.random.Generator) -> Iterator[int]:
     """Makes the disk of each crash point in turn, in ascending order; yields the point."""
     safe = image.with_suffix(".safe")
-    shutil.copyfile(recording.before, safe)
+    run("cp", "--sparse=always", recording.before, safe)
     done = 0
     for point in sorted(points):
         flushes = [i + 1 for i in range(done, point) if recording.writes[i].flags & FLUSH]
         flushed = flushes[-1] if flushes else done
         apply(recording, range(done, flushed), safe)
         done = flushed
-        shutil.copyfile(safe, image)
+        run("cp", "--sparse=always", safe, image)
         unsafe = range(flushed, point)
         kept = [i for i in unsafe if recording.writes[i].flags & FUA or rng.random() < 0.5]
         apply(recording, kept, image)

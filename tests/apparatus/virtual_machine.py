@@ -99,7 +99,10 @@ class VirtualMachine:
     def ask(self, script: str, timeout_s: float = LONG_S) -> Answer:
         """What a script (bash -euo pipefail, as root) ends with and says."""
         self._agent.sendall(base64.b64encode(script.encode()) + b"\n")
-        code, _, said = self._line(timeout_s).partition(b" ")
+        answer = self._line(timeout_s)
+        if answer == b"ready\n":
+            raise GuestError(f"the guest was started anew by itself; see {self.console}")
+        code, _, said = answer.partition(b" ")
         return Answer(int(code), base64.b64decode(said).decode(errors="replace"))
 
     def run(self, script: str, timeout_s: float = LONG_S) -> str:
