@@ -21,7 +21,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut system-root system-test bench format board release lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board release lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -41,6 +41,14 @@ test: set-up ## the one gate: lint, types, import contracts, tests
 powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
 
+fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by coverage, where atheris is installed
+	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/host_sync/test_mutations.py
+	if "$(VENV)/bin/python" -c 'import atheris' 2>/dev/null; then
+	    PYTHONPATH=. "$(VENV)/bin/python" docs/fuzz/records.py 120
+	else
+	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
+	fi
+
 system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
 	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
 
@@ -50,7 +58,7 @@ system-test: system-cache ## the whole handheld on a virtual board: install, sca
 system-cache: set-up
 	@bash tests/system/build "$(SYSTEM_CACHE)" "$(VENV)/bin/python"
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, dtc, shellcheck, openscad (asks for root)
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, sshd, disks that lose power, dtc, openscad (asks for root)
 	@bash .ci/test-deps all
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)

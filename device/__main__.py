@@ -43,13 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        with _ending_like_ctrl_c(signal.SIGTERM, signal.SIGHUP):
+        with _ending_like_ctrl_c(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
-    except (HalError, FrameNotProven) as error:
-        return _complain(error, 3)
-    except InstrumentBusy as error:
+    except (HalError, FrameNotProven, InstrumentBusy) as error:
         return _complain(error, 3)
     except DeviceError as error:
         return _complain(error, 2)
@@ -143,7 +141,7 @@ def _scan(options: argparse.Namespace) -> int:
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
-        hardware.button.wait_for_press(None)
+        hardware.button.wait_for_push(None)
         _report(scanner.scan(_annotations(options), _cue_lift))
     return 0
 
@@ -212,9 +210,14 @@ def _say_levels(record: CalibrationRecord) -> None:
 
 @contextmanager
 def _ending_like_ctrl_c(*signals: signal.Signals) -> Iterator[None]:
-    """Within it these signals end the program as Ctrl-C does: through every exit, lights dark."""
+    """Within it these signals end the program as Ctrl-C does: through every exit, lights dark.
+
+    The first one counts: a second would break into the very exit that makes the lights dark.
+    """
 
     def interrupt(_number: int, _frame: object) -> None:
+        for number in signals:
+            signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, interrupt) for number in signals}

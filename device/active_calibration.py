@@ -9,6 +9,7 @@ from device.calibration_bundle import CalibrationBundle, read_calibration
 from device.durable import replace_file
 from device.errors import NoCalibration
 from device.records import BundleId, Record, decode_record, encode_record, read_small
+from device.store_access import FILE_MODE
 
 ACTIVE_FILE: Final = "active.json"
 ACTIVE_SCHEMA: Final = "retrograph.active/1"
@@ -49,4 +50,4 @@ def write_active(root: Path, calibration_id: str) -> None:
     OSError
         The disk refused; the one before stays in force.
     """
-    replace_file(root / ACTIVE_FILE, encode_record(ActiveCalibration(calibration_id=calibration_id)))
+    replace_file(root / ACTIVE_FILE, encode_record(ActiveCalibration(calibration_id=calibration_id)), FILE_MODE)

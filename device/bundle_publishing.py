@@ -16,6 +16,7 @@ from device.bundle_layout import MANIFESTS, PARTIAL_SUFFIX, BundleKind, is_bundl
 from device.durable import discard, publish_directory
 from device.errors import RecordError, StoreError
 from device.records import FileEntry, describe_file, seal_name, seal_of
+from device.store_access import close_to_others
 
 Write = Callable[[Path], None]
 Manifest = Callable[[dict[str, FileEntry]], bytes]
@@ -66,6 +67,7 @@ def publish_bundle(root: Path, kind: BundleKind, bundle_id: str, write: Write, m
         data = manifest({path.name: describe_file(path) for path in sorted(partial.iterdir())})
         (partial / name).write_bytes(data)
         (partial / seal_name(name)).write_bytes(seal_of(name, data))
+        close_to_others(partial)
         with locked_directory(root):
             publish_directory(partial, final)
     return final

@@ -27,8 +27,12 @@ from device.inbox import INBOX, Delivery, take_deliveries
 from device.receipts import RECEIPTS
 from device.records import FileEntry, Identity, encode_record
 from device.scan_bundle import ScanBundle, ScanRecord, decode_scan, read_scan
+from device.store_access import FOLDER_MODE, SHARED_MODE, free_entries, make_folder, require_writable
 from hal.errors import HalError
 from hal.interfaces import Clock
+
+ENTRIES_PER_SCAN: Final = 16
+"""Files and folders that a scan never needs more of."""
 
 RESERVE_BYTES: Final = 64 << 20
 """Free space that scans never use, so that the system can always shut down and boot."""
@@ -56,10 +60,10 @@ class BundleStore:
         self._clock = clock
         self._boot_id = boot_id or current_boot_id()
         with self._translating("prepared"):
-            for kind in MANIFESTS:
-                (root / kind).mkdir(parents=True, exist_ok=True)
+            for folder in (root, *(root / kind for kind in MANIFESTS)):
+                make_folder(folder, FOLDER_MODE)
             for name in (RECEIPTS, INBOX):
-                _open_to_group(root / name)
+                make_folder(root / name, SHARED_MODE)
             with locked_directory(root):
                 clear_unpublished(root)
                 if read_device(root) is None:
@@ -165,8 +169,16 @@ class BundleStore:
         return read_active(self.root)
 
     def scans_left(self, bytes_per_scan: int) -> int:
-        """How many more scans of that size (bytes) fit beside the reserve."""
-        return self._room_bytes() // bytes_per_scan
+        """How many more scans of that size (bytes) fit beside the reserve.
+
+        Raises
+        ------
+        StoreError
+            None does, as the store cannot be written: told before a press, not after it.
+        """
+        with self._translating("written"):
+            require_writable(self.root / "scans")
+        return min(self._room_bytes() // bytes_per_scan, free_entries(self.root) // ENTRIES_PER_SCAN)
 
     def make_room(self, size_bytes: int) -> list[str]:
         """Ids of the scans that were freed so that `size_bytes` fit beside the reserve: receipted ones, oldest first.
@@ -177,7 +189,7 @@ class BundleStore:
             The disk refused.
         """
         with self._translating("written"), locked_directory(self.root):
-            return free_receipted(self.root, lambda: self._room_bytes() >= size_bytes)
+            return free_receipted(self.root, lambda: self.scans_left(size_bytes) > 0)
 
     def take_inbox(self) -> list[Delivery]:
         """What became of the calibrations that a workstation pushed; those taken are listed, none is active yet.
@@ -210,10 +222,3 @@ class BundleStore:
             raise
         except OSError as error:
             raise StoreError(f"{self.root}: the store cannot be {verb} {explain_refusal(error)}") from error
-
-
-def _open_to_group(folder: Path) -> None:
-    """Make a folder that the offload's user may write, through the group that it shares with the store's user."""
-    if not folder.is_dir():
-        folder.mkdir()
-        folder.chmod(0o770)

@@ -25,6 +25,7 @@ from device.records import (
     read_manifest,
     verify_files,
 )
+from device.settings_record import SettingsRecord
 from hal.frame import RawFrame
 
 CALIBRATION_SCHEMA: Final = "retrograph.calibration/1"
@@ -73,6 +74,7 @@ class CalibrationRecord(Record, frozen=True, tag_field="schema", tag=CALIBRATION
     created : as the device believed the time; an annotation
     shape : (H, W) of every raw frame, sensor pixels
     model_files : the fitted model, opaque to the store
+    asked : camera settings as asked for, which the fingerprint's were granted for; unknown in older records
     figures : the report's numbers by name, unit suffix included (None: not measured)
     files : hash and size of every file beside the manifest; filled in by the store
     """
@@ -87,6 +89,7 @@ class CalibrationRecord(Record, frozen=True, tag_field="schema", tag=CALIBRATION
     reference_file: FileName
     presses: Annotated[tuple[PressRecord, ...], msgspec.Meta(min_length=1)]
     model_files: tuple[FileName, ...]
+    asked: SettingsRecord | None = None
     figures: dict[str, float | None] = msgspec.field(default_factory=dict)
     files: dict[FileName, FileEntry] = msgspec.field(default_factory=dict)
 

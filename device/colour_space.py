@@ -1,4 +1,4 @@
-"""How intensity becomes the variables of a polynomial: its logarithm, clipped to what the balls showed and scaled."""
+"""How colour becomes the variables of a polynomial: its logarithm or itself, clipped to the balls' range and scaled."""
 
 from __future__ import annotations
 
@@ -27,44 +27,50 @@ def log_intensity(intensity: Float32Array) -> Float32Array:
 class ColourSpace:
     """A clip to what the balls showed, a centre and a scale.
 
-    centre, scale, low, high : float32 arrays of shape (3,), of log intensity
+    centre, scale, low, high : float32 arrays of shape (3,), of log intensity, or of light itself where `linear`
+    linear : whether colours are taken as they are
     """
 
     centre: Float32Array
     scale: Float32Array
     low: Float32Array
     high: Float32Array
+    linear: bool = False
 
     @classmethod
-    def observed(cls, intensity: Float32Array) -> ColourSpace:
-        """The space of the observed intensities, array of shape (N, 3)."""
-        logs = log_intensity(intensity)
-        low, high = np.percentile(logs, RANGE_PERCENT, axis=0)
-        fields = (logs.mean(axis=0), np.maximum(2.0 * logs.std(axis=0), 1e-6), low, high)
-        return cls(*(field.astype(np.float32) for field in fields))
+    def observed(cls, colours: Float32Array, *, linear: bool = False) -> ColourSpace:
+        """The space of the observed colours, array of shape (N, 3)."""
+        seen = np.maximum(colours, np.float32(0.0)) if linear else log_intensity(colours)
+        low, high = np.percentile(seen, RANGE_PERCENT, axis=0)
+        fields = (seen.mean(axis=0), np.maximum(2.0 * seen.std(axis=0), 1e-6), low, high)
+        centre, scale, least, most = (field.astype(np.float32) for field in fields)
+        return cls(centre, scale, least, most, linear)
 
     @property
     def spread(self) -> float:
-        """Standard deviation of log intensity over the balls, mean over channels."""
+        """Standard deviation of what is clipped over the balls, mean over channels."""
         return 0.5 * float(self.scale.mean())
 
-    def variables(self, intensity: Float32Array) -> tuple[Float32Array, Float32Array]:
+    def variables(self, colours: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard deviations."""
-        logs = log_intensity(intensity)
-        clipped = np.clip(logs, self.low, self.high)
-        excess = np.abs(logs - clipped).max(axis=-1) / np.float32(self.spread)
+        seen = np.maximum(colours, np.float32(0.0)) if self.linear else log_intensity(colours)
+        clipped = np.clip(seen, self.low, self.high)
+        excess = np.abs(seen - clipped).max(axis=-1) / np.float32(self.spread)
         return (clipped - self.centre) / self.scale, np.asarray(excess, np.float32)
 
     def intensity_range(self) -> tuple[Float64Array, Float64Array]:
-        """Intensities that variables are clipped to, float64 arrays of shape (3,): lowest and highest."""
+        """Intensities that a space of intensity clips to, float64 arrays of shape (3,): lowest and highest."""
         low, high = (np.exp(bound.astype(np.float64)) - DARK_OFFSET for bound in (self.low, self.high))
         return low, high
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Everything as arrays but `linear`, which goes with what is read; `from_arrays` is its inverse."""
         return {name: getattr(self, name) for name in ("centre", "scale", "low", "high")}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ColourSpace:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], *, linear: bool = False) -> ColourSpace:
         """The space that `arrays` wrote; KeyError or ValueError when it is none."""
-        return cls(*(np.asarray(arrays[name], np.float32).reshape(3) for name in ("centre", "scale", "low", "high")))
+        centre, scale, low, high = (
+            np.asarray(arrays[name], np.float32).reshape(3) for name in ("centre", "scale", "low", "high")
+        )
+        return cls(centre, scale, low, high, linear)

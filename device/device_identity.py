@@ -10,6 +10,7 @@ import msgspec
 
 from device.durable import replace_file
 from device.records import BundleId, Count, Record, decode_record, encode_record, read_small
+from device.store_access import FILE_MODE
 
 DEVICE_SCHEMA: Final = "retrograph.device/1"
 DEVICE_FILE: Final = "device.json"
@@ -49,7 +50,7 @@ def write_device(root: Path, state: DeviceState) -> None:
     OSError
         The disk refused; the old state stands.
     """
-    replace_file(root / DEVICE_FILE, encode_record(state))
+    replace_file(root / DEVICE_FILE, encode_record(state), FILE_MODE)
 
 
 def count_press(state: DeviceState) -> DeviceState:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,10 +27,10 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
-def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
+def replace_file(path: Path, data: bytes, mode: int | None = None) -> None:
     """Put `data` in the place of a small file: a reader, and a power cut, see the old content or the new, never a part.
 
-    mode : permissions, of which the process's umask takes its share; 0o600 for what is secret
+    mode : permissions, such as 0o600 for what is secret; what the process's mask leaves when None
 
     Raises
     ------
@@ -39,7 +40,9 @@ def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.unlink(missing_ok=True)
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode or 0o666), "wb") as stream:
+            if mode is not None:
+                os.fchmod(stream.fileno(), mode)
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
@@ -51,10 +54,12 @@ def replace_file(path: Path, data: bytes, mode: int = 0o666) -> None:
     sync_directory(path.parent)
 
 
-def publish_directory(partial: Path, final: Path) -> None:
+def publish_directory(partial: Path, final: Path, synced: Collection[str] = ()) -> None:
     """Make a finished temporary directory a published one, or leave no trace of it.
 
     Every file in it and the directory itself are on the disk before the rename, and the rename before this returns.
+
+    synced : names of files that the caller has seen to already
 
     Raises
     ------
@@ -64,7 +69,8 @@ def publish_directory(partial: Path, final: Path) -> None:
         The disk refused; `final` does not exist.
     """
     for path in sorted(partial.iterdir()):
-        sync_file(path)
+        if path.name not in synced:
+            sync_file(path)
     sync_directory(partial)
     if final.exists() or final.is_symlink():
         raise FileExistsError(f"{final} exists already")

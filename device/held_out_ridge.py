@@ -37,6 +37,14 @@ class HeldOutRidge:
         gram, moment = self._normal_equations(alive[self.ball], slope, weight)
         return self._solutions(gram, moment, [penalty])[0]
 
+    def leverage_root(
+        self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray
+    ) -> Float64Array:
+        """Float64 array B of shape (F, F) with B Bᵀ the inverse of the penalised Gram matrix of the living balls."""
+        gram, _ = self._normal_equations(alive[self.ball], slope, weight)
+        values, vectors = np.linalg.eigh(gram)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, 0.0) + self._scale * penalty))
+
     def held_out(
         self, penalties: Sequence[float], slope: Float64Array, weight: Float64Array, alive: MaskArray
     ) -> list[Float64Array]:
@@ -68,8 +76,14 @@ class HeldOutRidge:
         """Ridge solutions of shape (F, 2), one a penalty, from one decomposition."""
         values, vectors = np.linalg.eigh(gram)
         turned = vectors.T @ moment
-        scale = len(self.ball) / 100.0
-        return [vectors @ (turned / (np.maximum(values, 0.0) + scale * penalty)[:, None]) for penalty in penalties]
+        return [
+            vectors @ (turned / (np.maximum(values, 0.0) + self._scale * penalty)[:, None]) for penalty in penalties
+        ]
+
+    @property
+    def _scale(self) -> float:
+        """What a penalty is multiplied by, so that it does not depend on the number of samples."""
+        return len(self.ball) / 100.0
 
 
 def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:

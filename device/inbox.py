@@ -5,6 +5,7 @@ Whoever may write into the inbox is not trusted with the store: what counts is w
 
 from __future__ import annotations
 
+import os
 import shutil
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from device.bundle_layout import is_bundle_id
 from device.bundle_publishing import publish_bundle
 from device.calibration_bundle import CALIBRATION_MANIFEST, CalibrationBundle, read_calibration
 from device.errors import DeviceError, RecordError, StoreError
-from device.records import FileEntry, read_manifest
+from device.records import CHUNK_BYTES, FileEntry, read_manifest
 
 INBOX: Final = "inbox"
 
@@ -71,6 +72,15 @@ def _remove(delivered: Path) -> None:
         shutil.rmtree(delivered, ignore_errors=True)
 
 
+def _copy_file(source: Path, target: Path, size_bytes: int) -> None:
+    """Copy a regular file that has that size; what takes its place meanwhile is not followed, nor read without end."""
+    descriptor = os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with os.fdopen(descriptor, "rb") as stream, target.open("xb") as copy:
+        while size_bytes > 0 and (block := stream.read(min(size_bytes, CHUNK_BYTES))):
+            copy.write(block)
+            size_bytes -= len(block)
+
+
 def _copy(root: Path, bundle: CalibrationBundle, room_bytes: int) -> None:
     needed = sum(entry.size for entry in bundle.record.files.values())
     if needed > room_bytes:
@@ -78,8 +88,8 @@ def _copy(root: Path, bundle: CalibrationBundle, room_bytes: int) -> None:
     bundle.verify()
 
     def write(directory: Path) -> None:
-        for name in bundle.record.files:
-            shutil.copyfile(bundle.directory / name, directory / name, follow_symlinks=False)
+        for name, entry in bundle.record.files.items():
+            _copy_file(bundle.directory / name, directory / name, entry.size)
 
     def manifest(files: dict[str, FileEntry]) -> bytes:
         if files != bundle.record.files:

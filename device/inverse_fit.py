@@ -18,16 +18,23 @@ from device.ball import Ball, BallSamples
 from device.colour_domain import ColourDomain
 from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg, robust_weight
-from device.inverse_map import InverseMap
-from device.polynomials import position_exponents
-from device.slope_learner import COLOUR_DEGREE, SlopeLearner, learner_of, preferred_learner
+from device.inverse_map import InverseMap, LightCurve
+from device.light_field import LightField
+from device.slope_learner import CurveForm, SlopeLearner, learner_of, preferred_learner
 from device.stereographic import slope_from_stereographic
 from device.surface import Float64Array, MaskArray
 
 REFINEMENT_ROUNDS: Final = 4
 SHIFT_TAKEN: Final = 0.8
 """Share of a centre's indicated shift that is taken."""
+LONE_BALL_FORM: Final = CurveForm(4, 0)
 LONE_BALL_PENALTY: Final = 1e-3
+DISTRUST_POWER: Final = 20.0
+"""Power of its held-out error with which a curve loses weight: an error larger by 10 % leaves a seventh."""
+
+LEAST_SHARE: Final = 0.1
+"""A curve of light with less weight is left out: it would cost as much as one that helps."""
+
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 FEWEST_PIXELS: Final = 500
 
@@ -68,8 +75,11 @@ def fit_inverse_map(
     shape: tuple[int, int],
     *,
     max_samples: int = 40_000,
+    light: LightField | None = None,
 ) -> InverseFit:
     """The inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors.
+
+    light : of untouched skin, for a second curve that reads light where held-out balls gain by it
 
     Raises
     ------
@@ -84,12 +94,13 @@ def fit_inverse_map(
     everyone = np.ones(len(balls), bool)
     slope = _true_slopes(chosen, balls)
     if len(balls) == 1:
-        learner = learner_of(chosen, shape, 0, LONE_BALL_PENALTY)
+        learner = learner_of(chosen, shape, LONE_BALL_FORM, LONE_BALL_PENALTY)
         solution = learner.ridge.solve(learner.penalty, slope, np.ones(len(slope)), everyone)
-        fitted = _map(learner, solution, ColourDomain.observed(samples.intensity), shape, balls[0].steepest)
+        domain = ColourDomain.observed(samples.intensity)
+        fitted = InverseMap(shape, domain, learner.curve(solution), balls[0].steepest)
         return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
-    learner = preferred_learner(chosen, slope, len(balls), shape)
-    state = _refine(chosen, balls, learner)
+    learners = _learners(chosen, slope, len(balls), shape, light)
+    state = _refine(chosen, balls, learners)
     if not state.kept.any():
         raise CalibrationError(
             "no ball follows the sphere well enough to teach: press the ball again, deeper and centred"
@@ -97,16 +108,31 @@ def fit_inverse_map(
     rows = state.kept[chosen.ball]
     domain = ColourDomain.observed(samples.intensity[state.kept[samples.ball]])
     error = angle_between_deg(state.held_out[rows], state.slope[rows])
-    solution = learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept)
     steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
     return InverseFit(
-        map=_map(learner, solution, domain, shape, steepest),
+        map=_map(learners, state, domain, shape, steepest),
         balls=state.balls,
         kept=state.kept,
         ball_error_deg=state.errors_deg,
         held_out_deg=float(error.mean()),
         bands=_bands(error, state.slope[rows]),
     )
+
+
+_Learners = Sequence[tuple[SlopeLearner, float]]
+"""Learners with their shares, the one that reads intensity first."""
+
+
+def _learners(
+    samples: BallSamples, slope: Float64Array, count: int, shape: tuple[int, int], light: LightField | None
+) -> _Learners:
+    """The learner of intensity and, where it is worth its cost, that of light."""
+    plain, error = preferred_learner(samples, slope, count, shape)
+    if light is None:
+        return [(plain, 1.0)]
+    lit, light_error = preferred_learner(samples, slope, count, shape, light)
+    share = 1.0 / (1.0 + (light_error / error) ** DISTRUST_POWER)
+    return [(plain, 1.0)] if share < LEAST_SHARE else [(plain, 1.0 - share), (lit, share)]
 
 
 @dataclass(slots=True, eq=False)
@@ -145,14 +171,14 @@ def _true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
     return np.asarray(-offset / height[:, None])
 
 
-def _refine(samples: BallSamples, balls: Sequence[Ball], learner: SlopeLearner) -> _Refined:
+def _refine(samples: BallSamples, balls: Sequence[Ball], learners: _Learners) -> _Refined:
     """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each."""
     slope = _true_slopes(samples, balls)
     count = len(balls)
     seen = np.bincount(samples.ball, minlength=count) > 0
     state = _Refined(tuple(balls), slope, np.ones(len(slope)), seen, np.full(count, np.nan), np.zeros_like(slope))
     for _ in range(REFINEMENT_ROUNDS):
-        held_out = _held_out(learner, state)
+        held_out = _held_out(learners, state)
         state.balls = _recentred(samples, balls, held_out, state.kept)
         state.slope = _true_slopes(samples, state.balls)
         state.weight = robust_weight(held_out, state.slope)
@@ -160,21 +186,31 @@ def _refine(samples: BallSamples, balls: Sequence[Ball], learner: SlopeLearner) 
         pixels = np.maximum(np.bincount(samples.ball, minlength=count), 1)
         state.errors_deg = np.where(seen, np.bincount(samples.ball, angle, count) / pixels, np.nan)
         state.kept = _following(state.errors_deg)
-    state.held_out = _held_out(learner, state)
+    state.held_out = _held_out(learners, state)
     return state
 
 
-def _held_out(learner: SlopeLearner, state: _Refined) -> Float64Array:
-    """Slopes of shape (N, 2) that the learner gives each ball without having seen it."""
-    (u,) = learner.ridge.held_out([learner.penalty], state.slope, state.weight, state.kept)
+def _held_out(learners: _Learners, state: _Refined) -> Float64Array:
+    """Slopes of shape (N, 2) that the learners together give each ball without having seen it."""
+    u = np.zeros_like(state.slope)
+    for learner, share in learners:
+        (own,) = learner.ridge.held_out([learner.penalty], state.slope, state.weight, state.kept)
+        u += share * own
     return slope_from_stereographic(u)
 
 
 def _map(
-    learner: SlopeLearner, solution: Float64Array, domain: ColourDomain, shape: tuple[int, int], steepest: float
+    learners: _Learners, state: _Refined, domain: ColourDomain, shape: tuple[int, int], steepest: float
 ) -> InverseMap:
-    coefficients = solution.reshape(-1, len(position_exponents(learner.degree)), 2).astype(np.float32)
-    return InverseMap(shape, learner.colours, domain, COLOUR_DEGREE, learner.degree, coefficients, steepest)
+    """The map that all kept balls teach."""
+    curves = [
+        learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
+        for learner, _ in learners
+    ]
+    learner, share = learners[-1]
+    light = None if learner.light is None else LightCurve(learner.light, curves[-1], share)
+    leverage = learners[0][0].leverage(state.slope, state.weight, state.kept)
+    return InverseMap(shape, domain, curves[0], steepest, light, leverage)
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:

@@ -2,7 +2,8 @@
 
 Near lights make the reflectance change over the field, so that one colour means different slopes in different places.
 The map is a polynomial in log intensity whose every coefficient is itself a polynomial in position. It predicts the
-stereographic slope.
+stereographic slope. Where held-out balls gain by it, a second such polynomial reads the frame's light, not divided by
+the reference, and the map is the weighted mean of both.
 
 Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried
 (docs/decisions/0004-direct-inverse.md).
@@ -18,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.colour_domain import ColourDomain
-from device.colour_space import ColourSpace
 from device.errors import CalibrationMismatch, RecordError
+from device.leverage import Leverage
+from device.light_field import LightField
 from device.photometry import IntensityImage
-from device.polynomials import colour_exponents, field_position, monomials, position_exponents
+from device.polynomials import field_position
+from device.slope_curve import SlopeCurve, with_prefix
 from device.stereographic import slope_from_stereographic
 from device.surface import Float32Array, Float64Array, GradientField
 
@@ -34,10 +37,21 @@ CLIPPED_CONFIDENCE: Final = 0.03
 LOST_EXCESS: Final = 6.0
 """Distance outside the calibrated colours, in standard deviations, from which a slope means nothing."""
 
-MOST_DEGREE: Final = 16
-"""No map has polynomials of a higher degree; a file that asks for one is not read."""
-
 _BLOCK_ROWS: Final = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightCurve:
+    """A curve that reads light instead of intensity, and its part in the map.
+
+    field : light of untouched skin
+    curve : the polynomial; its colours are light relative to the field's mean
+    share : its weight, 0 to 1; the curve of intensity has the rest
+    """
+
+    field: LightField
+    curve: SlopeCurve
+    share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,20 +59,19 @@ class InverseMap:
     """The fitted map.
 
     shape : (H, W) of the full-size field that positions are scaled by
-    colours : the colour space
     domain : the colours that the balls showed
-    colour_degree, position_degree : degrees of the polynomial
-    coefficients : float32 array of shape (M, K, 2), M colour monomials, K position monomials
+    curve : the polynomial that reads intensity
     steepest : slope up to which the balls taught it; what lies beyond is extrapolated
+    light : the polynomial that reads light, None where it would not help
+    leverage : of the curve that reads intensity, None where one ball alone taught it
     """
 
     shape: tuple[int, int]
-    colours: ColourSpace
     domain: ColourDomain
-    colour_degree: int
-    position_degree: int
-    coefficients: Float32Array
+    curve: SlopeCurve
     steepest: float
+    light: LightCurve | None = None
+    leverage: Leverage | None = None
 
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
         """Refuse an image that is not of this field's size divided by `binning`.
@@ -96,37 +109,35 @@ class InverseMap:
         self, values: Float32Array, rows: slice, binning: int
     ) -> tuple[Float32Array, Float32Array, Float32Array]:
         height, width, _ = values.shape
-        variables, excess = self.colours.variables(values.reshape(-1, 3))
-        terms = monomials(variables, self.colour_degree)
-        flat = self.coefficients.reshape(terms.shape[1], -1)
-        per_position = (terms @ flat).reshape(height, width, -1, 2)
         centre = 0.5 * (binning - 1)
         column = np.arange(width) * binning + centre
         row = np.arange(rows.start, rows.start + height) * binning + centre
-        u = np.zeros((height, width, 2), np.float32)
         across = field_position(column, np.zeros_like(column), self.shape)[:, 0].astype(np.float32)
         down = field_position(np.zeros_like(row), row, self.shape)[:, 1].astype(np.float32)
-        for term, (i, j) in enumerate(position_exponents(self.position_degree)):
-            u += per_position[:, :, term] * (across[None, :, None] ** i * down[:, None, None] ** j)
+        u, excess = self.curve.rows(values, across, down)
+        if self.light is not None:
+            lit, _ = self.light.curve.rows(values * self.light.field.rows(across, down), across, down)
+            u += np.float32(self.light.share) * (lit - u)
         slope = slope_from_stereographic(u)
-        return slope[..., 0], slope[..., 1], excess.reshape(height, width)
+        return slope[..., 0], slope[..., 1], excess
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes of shape (N, 2) for intensities of shape (N, 3) at full-size pixel coordinates."""
         place = field_position(column.astype(np.float64), row.astype(np.float64), self.shape)
-        design = design_matrix(self.colours, self.colour_degree, self.position_degree, intensity, place)
-        return slope_from_stereographic(design @ self.coefficients.reshape(-1, 2).astype(np.float64))
+        u = self.curve.at(intensity, place)
+        if self.light is not None:
+            u += self.light.share * (self.light.curve.at(intensity * self.light.field.at(place), place) - u)
+        return slope_from_stereographic(u)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays, for an npz file; `from_arrays` is its inverse."""
-        parts = (("colour", self.colours), ("domain", self.domain))
-        named = {f"{part}_{name}": array for part, owner in parts for name, array in owner.arrays().items()}
-        return named | {
-            "shape": np.array(self.shape),
-            "degrees": np.array([self.colour_degree, self.position_degree]),
-            "coefficients": self.coefficients,
-            "steepest": np.array(self.steepest),
-        }
+        named = {f"domain_{name}": array for name, array in self.domain.arrays().items()} | self.curve.arrays()
+        if self.light is not None:
+            lit = self.light.curve.arrays() | self.light.field.arrays() | {"share": np.array(self.light.share)}
+            named |= {f"light_{name}": array for name, array in lit.items()}
+        if self.leverage is not None:
+            named |= {f"leverage_{name}": array for name, array in self.leverage.arrays().items()}
+        return named | {"shape": np.array(self.shape), "steepest": np.array(self.steepest)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> InverseMap:
@@ -138,37 +149,25 @@ class InverseMap:
             An array is missing or of another shape.
         """
         try:
-            colours = ColourSpace.from_arrays(_with_prefix(arrays, "colour_"))
-            domain = ColourDomain.from_arrays(_with_prefix(arrays, "domain_"))
+            domain = ColourDomain.from_arrays(with_prefix(arrays, "domain_"))
             rows, columns = (int(size) for size in arrays["shape"])
-            colour_degree, position_degree = (int(degree) for degree in arrays["degrees"])
-            coefficients = np.asarray(arrays["coefficients"], np.float32)
             steepest = float(arrays["steepest"])
+            curve = SlopeCurve.from_arrays(arrays, source)
+            light = _light_from(with_prefix(arrays, "light_"), source)
+            named = with_prefix(arrays, "leverage_")
+            leverage = Leverage.from_arrays(named, curve) if named else None
         except (KeyError, IndexError, ValueError, TypeError) as error:
             raise RecordError(f"{source} holds no inverse map ({error}): calibrate again") from error
-        if not (0 <= colour_degree <= MOST_DEGREE and 0 <= position_degree <= MOST_DEGREE):
-            raise RecordError(f"{source}: degrees {colour_degree} and {position_degree}, which no map has")
-        expected = (len(colour_exponents(colour_degree)), len(position_exponents(position_degree)), 2)
-        if coefficients.shape != expected:
-            raise RecordError(f"{source}: coefficients of shape {coefficients.shape}, not {expected}: calibrate again")
-        return cls((rows, columns), colours, domain, colour_degree, position_degree, coefficients, steepest)
+        return cls((rows, columns), domain, curve, steepest, light, leverage)
 
 
-def design_matrix(
-    colours: ColourSpace, colour_degree: int, position_degree: int, intensity: Float32Array, place: Float64Array
-) -> Float64Array:
-    """Every colour monomial times every position monomial: float64 array of shape (N, M K).
-
-    place : float64 array of shape (N, 2), position variables
-    """
-    variables, _ = colours.variables(intensity)
-    by_colour = monomials(variables.astype(np.float64), colour_degree)
-    by_place = monomials(place, position_degree)
-    return np.asarray((by_colour[:, :, None] * by_place[:, None, :]).reshape(len(place), -1))
-
-
-def _with_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+def _light_from(arrays: Mapping[str, NDArray[Any]], source: str) -> LightCurve | None:
+    if not arrays:
+        return None
+    share = float(arrays["share"])
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"a share of {share}")
+    return LightCurve(LightField.from_arrays(arrays), SlopeCurve.from_arrays(arrays, source, linear=True), share)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

@@ -9,7 +9,8 @@ A single table of colour alone would throw position away. Bins are even in inten
 linear, and lie so that a flat, untouched skin (intensity 1) is a bin's centre: it reads as flat as the map itself reads
 it. Elsewhere a bin's width shows as noise of a few tenths of a degree (tests/device/test_quick_look_table.py).
 
-The map is only asked for slopes: at a few intensities and places, between which its polynomials are interpolated.
+Only the map's curve of intensity is tabulated, from its slopes at a few intensities and places, between which it is
+interpolated: a second curve would take the time of a second table, and change little.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from device.colour_space import DARK_OFFSET, ColourSpace
 from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, TRUSTED_EXCESS, InverseMap
 from device.photometry import IntensityImage
 from device.polynomials import field_position, monomials, position_exponents
-from device.stereographic import stereographic_from_slope
 from device.surface import Float32Array, Float64Array, GradientField, MaskArray
 
 BINS: Final = 64
@@ -61,7 +61,7 @@ class SlopeTable:
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> SlopeTable:
         """The tables of a map, for images binned by `binning`."""
-        low, high = inverse_map.colours.intensity_range()
+        low, high = inverse_map.curve.colours.intensity_range()
         width = (high - low) / (BINS - 1)
         first = 1.0 - np.round((1.0 - low) / width) * width
         centres = first + width * np.arange(BINS)[:, None]
@@ -70,7 +70,7 @@ class SlopeTable:
         places = _place_terms(inverse_map.shape, shape, binning)
         kept = [k for k, term in enumerate(terms) if np.abs(term).max() > NEGLIGIBLE or k == 0]
         return cls(
-            inverse_map.colours,
+            inverse_map.curve.colours,
             first.astype(np.float32),
             (1.0 / width).astype(np.float32),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
@@ -141,15 +141,10 @@ def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, cent
 
 def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> Float64Array:
     """Least-squares coefficients of u over the field, float64 array of shape (N, K, 2), at N intensities (N, 3)."""
-    rows, columns = inverse_map.shape
-    share = (np.arange(PLACES) + 0.5) / PLACES
-    column, row = (axis.ravel() for axis in np.meshgrid(share * columns - 0.5, share * rows - 0.5))
-    seen = [
-        inverse_map.predict(intensity, *(np.full(len(intensity), at, np.float32) for at in place))
-        for place in zip(column, row, strict=True)
-    ]
-    u = np.stack([stereographic_from_slope(slope[:, 0], slope[:, 1]) for slope in seen])
-    basis = monomials(field_position(column, row, inverse_map.shape), POSITION_DEGREE)
+    at = (np.arange(PLACES) + 0.5) * (2.0 / PLACES) - 1.0
+    places = np.stack([axis.ravel() for axis in np.meshgrid(at, at)], axis=-1)
+    u = np.stack([inverse_map.curve.at(intensity, np.tile(place, (len(intensity), 1))) for place in places])
+    basis = monomials(places, POSITION_DEGREE)
     return np.asarray(np.tensordot(np.linalg.pinv(basis), u, axes=1).transpose(1, 0, 2))
 
 

@@ -125,7 +125,19 @@ def _check_size(header: RawHeader, promised: tuple[int, int] | None, path: Path)
 def _read_planes(tiff: tifffile.TiffFile, header: RawHeader, path: Path) -> NDArray[np.uint16]:
     """The four pages, checked to be what the header says before anything is decompressed."""
     shape = (header.rows // 2, header.columns // 2)
-    pages = list(tiff.pages)
-    if len(pages) != 4 or any(page.shape != shape or page.dtype != np.uint16 for page in pages):
-        raise RecordError(f"{path}: its pages are not four planes of {shape[1]}x{shape[0]}: fetch it again")
+    pages = [tiff.pages[site] for site in range(4)]
+    # A chain of pages can be as long as the file: only the first five are walked.
+    if _has_page(tiff, 4) or any(
+        page.shape != shape or page.dtype != np.uint16 or page.compression != tifffile.COMPRESSION.ZSTD
+        for page in pages
+    ):
+        raise RecordError(f"{path}: its pages are not four planes of {shape[1]}x{shape[0]} with zstd: fetch it again")
     return np.stack([page.asarray(maxworkers=1) for page in pages]).astype("<u2", copy=False)
+
+
+def _has_page(tiff: tifffile.TiffFile, index: int) -> bool:
+    try:
+        tiff.pages[index]
+    except IndexError:
+        return False
+    return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -25,25 +25,14 @@ from device.records import (
     read_manifest,
     verify_files,
 )
-from hal.frame import CameraSettings, RawFrame
+from device.settings_record import SettingsRecord
+from hal.frame import RawFrame
 from hal.interfaces import PowerReading
 
 SCAN_SCHEMA: Final = "retrograph.scan/1"
 SCAN_MANIFEST: Final = "scan.json"
 
 VerdictLevel = Literal["good", "doubtful", "retake"]
-
-
-class SettingsRecord(Record, frozen=True):
-    """Exposure (µs) and analogue gain of the camera."""
-
-    exposure_us: Positive
-    analogue_gain: Positive
-
-    @classmethod
-    def of(cls, settings: CameraSettings) -> SettingsRecord:
-        """The same as a record."""
-        return cls(exposure_us=settings.exposure_us, analogue_gain=settings.analogue_gain)
 
 
 class VerdictRecord(Record, frozen=True):
@@ -72,7 +61,14 @@ class PowerRecord(Record, frozen=True):
     @classmethod
     def of(cls, reading: PowerReading) -> PowerRecord:
         """The same as a record."""
-        return cls(**asdict(reading))
+        return cls(**{name: getattr(reading, name) for name in cls.__struct_fields__})
+
+
+class LightFaultRecord(Record, frozen=True):
+    """What the light driver believed of one light while it shone, such as "open"; advisory."""
+
+    light: str
+    kind: str
 
 
 class Annotations(Record, frozen=True):
@@ -94,6 +90,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     currents_ma : current of each light as granted, mA
     calibration_id : of the calibration that was active, or None
     power : supply and battery at the press
+    light_faults : what the light driver said while the lights shone; None when it could not be asked
     files : hash and size of every file beside the manifest; filled in by the store
     """
 
@@ -111,6 +108,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     verdict: VerdictRecord
     annotations: Annotations = Annotations()
     power: PowerRecord = PowerRecord()
+    light_faults: tuple[LightFaultRecord, ...] | None = None
     raw_file: FileName = "raw.tif"
     files: dict[FileName, FileEntry] = msgspec.field(default_factory=dict)
 

@@ -1,4 +1,4 @@
-"""The inverse map's polynomial while it is being learned: its features, its degree in position, its penalty."""
+"""A curve of the inverse map while it is being learned: its form, its penalty, and whether it reads light."""
 
 from __future__ import annotations
 
@@ -10,63 +10,128 @@ import numpy as np
 from device.ball import BallSamples
 from device.colour_space import ColourSpace
 from device.held_out_ridge import HeldOutRidge
-from device.inverse_map import design_matrix
-from device.polynomials import field_position
+from device.leverage import Leverage
+from device.light_field import LightField
+from device.polynomials import colour_exponents, field_position, position_exponents
+from device.slope_curve import SlopeCurve, design_matrix
 from device.stereographic import slope_from_stereographic
-from device.surface import Float64Array
+from device.surface import Float32Array, Float64Array, MaskArray
 
-COLOUR_DEGREE: Final = 4
-POSITION_DEGREES: Final = (0, 1, 2)
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 FLAT_SHARE: Final = 0.1
 """Untouched skin, as a share of the ball pixels: it pins intensity 1 to slope 0 everywhere in the field."""
 
 
+@dataclass(frozen=True, slots=True)
+class CurveForm:
+    """Which terms a curve has, and how dear they are.
+
+    colour_degree, position_degree : its degrees
+    place_penalty : how many times as dear a term is for every power of position
+    """
+
+    colour_degree: int
+    position_degree: int
+    place_penalty: float = 1.0
+
+    def term_scale(self) -> Float64Array:
+        """What features are multiplied by so that one penalty serves all: float64 array of shape (M K,)."""
+        powers = np.array([i + j for i, j in position_exponents(self.position_degree)])
+        scale = self.place_penalty ** (-0.5 * powers)
+        return np.tile(scale, len(colour_exponents(self.colour_degree)))
+
+
+PLAIN_FORMS: Final = tuple(CurveForm(4, degree) for degree in (0, 1, 2))
+BENT_FORM: Final = CurveForm(5, 2, 10.0)
+"""A skin with metal flakes bends more over colour than over place."""
+
+BENT_GAIN: Final = 0.95
+"""Share of the plain forms' held-out error that the bent form must reach: near ties are chance."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeLearner:
-    """A polynomial that is to be learned.
+    """A curve that is to be learned.
 
     colours : the variables that it is a polynomial in
-    degree : its degree in position
+    form : its terms
+    light : with which intensity is multiplied first, or None
     penalty : of the ridge
     ridge : its features at the pixels of balls
-    error : mean absolute slope error on held-out balls, whose centres do not count
     """
 
     colours: ColourSpace
-    degree: int
+    form: CurveForm
+    light: LightField | None
     penalty: float
     ridge: HeldOutRidge
-    error: float
+
+    def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
+        """The leverage of its features among those of the living balls; arguments as for the ridge."""
+        root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
+        found = Leverage.of(root, self.ridge.design[alive[self.ridge.ball]])
+        scaled = (found.root * self.form.term_scale()[:, None]).astype(np.float32)
+        return replace(found, root=scaled)
+
+    def curve(self, solution: Float64Array) -> SlopeCurve:
+        """The curve with the coefficients that `ridge` found, array of shape (F, 2)."""
+        form = self.form
+        unscaled = solution * form.term_scale()[:, None]
+        coefficients = unscaled.reshape(-1, len(position_exponents(form.position_degree)), 2).astype(np.float32)
+        return SlopeCurve(self.colours, form.colour_degree, form.position_degree, coefficients)
 
 
-def learner_of(samples: BallSamples, shape: tuple[int, int], degree: int, penalty: float) -> SlopeLearner:
-    """The learner with this degree in position and this penalty, for a full-size field of `shape` (H, W)."""
-    colours = ColourSpace.observed(samples.intensity)
+def learner_of(
+    samples: BallSamples, shape: tuple[int, int], form: CurveForm, penalty: float, light: LightField | None = None
+) -> SlopeLearner:
+    """The learner of this form and penalty, for a full-size field of `shape` (H, W)."""
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
-    design = design_matrix(colours, COLOUR_DEGREE, degree, samples.intensity, place)
+    seen = _lit(samples.intensity, place, light)
+    colours = ColourSpace.observed(seen, linear=light is not None)
+    scale = form.term_scale()
+    design = design_matrix(colours, form.colour_degree, form.position_degree, seen, place) * scale
     count = max(int(FLAT_SHARE * len(samples.p)), 1)
     anywhere = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 2))
-    flat = design_matrix(colours, COLOUR_DEGREE, degree, np.ones((count, 3), np.float32), anywhere)
-    return SlopeLearner(colours, degree, penalty, HeldOutRidge(design, flat.T @ flat, samples.ball), 0.0)
+    untouched = _lit(np.ones((count, 3), np.float32), anywhere, light)
+    flat = design_matrix(colours, form.colour_degree, form.position_degree, untouched, anywhere) * scale
+    return SlopeLearner(colours, form, light, penalty, HeldOutRidge(design, flat.T @ flat, samples.ball))
 
 
-def preferred_learner(samples: BallSamples, slope: Float64Array, count: int, shape: tuple[int, int]) -> SlopeLearner:
-    """The learner with the degree in position and the penalty of least held-out error.
+def preferred_learner(
+    samples: BallSamples, slope: Float64Array, count: int, shape: tuple[int, int], light: LightField | None = None
+) -> tuple[SlopeLearner, float]:
+    """The learner with the form and the penalty of least held-out error, and that error, in slope.
+
+    Balls' centres do not count in the error.
 
     slope : float64 array of shape (N, 2), true slopes of the samples
     count : of balls
+    light : for a curve that reads light
     """
-    everyone, weight = np.ones(count, bool), np.ones(len(samples.p))
-    best: SlopeLearner | None = None
-    for degree in POSITION_DEGREES:
-        learner = learner_of(samples, shape, degree, 0.0)
-        for penalty, u in zip(PENALTIES, learner.ridge.held_out(PENALTIES, slope, weight, everyone), strict=True):
-            error = _balanced_error(samples, slope_from_stereographic(u), slope)
-            if best is None or error < best.error:
-                best = replace(learner, penalty=penalty, error=error)
-    assert best is not None  # noqa: S101 - POSITION_DEGREES is not empty
-    return best
+    tried = [_at_best_penalty(samples, slope, count, shape, form, light) for form in (*PLAIN_FORMS, BENT_FORM)]
+    *plain, bent = tried
+    best = min(plain, key=lambda found: found[1])
+    return bent if bent[1] < BENT_GAIN * best[1] else best
+
+
+def _at_best_penalty(
+    samples: BallSamples,
+    slope: Float64Array,
+    count: int,
+    shape: tuple[int, int],
+    form: CurveForm,
+    light: LightField | None,
+) -> tuple[SlopeLearner, float]:
+    """The learner of this form with the penalty of least held-out error, and that error."""
+    learner = learner_of(samples, shape, form, 0.0, light)
+    held_out = learner.ridge.held_out(PENALTIES, slope, np.ones(len(samples.p)), np.ones(count, bool))
+    errors = [_balanced_error(samples, slope_from_stereographic(u), slope) for u in held_out]
+    least = int(np.argmin(errors))
+    return replace(learner, penalty=PENALTIES[least]), errors[least]
+
+
+def _lit(intensity: Float32Array, place: Float64Array, light: LightField | None) -> Float32Array:
+    return intensity if light is None else intensity * light.at(place)
 
 
 def _balanced_error(samples: BallSamples, slope: Float64Array, truth: Float64Array) -> float:

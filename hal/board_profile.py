@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
@@ -25,13 +25,22 @@ from hal.board_parts import (
 from hal.errors import BoardProfileError
 from hal.frame import BayerOrder, CameraSettings
 
+ASPECT_TOLERANCE: Final = 0.02
+"""An aiming view of other proportions than the sensor's is cropped by libcamera."""
+
+LIVE_AIMING_US: Final = 80_000.0
+"""Frames at least this often make ten aiming views a second with some of the time to spare."""
+
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Exposure = Annotated[float, msgspec.Meta(gt=0, le=1e7)]
 Row3 = tuple[float, float, float]
 
 
 class SensorFacts(Table, frozen=True):
-    """The sensor and its scale: counts in dn, charge in electrons, pitch at the skin in µm."""
+    """The sensor and its scale: counts in dn, charge in electrons, pitch at the skin in µm.
+
+    exposure_step_us : exposures come in whole steps of this, µs: the time of a line, or of two
+    """
 
     model: str
     columns: EvenSize
@@ -42,6 +51,7 @@ class SensorFacts(Table, frozen=True):
     pixel_pitch_um: Positive
     full_well_e: Positive
     read_noise_e: NotNegative
+    exposure_step_us: Positive = 10.0
 
 
 class CameraFacts(Table, frozen=True):
@@ -126,12 +136,14 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """What this board can do beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current"."""
+        """What this board can do beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current",
+        and "live-aiming", ten views a second with time to spare."""
         has = {
             "indicator": self.indicator is not None,
             "under-voltage": self.power is not None,
             "battery": self.power is not None and self.power.fuel_gauge is not None,
             "focus": self.libcamera is not None and self.libcamera.lens_position is not None,
+            "live-aiming": self.libcamera is not None and self.libcamera.frame_period_us <= LIVE_AIMING_US,
             "light-current": self.light_driver is not None and self.light_driver.chip == "PCA9955B",
         }
         return frozenset(name for name, there in has.items() if there)
@@ -230,3 +242,10 @@ def _complaints_of_wiring(profile: BoardProfile) -> Iterator[str]:
         yield f"sensor.white_level_dn: accepted is less than 2^raw_bits, {2**camera.raw_bits}"
     if camera and profile.camera.exposure_us > camera.frame_period_us:
         yield "camera.exposure_us: accepted is at most libcamera.frame_period_us"
+    if camera:
+        rows = camera.aiming_columns * profile.sensor.rows / profile.sensor.columns
+        if abs(camera.aiming_rows - rows) > ASPECT_TOLERANCE * rows:
+            yield (
+                f"libcamera.aiming_rows: {camera.aiming_rows} would show a part of the field only; accepted is about "
+                f"{2 * round(rows / 2)}, as the sensor's proportions have it"
+            )

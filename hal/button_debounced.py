@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Callable
+from typing import Self, TypeVar
 
 from hal.debounce import Debouncer
 from hal.errors import ButtonError
 from hal.gpio_lines import InputLine, OpenInput
 from hal.interfaces import ButtonPress, Clock
+
+Result = TypeVar("Result")
 
 
 class DebouncedButton:
@@ -19,6 +22,16 @@ class DebouncedButton:
         self._line: InputLine | None = None
         self._debouncer = Debouncer(down=False)
 
+    def wait_for_push(self, timeout_s: float | None) -> int | None:
+        """When the next press began (ns), as soon as its contact has come to rest, or None after `timeout_s`.
+
+        Raises
+        ------
+        ButtonError
+            The line cannot be read, or the button was not entered.
+        """
+        return self._wait(timeout_s, self._debouncer.push)
+
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
         """The next press once it is released, or None after `timeout_s`.
 
@@ -27,12 +40,16 @@ class DebouncedButton:
         ButtonError
             The line cannot be read, or the button was not entered.
         """
+        return self._wait(timeout_s, self._debouncer.take)
+
+    def _wait(self, timeout_s: float | None, look: Callable[[], Result | None]) -> Result | None:
+        """What `look` finds as edges come in, or None after `timeout_s`."""
         line = self._opened()
         end_ns = None if timeout_s is None else self._clock.monotonic_ns() + round(timeout_s * 1e9)
         while True:
             self._catch_up(line)
-            if press := self._debouncer.take():
-                return press
+            if (found := look()) is not None:
+                return found
             now_ns = self._clock.monotonic_ns()
             if end_ns is not None and now_ns >= end_ns:
                 return None
@@ -44,7 +61,7 @@ class DebouncedButton:
         return self._opened().is_active()
 
     def forget_presses(self) -> int:
-        """Drop what was pressed while nobody waited; says how many."""
+        """Drop every press so far; says how many `wait_for_push` had not told."""
         self._catch_up(self._opened())
         return self._debouncer.forget()
 
@@ -59,11 +76,18 @@ class DebouncedButton:
             line.release()
 
     def _catch_up(self, line: InputLine) -> None:
-        """Hear every edge until now; what is quiet is settled by the line's real level, should an edge be lost."""
-        while line.wait(0.0):
-            for edge in line.edges():
-                self._debouncer.edge(edge.at_ns, edge.active)
-        self._debouncer.rest(self._clock.monotonic_ns(), line.is_active())
+        """Hear every edge until now; what is quiet is settled by the line's real level, should an edge be lost.
+
+        A level counts only when no edge came while it was read, or it would be older or newer than what was heard.
+        """
+        while True:
+            while line.wait(0.0):
+                for edge in line.edges():
+                    self._debouncer.edge(edge.at_ns, edge.active)
+            now_ns, active = self._clock.monotonic_ns(), line.is_active()
+            if not line.wait(0.0):
+                break
+        self._debouncer.rest(now_ns, active)
 
     def _opened(self) -> InputLine:
         if self._line is None:

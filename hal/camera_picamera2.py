@@ -1,7 +1,12 @@
-"""A libcamera camera through picamera2: everything locked, every frame read with its own metadata."""
+"""A libcamera camera through picamera2: everything locked, every frame read with its own metadata.
+
+Why a stalled pipeline is not reopened at once: that takes seconds, and whoever waits for a frame may have switched
+lights on. It is told, and reopened by the next call, which can then be made in the dark.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Self, TypeVar
 
@@ -16,9 +21,12 @@ from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import Clock
 from hal.picamera_stack import CameraStack, OpenCamera, Request
 
-MOST_RESTARTS: Final = 2
 OLDEST_S: Final = 30.0
 """A frame that seems older than this, or not yet taken, was stamped by another clock."""
+
+STALLED_S: Final = 0.5
+STALLED_PERIODS: Final = 5
+"""A pipeline that was waited for this long, in seconds and in frames, has stalled."""
 
 Result = TypeVar("Result")
 
@@ -46,6 +54,7 @@ class PicameraCamera:
         self._pipeline = CameraPipeline(sensor, facts, load_stack)
         self._clock = clock
         self._entered = False
+        self._waited_s = 0.0
 
     @property
     def camera_id(self) -> str:
@@ -58,20 +67,25 @@ class PicameraCamera:
         return self._sensor.rows, self._sensor.columns
 
     def apply(self, settings: CameraSettings) -> None:
-        """Ask for exposure and gain; they act some frames later, or from the first frame when it is opened anew."""
+        """Ask for exposure and gain; they act some frames later, or from the first frame when it is opened anew.
+
+        Raises
+        ------
+        CameraError
+            A camera that had stalled or gone cannot be opened again.
+        """
         self._asked = settings
-        if self._pipeline.is_open:
+        if self._pipeline.is_open and not self._stalled:
             self._pipeline.set_controls(settings)
+        self._revive()
 
     def next_frame(self, timeout_s: float) -> RawFrame:
         """The next raw frame whose read-out ends after now.
 
-        A pipeline that delivers nothing is reopened, `MOST_RESTARTS` times, and given `timeout_s` each time.
-
         Raises
         ------
         FrameTimeout
-            It stalls however often it is restarted.
+            It came too late. A pipeline that delivers nothing for long is opened anew by the next call.
         CameraError
             The camera is gone, not started, or delivers another format than it granted.
         """
@@ -88,32 +102,44 @@ class PicameraCamera:
 
     def __enter__(self) -> Self:
         self._pipeline.open(self._asked)
-        self._entered = True
+        self._entered, self._waited_s = True, 0.0
         return self
 
     def __exit__(self, *exc: object) -> None:
         self._entered = False
         self._pipeline.close()
 
+    @property
+    def _stalled(self) -> bool:
+        return self._waited_s >= max(STALLED_S, STALLED_PERIODS * self._facts.frame_period_us * 1e-6)
+
+    def _revive(self) -> None:
+        """Open a camera anew that is entered and has stalled or gone."""
+        if self._entered and (self._stalled or not self._pipeline.is_open):
+            self._waited_s = 0.0
+            self._pipeline.close()
+            self._pipeline.open(self._asked)
+
     def _next(self, timeout_s: float, read: Callable[[Request, Mapping[str, Any]], Result]) -> Result:
         """What `read` makes of the next frame that ends after now."""
-        if self._entered and not self._pipeline.is_open:
-            self._pipeline.open(self._asked)
-        asked_ns = self._clock.monotonic_ns()
-        for restart in range(MOST_RESTARTS + 1):
-            if restart:
-                self._pipeline.close()
-                self._pipeline.open(self._asked)
-            end_ns = self._clock.monotonic_ns() + round(timeout_s * 1e9)
-            while (left_ns := end_ns - self._clock.monotonic_ns()) > 0:
+        self._revive()
+        asked_ns = alive_ns = self._clock.monotonic_ns()
+        end_ns = asked_ns + round(timeout_s * 1e9)
+        while (left_ns := end_ns - self._clock.monotonic_ns()) > 0:
+            try:
                 request = self._pipeline.request(left_ns * 1e-9)
-                if request is None:
-                    break
-                if (result := self._read(request, asked_ns, read)) is not None:
-                    return result
+            except CameraError:
+                self._waited_s = math.inf  # what it still holds is given back as it is opened anew
+                raise
+            if request is None:
+                break
+            self._waited_s, alive_ns = 0.0, self._clock.monotonic_ns()
+            if (result := self._read(request, asked_ns, read)) is not None:
+                return result
+        self._waited_s += (self._clock.monotonic_ns() - alive_ns) * 1e-9
         raise FrameTimeout(
-            f"camera {self.camera_id} delivers no frame, though it was restarted {MOST_RESTARTS} times and given "
-            f"{timeout_s:g} s each time: check its ribbon cable at both ends and its supply"
+            f"camera {self.camera_id} delivered no frame within {timeout_s:g} s: check its ribbon cable at both ends "
+            "and its supply"
         )
 
     def _read(

@@ -16,10 +16,13 @@ from hal.board_parts import LibcameraFacts
 from hal.board_profile import SensorFacts
 from hal.errors import CameraError
 from hal.frame import CameraSettings
-from hal.picamera_stack import CameraStack, OpenCamera, Request
+from hal.picamera_stack import CameraStack, Job, OpenCamera, Request
 from hal.raw_format import NO_RAW, RawStream, asked_format
 
 CLOSING_S: Final = 5.0
+LATE_S: Final = 1.0
+"""A request that is called off while it completes is handed over within this, and then given back."""
+
 OUT_OF_MEMORY: Final = "Cannot allocate memory"
 Result = TypeVar("Result")
 
@@ -86,15 +89,16 @@ class CameraPipeline:
     def request(self, timeout_s: float) -> Request | None:
         """The next completed request, or None when none came; one that comes too late is given back."""
         job = self.guarded("deliver a frame", lambda camera: camera.capture_request(wait=False))
-        with suppress(TimeoutError):
-            return self.guarded("deliver a frame", lambda _camera: job.get_result(timeout=timeout_s))
+        if request := self.guarded("deliver a frame", lambda _camera: _awaited(job, timeout_s)):
+            return request
         self.guarded("call off a frame", lambda camera: camera.cancel_all_and_flush())
-        with suppress(TimeoutError, CancelledError):
-            job.get_result(timeout=0.0).release()
+        with suppress(CancelledError):
+            if late := self.guarded("call off a frame", lambda _camera: _awaited(job, LATE_S)):
+                late.release()
         return None
 
     def guarded(self, what: str, act: Callable[[OpenCamera], Result]) -> Result:
-        """What `act` returns; what picamera2 raises becomes a sentence, a time-out stays one.
+        """What `act` returns; what picamera2 raises becomes a sentence, the kernel's own time-outs included.
 
         Raises
         ------
@@ -105,7 +109,7 @@ class CameraPipeline:
             raise self._not_started()
         try:
             return act(self._camera)
-        except (TimeoutError, CameraError):
+        except CameraError:
             raise
         except (RuntimeError, OSError, ValueError, LookupError) as error:
             if OUT_OF_MEMORY in str(error):
@@ -139,7 +143,13 @@ class CameraPipeline:
 
     def _find(self, stack: CameraStack) -> tuple[int, str]:
         """Place in the list and name of the one camera that the profile means."""
-        names = [str(info.get("Id")) for info in stack.global_camera_info()]
+        try:
+            names = [str(info.get("Id")) for info in stack.global_camera_info()]
+        except (RuntimeError, OSError, ValueError, LookupError, AttributeError) as error:
+            raise CameraError(
+                f"libcamera cannot list the cameras ({error}): check the ribbon cable and the sensor's overlay in "
+                "config.txt, and that the user is in the group video"
+            ) from error
         found = [(number, name) for number, name in enumerate(names) if self._facts.camera_id in name]
         if len(found) == 1:
             return found[0]
@@ -186,3 +196,13 @@ class CameraPipeline:
 
     def _not_started(self) -> CameraError:
         return CameraError(f"camera {self.camera_id} is not started: enter it before asking for a frame")
+
+
+def _awaited(job: Job, timeout_s: float) -> Request | None:
+    """The job's request, or None when it does not come in time; a time-out of the kernel's is an `OSError`."""
+    try:
+        return job.get_result(timeout=timeout_s)
+    except TimeoutError as error:
+        if error.errno is not None:
+            raise
+        return None

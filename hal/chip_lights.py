@@ -105,10 +105,12 @@ class ChipLights:
         Raises
         ------
         LightError
-            The chip does not answer.
+            The chip does not answer; the channel is then not held, and dark with the lights.
         """
-        self._spare = {channel: current_ma} if current_ma > 0.0 else {}
-        self._chip.drive(self._driven | self._spare)
+        held = {channel: current_ma} if current_ma > 0.0 else {}
+        self._spare = {}
+        self._chip.drive(self._driven | held)
+        self._spare = held
 
     def faults(self) -> tuple[LightFault, ...]:
         """Advisory flags of the lights, each light and kind once."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Protocol, Self
 
 from hal.driver_library import require
-from hal.errors import ButtonError, HalError, IndicatorError
+from hal.errors import ButtonError, DriverMissing, HalError, IndicatorError
 
 if TYPE_CHECKING:
     import gpiod
@@ -18,7 +19,7 @@ EVENT_BUFFER = 1024
 """Edges that the kernel keeps while nobody listens: its most; a bouncing press makes a dozen."""
 
 DEVICES = Path("/dev")
-_INSTALL = "apt install python3-libgpiod, or pip install 'retrograph[device]'"
+_INSTALL = "pip install 'gpiod>=2.2' in the program's venv (bookworm's python3-libgpiod is version 1)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +72,9 @@ class GpiodInput:
         Raises
         ------
         DriverMissing, ButtonError
-            libgpiod is not installed; no such chip or line, or somebody else holds it.
+            libgpiod is not installed or of version 1; no such chip or line, or somebody else holds it.
         """
-        require("gpiod", _INSTALL)
-        import gpiod
+        gpiod = load_gpiod()
         from gpiod.line import Bias, Clock, Direction, Edge
 
         settings = gpiod.LineSettings(
@@ -142,10 +142,9 @@ class GpiodOutput:
         Raises
         ------
         DriverMissing, IndicatorError
-            libgpiod is not installed; no such chip or line, or somebody else holds it.
+            libgpiod is not installed or of version 1; no such chip or line, or somebody else holds it.
         """
-        require("gpiod", _INSTALL)
-        import gpiod
+        gpiod = load_gpiod()
         from gpiod.line import Direction, Value
 
         place = f"the indicator on line {self._offset} of GPIO chip {self._label!r}"
@@ -165,6 +164,27 @@ class GpiodOutput:
         if self._request is not None:
             self._request.release()
             self._request = None
+
+
+def load_gpiod() -> ModuleType:
+    """libgpiod's Python module, version 2.
+
+    Raises
+    ------
+    DriverMissing
+        It is not installed, cannot be imported, or is of version 1, which has another interface.
+    """
+    require("gpiod", _INSTALL)
+    try:
+        import gpiod
+    except (ImportError, OSError) as error:
+        raise DriverMissing(f"the library gpiod is installed and cannot be imported ({error}): {_INSTALL}") from error
+    if not hasattr(gpiod, "request_lines"):
+        told = getattr(gpiod, "version_string", None)
+        found = told() if callable(told) else "1"
+        raise DriverMissing(f"the library gpiod here is version {found} and version 2 is needed: {_INSTALL}")
+    module: ModuleType = gpiod
+    return module
 
 
 def _chip_path(label: str, place: str, failure: type[HalError]) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Self
 
 from hal.board_profile import BoardProfile
 from hal.clock import SystemClock, VirtualClock
+from hal.errors import IndicatorError, LightError
 from hal.interfaces import Button, Camera, Clock, Indicator, Lights, Operator, Power
 
 
@@ -17,6 +19,7 @@ class Hardware:
     """Everything that the instrument touches; entering acquires all of it, leaving releases all of it.
 
     The lights go dark before anything else is touched, and first when it is left; the indicator may sit on their chip.
+    An indicator that cannot be driven does not keep the rest from being used; the self-test names it.
     """
 
     profile: BoardProfile
@@ -34,7 +37,7 @@ class Hardware:
             stack.enter_context(self.button)
             stack.enter_context(self.power)
             stack.enter_context(self.lights)
-            stack.enter_context(self.indicator)
+            stack.enter_context(_if_it_works(self.indicator))
             stack.enter_context(self.camera)
             stack.callback(self.lights.dark)
             self._held.push(stack.pop_all())
@@ -42,6 +45,19 @@ class Hardware:
 
     def __exit__(self, *exc: object) -> None:
         self._held.close()
+
+
+@contextmanager
+def _if_it_works(indicator: Indicator) -> Iterator[None]:
+    """The indicator entered and left, or left alone."""
+    with ExitStack() as stack:
+        with suppress(IndicatorError, LightError):
+            stack.enter_context(indicator)
+        try:
+            yield
+        finally:
+            with suppress(IndicatorError, LightError):
+                stack.close()
 
 
 def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int | None = None) -> Hardware:

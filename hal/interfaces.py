@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.frame import CameraSettings, RawFrame
+from hal.power_reading import PowerReading as PowerReading
 
 
 class Clock(Protocol):
@@ -34,7 +35,10 @@ class Clock(Protocol):
 
 
 class Camera(Protocol):
-    """A locked-down raw camera: nothing automatic, controls that act some frames late."""
+    """A locked-down raw camera: nothing automatic, controls that act some frames late.
+
+    One that has stalled or gone is opened anew by the next call; `apply` is the one to make while it is dark.
+    """
 
     @property
     def camera_id(self) -> str:
@@ -123,7 +127,10 @@ class Lights(Protocol):
         ...
 
     def faults(self) -> tuple[LightFault, ...]:
-        """Advisory fault flags; empty when the chip reports none."""
+        """Advisory fault flags of what shines; empty when the chip reports none.
+
+        Looking may change the light for a moment: never during an exposure that counts.
+        """
         ...
 
     def __enter__(self) -> Self: ...
@@ -140,13 +147,20 @@ class ButtonPress:
 
 
 class Button(Protocol):
-    """The push button, already debounced."""
+    """The push button, already debounced.
+
+    A button that is down when it is first looked at counts from its next press.
+    """
+
+    def wait_for_push(self, timeout_s: float | None) -> int | None:
+        """When the next press began (ns), told while the button is still down; None after `timeout_s`.
+
+        Each press is told once. `wait_for_press` then waits for the same press's end, if anybody wants to know it.
+        """
+        ...
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press, or None when `timeout_s` went by without one (None waits for ever).
-
-        A button that is down when it is first looked at counts from its next press.
-        """
+        """The next press once it is over, or None when `timeout_s` went by without one (None waits for ever)."""
         ...
 
     def is_down(self) -> bool:
@@ -154,7 +168,7 @@ class Button(Protocol):
         ...
 
     def forget_presses(self) -> int:
-        """Drop what was pressed while nobody waited, and say how many presses that were."""
+        """Drop every press so far, and say how many of them `wait_for_push` had not told."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -183,34 +197,11 @@ class Indicator(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
-class PowerReading:
-    """Supply and battery; None is "not measured", never 0.
-
-    under_voltage : the supply is too low now
-    was_under_voltage : it was, at some time since boot
-    throttled : the processor is slowed down now
-    battery_mv, battery_share : cell voltage (mV) and charge (0 to 1)
-    """
-
-    under_voltage: bool | None = None
-    was_under_voltage: bool | None = None
-    throttled: bool | None = None
-    battery_mv: float | None = None
-    battery_share: float | None = None
-
-
 class Power(Protocol):
     """Supply and battery."""
 
     def read(self) -> PowerReading:
-        """What is measured now.
-
-        Raises
-        ------
-        PowerError
-            A part that the board has does not answer.
-        """
+        """What is measured now; a part that does not answer costs its own figures and leaves a complaint."""
         ...
 
     def __enter__(self) -> Self: ...

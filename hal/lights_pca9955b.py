@@ -64,7 +64,7 @@ class Pca9955b:
         prove(self._chip, LEDOUT0, [0] * (CHANNELS // 4), "outputs")
 
     def drive(self, currents_ma: Mapping[int, float]) -> None:
-        """Currents first, then outputs, and both read back.
+        """Currents first, then outputs, and both read back; flags of what shone before are cleared.
 
         Raises
         ------
@@ -74,6 +74,7 @@ class Pca9955b:
         steps = [self._steps(currents_ma.get(channel, 0.0)) for channel in range(CHANNELS)]
         outputs = packed_outputs({channel: FULLY_ON for channel, step in enumerate(steps) if step})
         subject = "driving channels " + ", ".join(str(channel) for channel, step in enumerate(steps) if step)
+        self._clear_errors()
         self._chip.write(IREF0 | INCREMENT, steps, subject)
         self._chip.write(LEDOUT0 | INCREMENT, outputs, subject)
         prove(self._chip, IREF0, steps, "currents")
@@ -84,7 +85,7 @@ class Pca9955b:
         self._chip.write(LEDOUT0 | INCREMENT, [0] * (CHANNELS // 4), "switching all channels off")
 
     def flags(self) -> dict[int, str]:
-        """Open and short by channel, "hot" for all; read while driving, then cleared so that they show what is now."""
+        """Open and short by channel, "hot" for all, since the outputs were last driven: the chip keeps them."""
         mode = self._chip.read(MODE2, 1, "fault flags")[0]
         if mode & TOO_HOT:
             return dict.fromkeys(range(CHANNELS), "hot")
@@ -92,7 +93,6 @@ class Pca9955b:
             return {}
         words = self._chip.read(EFLAG0 | INCREMENT, CHANNELS // 4, "fault flags")
         bits = {channel: words[channel // 4] >> 2 * (channel % 4) & 0b11 for channel in range(CHANNELS)}
-        self._clear_errors()
         return {channel: FLAGS[bit] for channel, bit in bits.items() if bit in FLAGS}
 
     def close(self) -> None:

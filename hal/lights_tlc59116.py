@@ -2,6 +2,10 @@
 
 The 190 Hz group dimming is never used: it would draw bands over a rolling shutter. Register numbers follow TI's data
 sheet SLDS157; auto-increment is the control byte's top bits.
+
+Error flags follow the later sheet SLDS223A: a bit that reads 0 is an error. SLDS157E has it the other way round; TI's
+forum reports chips that behave as the later sheet says. Open circuits are seen only in a channel that is on without
+PWM, so the driven channels are fully on for the moment in which the flags are read.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ EFLAG1: Final = 0x1D
 AWAKE: Final = 0x00
 CLEAR_ERRORS: Final = 0x80
 FULL_GAIN: Final = 0xFF
+FULLY_ON: Final = 0b01
 OWN_DUTY: Final = 0b10
 
 
@@ -80,13 +85,19 @@ class Tlc59116:
         self._chip.write(LEDOUT0 | INCREMENT, [0] * (CHANNELS // 4), "switching all channels off")
 
     def flags(self) -> dict[int, str]:
-        """ "open" by channel (the chip folds over-temperature into the same bits); then cleared."""
-        low, high = self._chip.read(EFLAG1 | INCREMENT, 2, "fault flags")
-        bits = low | high << 8
-        outputs = self._chip.read(LEDOUT0 | INCREMENT, CHANNELS // 4, "outputs")
-        driven = {channel for channel in range(CHANNELS) if outputs[channel // 4] >> 2 * (channel % 4) & 0b11}
-        self._clear_errors()
-        return {channel: "open" for channel in sorted(driven) if bits >> channel & 1}
+        """ "open" by driven channel (over-temperature is folded into the same bits), which shine fully meanwhile."""
+        outputs = list(self._chip.read(LEDOUT0 | INCREMENT, CHANNELS // 4, "outputs"))
+        driven = [channel for channel in range(CHANNELS) if outputs[channel // 4] >> 2 * (channel % 4) & 0b11]
+        if not driven:
+            return {}
+        self._chip.write(LEDOUT0 | INCREMENT, packed_outputs(dict.fromkeys(driven, FULLY_ON)), "looking for faults")
+        try:
+            self._clear_errors()
+            low, high = self._chip.read(EFLAG1 | INCREMENT, 2, "fault flags")
+        finally:
+            self._chip.write(LEDOUT0 | INCREMENT, outputs, "driving on")
+        sound = low | high << 8
+        return {channel: "open" for channel in driven if not sound >> channel & 1}
 
     def close(self) -> None:
         """Give the bus back."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.driver_library import require
+from hal.errors import DriverMissing
 
 
 class Request(Protocol):
@@ -89,14 +90,20 @@ def load_picamera2() -> CameraStack:
     Raises
     ------
     DriverMissing
-        picamera2 or libcamera is not installed.
+        picamera2 or libcamera is not installed, or does not fit the libraries around it.
     """
     for library in ("picamera2", "libcamera"):
         require(
             library,
             "apt install python3-picamera2 --no-install-recommends, in a venv made with --system-site-packages",
         )
-    from picamera2 import Picamera2
+    try:
+        from picamera2 import Picamera2
+    except (ImportError, ValueError, AttributeError, RuntimeError, OSError) as error:
+        raise DriverMissing(
+            f"picamera2 is installed and cannot be imported ({error}): where numpy is named, `pip install simplejpeg` "
+            "in the venv or stay on apt's numpy; else `apt install --reinstall python3-picamera2 python3-libcamera`"
+        ) from error
 
     stack: CameraStack = Picamera2
     return stack

@@ -69,18 +69,20 @@ class BoardPower:
         self._gauge = gauge
 
     def read(self) -> PowerReading:
-        """What is measured now.
-
-        Raises
-        ------
-        PowerError
-            The firmware or the gauge does not answer.
-        """
-        reading = PowerReading() if self._throttled_text is None else throttle_reading(self._throttled_text())
+        """What is measured now; the firmware and the gauge are asked each for itself."""
+        reading, complaints = PowerReading(), []
+        if self._throttled_text is not None:
+            try:
+                reading = throttle_reading(self._throttled_text())
+            except PowerError as error:
+                complaints.append(str(error))
         if self._gauge is not None:
-            battery_mv, battery_share = self._gauge.read()
-            reading = replace(reading, battery_mv=battery_mv, battery_share=battery_share)
-        return reading
+            try:
+                battery_mv, battery_share = self._gauge.read()
+                reading = replace(reading, battery_mv=battery_mv, battery_share=battery_share)
+            except PowerError as error:
+                complaints.append(str(error))
+        return replace(reading, complaints=tuple(complaints))
 
     def __enter__(self) -> Self:
         return self

@@ -7,30 +7,25 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from device.errors import DeviceError
-from host_sync.commands import exporting, offload
+from host_sync.commands import devices, exporting, offload
 from host_sync.commands import library as library_commands
-from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain
+from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, telling
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
 from host_sync.library import Library
+from host_sync.method_name import MethodName
 from host_sync.picture_format import PictureFormat
 from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.video_command import video
-
-Method = Literal["direct", "paper"]
-"""Said here once more, as commands that fetch and search do without the numerics where it is defined."""
 
 app = App(
     name="retrosync",
@@ -68,6 +63,7 @@ def _let_output_go() -> None:
 
 
 offload.register(app)
+devices.register(app)
 library_commands.register(app)
 exporting.register(app)
 
@@ -77,7 +73,7 @@ def reconstruct(
     *names: str,
     out: Folder | None = None,
     library: Folder | None = None,
-    method: Annotated[Method | None, Parameter(help="Default: what the calibration's held-out balls prefer.")] = None,
+    method: Annotated[MethodName | None, Parameter(help="Default: what the held-out balls prefer.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
     force: bool = False,
@@ -96,7 +92,7 @@ def reconstruct(
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
-    with _telling() as tell:
+    with telling() as tell:
         if library is not None:
             return _reconstruct_library(Library(library), names, method, tell, band, force=force)
         if not names or out is None:
@@ -111,7 +107,7 @@ def _reconstruct_frame_set(
     path: Path,
     out: Path,
     names: Sequence[str],
-    method: Method | None,
+    method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
     *,
@@ -137,7 +133,7 @@ def _reconstruct_frame_set(
 def _reconstruct_library(
     library: Library,
     names: Sequence[str],
-    method: Method | None,
+    method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
     *,
@@ -188,7 +184,7 @@ def figures(
     library: Folder of pulled calibrations.
     formats: Any of png, pdf, svg.
     """
-    with _telling() as tell:
+    with telling() as tell:
         tell("loading compiled code (the first run compiles it)")
         from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
 
@@ -197,16 +193,6 @@ def figures(
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
-
-
-@contextmanager
-def _telling() -> Iterator[Callable[[str], None]]:
-    """A line that says what is being done and for how long."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda words: progress.update(task, description=words)
 
 
 if __name__ == "__main__":

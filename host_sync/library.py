@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final, TypeVar
@@ -17,7 +17,7 @@ from device.bundle_publishing import locked_directory
 from device.calibration_bundle import CalibrationBundle, read_calibration
 from device.disk_advice import explain_refusal
 from device.durable import discard, publish_directory
-from device.errors import DeviceError
+from device.errors import DeviceError, RecordError
 from device.scan_bundle import ScanBundle, read_scan
 from host_sync.errors import BusyBundle, HostError, LibraryError, MissingCalibration, NoSuchBundle, SourceLost
 
@@ -25,6 +25,11 @@ RESULTS: Final = "results"
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 BundleT = TypeVar("BundleT")
+
+_READERS: Final[dict[BundleKind, Callable[[Path], ScanBundle | CalibrationBundle]]] = {
+    "scans": read_scan,
+    "calibrations": read_calibration,
+}
 
 
 def default_library() -> Path:
@@ -110,6 +115,20 @@ class Library:
         with self.translating("read"):
             return shutil.disk_usage(self.root).free
 
+    def looks_whole(self, kind: BundleKind, bundle_id: str) -> bool:
+        """Whether it holds a bundle whose manifest is proven and whose files have their sizes; none is hashed."""
+        directory = self.root / kind / bundle_id
+        try:
+            files = _READERS[kind](directory).record.files
+            return all((directory / name).lstat().st_size == entry.size for name, entry in files.items())
+        except (OSError, RecordError):
+            return False
+
+    def unfinished_bytes(self, kind: BundleKind, bundle_id: str) -> int:
+        """Size of what an earlier transfer of a bundle left."""
+        with self.translating("read"):
+            return sum(path.lstat().st_size for path in (self.root / kind / partial_name(bundle_id)).glob("*"))
+
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Makes the folder ready and keeps every other writer out; unfinished bundles stay, to be completed."""
@@ -121,8 +140,10 @@ class Library:
             yield
 
     @contextmanager
-    def publishing(self, kind: BundleKind, bundle_id: str) -> Iterator[Path]:
+    def publishing(self, kind: BundleKind, bundle_id: str, synced: Collection[str] = ()) -> Iterator[Path]:
         """Directory for a bundle's files, published when the block ends well.
+
+        synced : names of files that will be on the disk by then
 
         When the source went away or somebody stopped the program, it stays as it is and the next one goes on in it;
         after any other error it is removed.
@@ -140,7 +161,7 @@ class Library:
             try:
                 with self.translating("written"):
                     yield partial
-                    publish_directory(partial, self.root / kind / bundle_id)
+                    publish_directory(partial, self.root / kind / bundle_id, synced)
             except BaseException as error:
                 if not isinstance(error, (SourceLost, KeyboardInterrupt)):
                     discard(partial)

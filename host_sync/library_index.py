@@ -1,13 +1,13 @@
 """The index of a library: one SQLite file that only repeats what the folders say, for searching; delete it at will.
 
 Before each use it is brought up to date with the folders. One that is damaged or of another version is made anew, and
-a library that cannot be written gets one in memory.
+a library that cannot be written, or whose disk is full, gets one in memory.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, date
 from pathlib import Path
@@ -20,6 +20,7 @@ from device.scan_bundle import ScanBundle, read_scan
 from host_sync.library import Library
 
 INDEX_FILE: Final = "index.sqlite3"
+IN_MEMORY: Final = Path(":memory:")
 _VERSION: Final = 1
 _TABLES: Final = """
 CREATE TABLE bundle (kind TEXT, id TEXT, stamp TEXT, damage TEXT, device TEXT, counter INTEGER, taken TEXT, board TEXT,
@@ -91,17 +92,21 @@ def _ask(library: Library, sql: str, values: dict[str, str]) -> list[tuple[Any, 
     path = library.root / INDEX_FILE
     with library.translating("read"):
         try:
-            return _ask_once(path, sql, values)
+            return _ask_once(path, library.root, sql, values)
         except (sqlite3.DatabaseError, UnicodeDecodeError):
-            path.unlink(missing_ok=True)
-            return _ask_once(path, sql, values)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        try:
+            return _ask_once(path, library.root, sql, values)
+        except sqlite3.DatabaseError:  # its disk is full, or lies
+            return _ask_once(IN_MEMORY, library.root, sql, values)
 
 
-def _ask_once(path: Path, sql: str, values: dict[str, str]) -> list[tuple[Any, ...]]:
+def _ask_once(path: Path, root: Path, sql: str, values: dict[str, str]) -> list[tuple[Any, ...]]:
     with closing(_open(path)) as index:
         if index.execute("PRAGMA quick_check").fetchone() != ("ok",):
             raise sqlite3.DatabaseError("the index is damaged")
-        _update(index, path.parent)
+        _update(index, root)
         return index.execute(sql, values).fetchall()
 
 
@@ -110,7 +115,7 @@ def _open(path: Path) -> sqlite3.Connection:
     try:
         return _prepared(sqlite3.connect(path, timeout=30.0))
     except sqlite3.OperationalError:
-        return _prepared(sqlite3.connect(":memory:"))
+        return _prepared(sqlite3.connect(IN_MEMORY))
 
 
 def _prepared(index: sqlite3.Connection) -> sqlite3.Connection:

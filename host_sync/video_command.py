@@ -12,15 +12,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from device.calibration_bundle import read_calibration
-from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frame_sequence import open_sequence
 from host_sync.frame_set import load_frame_set
 from host_sync.frame_set_file import Encoding
 from host_sync.library import Library
+from host_sync.method_name import MethodName
 
 if TYPE_CHECKING:
+    from host_sync.calibration.full_calibration import Calibration
     from host_sync.reconstruction.sequence_record import SequenceReport
 
 DONE, PARTLY = 0, 1
@@ -36,7 +37,7 @@ def video(
     library: Path | None = None,
     encoding: Encoding | None = None,
     rate_hz: float | None = None,
-    method: Method | None = None,
+    method: MethodName | None = None,
     weighted: bool = True,
     mp4: bool = True,
     gif: bool = True,

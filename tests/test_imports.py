@@ -21,6 +21,7 @@ PORTABLE_HAL = {
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
+    "hal.power_reading",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from device.bundle_store import BundleStore
-from device.errors import PairingRefused
 from device.inbox import Delivery
-from device.pairing.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
-from device.pairing.window import wait_for_host
+from device.pairing.authorized_keys import SSHD_HOST_KEY, authorize
+from device.pairing.opening import OFFLOAD_USER, PairingSetup, how_to_call, open_pairing_window
 from device.pairing_card import leave_device_card, take_host_cards
-from device.pairing_exchange import CODE_DIGITS, PAIRING_PORT, DeviceCard, draw_code
+from device.pairing_exchange import PAIRING_PORT
 from device.store_location import default_store
 from hal.clock import SystemClock
 
@@ -33,7 +31,7 @@ def add_offload_commands(
     pair = commands.add_parser("pair", help="let a workstation fetch scans: show a code for two minutes")
     pair.add_argument("--port", type=int, default=PAIRING_PORT, help="where the workstation's call is awaited")
     pair.add_argument("--ssh-port", type=int, default=22, help="where sshd listens")
-    pair.add_argument("--user", default="retrosync", help="whom sshd lets in to fetch scans")
+    pair.add_argument("--user", default=OFFLOAD_USER, help="whom sshd lets in to fetch scans")
     pair.add_argument("--keys", type=folder, help="folder of the workstations' keys, as sshd's configuration names it")
     pair.add_argument("--host-key", type=folder, default=SSHD_HOST_KEY, help="sshd's public key")
     pair.add_argument("--card", type=folder, help="without a screen: take keys from this memory card, leave ours")
@@ -54,29 +52,17 @@ def take_inbox(store: BundleStore, say: Say) -> list[Delivery]:
 
 def _pair(say: Say, options: argparse.Namespace) -> int:
     store = _store(options)
-    keys = (options.keys or store.root.with_name(f"{store.root.name}-pairing")) / "authorized_keys"
-    card = DeviceCard(
-        device_id=store.device_id, user=options.user, port=options.ssh_port, host_key=read_host_key(options.host_key)
-    )
+    setup = PairingSetup(options.port, options.ssh_port, options.user, options.host_key, options.keys)
     if options.card:
-        hosts = take_host_cards(options.card)
+        card, hosts = setup.card(store), take_host_cards(options.card)
         for host in hosts:
-            authorize(keys, host)
+            authorize(setup.authorized_keys(store), host)
         say(f"{len(hosts)} workstations authorized; this device's card is {leave_device_card(options.card, card)}")
         return 0
-    code, half = draw_code(), CODE_DIGITS // 2
-    listening = _listen(options.port)
-    say(f"Code {code[:half]} {code[half:]}, for two minutes. On the workstation: retrosync pair {os.uname().nodename}")
-    host = wait_for_host(listening, code, card, lambda host: authorize(keys, host))
-    say(f"Paired with {host.name}.")
+    with open_pairing_window(store, SystemClock(), setup) as window:
+        say(how_to_call(window, setup, store))
+        say(f"Paired with {window.wait().name}.")
     return 0
-
-
-def _listen(port: int) -> socket.socket:
-    try:
-        return socket.create_server(("", port))
-    except (OSError, OverflowError) as error:
-        raise PairingRefused(f"port {port}: cannot be listened on ({error}): name another") from error
 
 
 def _receive(say: Say, options: argparse.Namespace) -> int:

@@ -14,8 +14,9 @@ from typing import Final
 from device.errors import CalibrationError
 from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Levels, channel_levels
 from device.scanning.capture import CapturePlan, capture
+from device.scanning.pushing import await_push
+from device.scanning.shining import check_shines
 from hal.board_profile import LightFacts, SensorFacts
-from hal.errors import ButtonError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.interfaces import PressBall
@@ -25,15 +26,13 @@ AIMED_LEVEL: Final = 0.84
 
 SATURATED_LEVEL: Final = 0.95
 MOST_HALVINGS: Final = 4
-SHORTEST_US: Final = 1000.0
-"""Shorter exposures come in coarse steps, a line of the sensor each."""
+FEWEST_STEPS: Final = 50
+"""Shorter exposures come in coarse steps: a line of the sensor, or two, would be more than 2 %."""
 
 HIGHEST_CURRENT_SHARE: Final = 0.9
 LOWEST_CURRENT_SHARE: Final = 0.05
 """Of what a light can be driven with: below, the driver's steps are coarse; above, LEDs grow hot."""
 
-LEAST_LEVEL: Final = 0.02
-BUTTON_TIMEOUT_S: Final = 300.0
 NEAREST_BORDER: Final = (1 / 8, 1 / 6)
 """Shares of the field's columns and rows that a press keeps from its borders, as the calibration's presses do."""
 
@@ -60,10 +59,8 @@ def balance(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], Non
     responses = []
     for light in hardware.profile.lights:
         tell(f"Balance: press the ball as near to light {light.name} as the field goes, hold it, push the button.")
-        hardware.operator.ask(PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
-        if hardware.button.wait_for_press(BUTTON_TIMEOUT_S) is None:
-            raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start again")
-        _check_seen(hardware, plan, light)
+        await_push(hardware, PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
+        check_shines(hardware, plan, light)
         responses.append(_response(hardware, plan))
     highest = [max(values) for values in zip(*responses, strict=True)]
     found = _plan_for(hardware, plan.settings, highest)
@@ -82,14 +79,6 @@ def _nearest_place(sensor: SensorFacts, light: LightFacts) -> tuple[float, float
     ]
     column, row = (min(max(share, b), 1.0 - b) for share, b in zip(shares, NEAREST_BORDER, strict=True))
     return column, row
-
-
-def _check_seen(hardware: Hardware, plan: CapturePlan, light: LightFacts) -> None:
-    """Refuse a light that does not shine: what other lights leak into its colour would be taken for it."""
-    alone = CapturePlan(plan.settings, {light.name: plan.currents_ma[light.name]})
-    level = channel_levels(capture(hardware, alone), BRIGHTEST_PERCENTILE)["RGB".index(light.colour)]
-    if level < LEAST_LEVEL:
-        raise CalibrationError(f"light {light.name} is hardly seen: run `retroscan selftest` to find out why")
 
 
 def _response(hardware: Hardware, plan: CapturePlan) -> list[float]:
@@ -116,7 +105,8 @@ def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[floa
     longest_us = hardware.profile.libcamera.frame_period_us if hardware.profile.libcamera else 1e6
     enough_us = max(doses) / (HIGHEST_CURRENT_SHARE * lights.highest_ma)
     fine_us = min(doses) / (LOWEST_CURRENT_SHARE * lights.highest_ma)
-    exposure_us = max(min(settings.exposure_us, fine_us), enough_us, SHORTEST_US)
+    shortest_us = min(FEWEST_STEPS * hardware.profile.sensor.exposure_step_us, longest_us)
+    exposure_us = max(min(settings.exposure_us, fine_us), enough_us, shortest_us)
     if exposure_us > longest_us:
         weakest = lights.names[doses.index(max(doses))]
         raise CalibrationError(

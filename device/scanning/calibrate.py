@@ -18,11 +18,12 @@ from device.inverse_fit import InverseFit, fit_inverse_map
 from device.photometry import bin_bayer, blurred_reference, check_exposed, divide
 from device.scanning.calibration_files import AcceptedPress, publish
 from device.scanning.capture import CapturePlan, capture
+from device.scanning.pushing import await_push
+from device.scanning.shining import check_shines
 from device.surface import Float32Array
-from hal.errors import ButtonError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-from hal.interfaces import LiftOff, OperatorRequest, PressBall
+from hal.interfaces import LiftOff, PressBall
 
 BINNING: Final = 2
 """Balls are sought and the map is fitted at half size: four times as fast, and with half the noise."""
@@ -30,7 +31,6 @@ BINNING: Final = 2
 COLUMNS: Final = 4
 ROWS: Final = 3
 MOST_TRIES: Final = 3
-BUTTON_TIMEOUT_S: Final = 300.0
 FITTED_SAMPLES: Final = 20_000
 
 
@@ -59,16 +59,23 @@ def calibrate(
     tell : shows one line to the person at the instrument
     plan : exposure and currents, such as `balance` found; the board profile's when none is given
 
+    Every press is held to the very exposure and gain that the reference was granted.
+
     Raises
     ------
     CalibrationError
-        Too few balls, or held-out balls disagree; the calibration before stays active.
+        A light does not shine, too few balls, or held-out balls disagree; the calibration before stays active.
     HalError, FrameNotProven, StoreError
         The hardware or the disk refused.
     """
     plan = plan or CapturePlan.of_board(hardware)
     tell("Touch nothing with the gel, then push the button.")
-    reference = _capture_on_button(hardware, plan, LiftOff())
+    await_push(hardware, LiftOff())
+    for light in hardware.profile.lights:
+        if told := check_shines(hardware, plan, light):
+            tell(f"Note: the driver says {told} at light {light.name}, which is seen: run `retroscan selftest`.")
+    reference = capture(hardware, plan)
+    plan = replace(plan, granted=reference.granted)
     check_exposed(bin_bayer(reference, BINNING), "the reference")
     divisor = blurred_reference(bin_bayer(reference, BINNING))
     presses = _guided_presses(hardware, plan, divisor, ball_radius_mm, tell)
@@ -77,13 +84,6 @@ def calibrate(
     bundle = publish(hardware, store, plan, reference, presses, fit, ball_radius_mm)
     store.activate(bundle.calibration_id)
     return CalibrationOutcome(bundle, fit)
-
-
-def _capture_on_button(hardware: Hardware, plan: CapturePlan, request: OperatorRequest) -> RawFrame:
-    hardware.operator.ask(request)
-    if hardware.button.wait_for_press(BUTTON_TIMEOUT_S) is None:
-        raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start the calibration again")
-    return capture(hardware, plan)
 
 
 def _guided_presses(
@@ -100,8 +100,8 @@ def _guided_presses(
     for number, (column_share, row_share) in enumerate(places, start=1):
         for _ in range(MOST_TRIES):
             tell(f"{number}/{len(places)}: press the ball {_where(column_share, row_share)}, then push the button.")
-            frame = _capture_on_button(hardware, plan, PressBall(ball_radius_mm, column_share, row_share))
-            press, complaint = _read_press(frame, divisor, radius_px)
+            await_push(hardware, PressBall(ball_radius_mm, column_share, row_share))
+            press, complaint = _read_press(capture(hardware, plan), divisor, radius_px)
             if press:
                 presses.append(press)
                 break

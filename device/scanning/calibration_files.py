@@ -20,6 +20,7 @@ from device.inverse_fit import InverseFit
 from device.model_file import MODEL_FILE, write_model
 from device.raw_file import write_raw
 from device.scanning.capture import CapturePlan
+from device.settings_record import SettingsRecord
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 
@@ -67,6 +68,7 @@ def publish(
         pixel_pitch_um=profile.sensor.pixel_pitch_um,
         shape=reference.shape,
         fingerprint=Fingerprint.of(profile, reference.granted, plan.currents_ma),
+        asked=SettingsRecord.of(plan.settings),
         reference_file=REFERENCE_FILE,
         presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
         model_files=(MODEL_FILE,),
@@ -107,7 +109,7 @@ def report_figures(fit: InverseFit) -> dict[str, float | None]:
         "steepest_deg": float(np.degrees(np.arctan(fit.map.steepest))),
         "balls_used": float(fit.kept.sum()),
         "balls_rejected": float((~fit.kept).sum()),
-        "degree_in_position": float(fit.map.position_degree),
+        "degree_in_position": float(fit.map.curve.position_degree),
     }
     bands = {f"error_from_{band.from_deg:.0f}_deg": band.error_deg for band in fit.bands}
     return figures | bands

@@ -44,8 +44,8 @@ def sole_owner(profile: BoardProfile) -> AbstractContextManager[None]:
 
 
 def lock_path(environment: Mapping[str, str], service_folder: Path = SERVICE_FOLDER) -> Path:
-    """The lock's file: in the service's folder when it may be written, else in the user's own run-time folder."""
-    if os.access(service_folder, os.W_OK):
+    """The lock's file: in the service's folder wherever there is one, else in the user's own run-time folder."""
+    if service_folder.is_dir():
         return service_folder / LOCK_FILE
     own = environment.get("XDG_RUNTIME_DIR", "")
     folder = Path(own) if Path(own).is_dir() and own else Path(tempfile.gettempdir())
@@ -64,7 +64,9 @@ def instrument_lock(path: Path) -> Iterator[None]:
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
     except OSError as error:
-        raise InstrumentBusy(f"{path}: the instrument cannot be locked ({error.strerror}): mend the folder") from error
+        raise InstrumentBusy(
+            f"{path}: the instrument cannot be locked ({error.strerror}): run this as its own user, sudo -u retroscan"
+        ) from error
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -16,12 +16,12 @@ from device.photometry import bin_bayer
 from device.quick_look import QuickLook, QuickLookModel, quick_look
 from device.quick_look_files import write_quick_look
 from device.raw_file import write_raw
-from device.scan_bundle import Annotations, PowerRecord, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
-from device.scanning.capture import CapturePlan, capture
+from device.scan_bundle import Annotations, LightFaultRecord, PowerRecord, ScanBundle, ScanRecord, VerdictRecord
+from device.scanning.capture import CapturePlan, Shot, take
+from device.settings_record import SettingsRecord
 from device.verdict import judge
-from hal.errors import PowerError
-from hal.frame import RawFrame
 from hal.hardware import Hardware
+from hal.interfaces import PowerReading
 
 BYTES_PER_PIXEL: Final = 2.2
 """A raw frame never needs more room than this, its quick look included."""
@@ -34,6 +34,14 @@ class ScanOutcome:
     bundle: ScanBundle
     quick_look: QuickLook | None
     quick_look_fault: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenPress:
+    """A press that was taken and is not yet published: its shot, and supply and battery right after it."""
+
+    shot: Shot
+    power: PowerReading
 
 
 class Scanner:
@@ -52,7 +60,7 @@ class Scanner:
         self._store = store
         self._calibration = store.active_calibration()
         record = self._calibration.record
-        self._plan = CapturePlan.of_calibration(hardware, record.fingerprint)
+        self._plan = CapturePlan.of_calibration(hardware, record.fingerprint, record.asked)
         _check_belongs(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
@@ -79,22 +87,44 @@ class Scanner:
 
         Raises
         ------
+        StoreError, FrameNotProven, HalError
+            As for `take` and `publish`.
+        """
+        return self.publish(self.take(may_lift), annotations)
+
+    def take(self, may_lift: Callable[[], None] = lambda: None) -> TakenPress:
+        """One press in memory; nothing is kept of it unless it is published.
+
+        Raises
+        ------
         StoreError
-            The disk is full; nothing is left behind.
+            There is no room for it.
         FrameNotProven, HalError
             No frame could be taken.
         """
         self.check_room()
-        frame = capture(self._hardware, self._plan)
+        shot = take(self._hardware, self._plan)
         may_lift()
+        return TakenPress(shot, self._hardware.power.read())
+
+    def publish(self, press: TakenPress, annotations: Annotations) -> ScanOutcome:
+        """Judge a press, look at it and publish it.
+
+        Raises
+        ------
+        StoreError
+            The disk is full; nothing is left behind.
+        """
+        frame = press.shot.frame
         binned = bin_bayer(frame, self._model.binning)
         look, fault = None, ""
         try:
             look = quick_look(binned, self._model)
         except DeviceError as error:
             fault = str(error)
-        verdict = judge(binned, look.intensity if look else None)
-        record = self._record(frame, annotations, verdict)
+        flags = {fault.light: fault.kind for fault in press.shot.light_faults or ()}
+        verdict = judge(binned, look.intensity if look else None, self._hardware.lights.names, flags)
+        record = self._record(press, annotations, verdict)
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
@@ -103,8 +133,8 @@ class Scanner:
 
         return ScanOutcome(self._store.publish_scan(record, write), look, fault)
 
-    def _record(self, frame: RawFrame, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
-        profile = self._hardware.profile
+    def _record(self, press: TakenPress, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+        profile, frame, faults = self._hardware.profile, press.shot.frame, press.shot.light_faults
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
             identity=self._store.next_identity("scans"),
@@ -120,16 +150,12 @@ class Scanner:
             calibration_id=self._calibration.calibration_id,
             verdict=verdict,
             annotations=annotations,
-            power=_power(self._hardware),
+            # Read again after the quick look, the heaviest work of a scan: a supply that sags does it in one of them.
+            power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),
+            light_faults=None
+            if faults is None
+            else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
         )
-
-
-def _power(hardware: Hardware) -> PowerRecord:
-    """Supply and battery now; a gauge that fails never costs a scan, and is then not measured."""
-    try:
-        return PowerRecord.of(hardware.power.read())
-    except PowerError:
-        return PowerRecord()
 
 
 def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: CapturePlan) -> None:
@@ -144,7 +170,7 @@ def _check_belongs(calibration: CalibrationBundle, hardware: Hardware, plan: Cap
         )
         if mine != theirs
     ]
-    present = Fingerprint.of(profile, plan.settings, plan.currents_ma)
+    present = Fingerprint.of(profile, plan.granted or plan.settings, plan.currents_ma)
     sentence = f"they differ in {'; '.join(differences)}" if differences else record.fingerprint.mismatch(present)
     if sentence:
         raise CalibrationMismatch(

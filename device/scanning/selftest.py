@@ -9,16 +9,14 @@ from typing import Final, Literal
 
 from device.errors import DeviceError
 from device.exposure_levels import Levels, channel_levels
-from device.scanning.capture import FRAME_TIMEOUT_S, CapturePlan, capture, check_frame
+from device.scanning.capture import FRAME_TIMEOUT_S, CapturePlan, after_restarts, capture, check_frame
+from device.scanning.shining import LEAST_LEVEL
 from hal.board_profile import LightFacts
 from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, LightFault
 
 State = Literal["ok", "warning", "failed", "skipped"]
-
-LEAST_LEVEL: Final = 0.02
-"""A light that the camera sees less of, above the dark frame, does not shine."""
 
 DARK_LEVEL: Final = 0.02
 """A dark frame above this is lit from outside."""
@@ -82,6 +80,8 @@ def _power(hardware: Hardware) -> Finding:
         reading = power.read()
     if reading.under_voltage:
         return Finding("power", "failed", "the supply is too low now: use a stronger supply and a shorter cable")
+    if reading.complaints:
+        return Finding("power", "failed", "; ".join(reading.complaints))
     if reading.battery_share is not None and reading.battery_share < LOW_BATTERY:
         return Finding("power", "warning", f"the battery is at {reading.battery_share:.0%}: charge it")
     if reading.was_under_voltage:
@@ -116,7 +116,7 @@ def _indicator(hardware: Hardware, held: ExitStack) -> Finding:
 
 def _camera(hardware: Hardware, held: ExitStack) -> Finding:
     camera = held.enter_context(hardware.camera)
-    frame = camera.next_frame(FRAME_TIMEOUT_S)
+    frame = after_restarts(camera, lambda: camera.next_frame(FRAME_TIMEOUT_S))
     check_frame(frame, hardware.profile.sensor, camera.camera_id)
     rows, columns = frame.shape
     return Finding(

@@ -1,4 +1,8 @@
-"""Scanning at every push of the button: cues, a long push, and pushes that come while busy."""
+"""Scanning at every push of the button: cues, a long push, and pushes that come while busy.
+
+The frame is taken while the button goes down, so that cue and frame follow the finger; a push that turns out to be a
+long one is then not published.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from typing import Final
 from device.bundle_store import BundleStore
 from device.errors import DeviceError
 from device.scan_bundle import Annotations
+from device.scanning.darkness import next_push
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.scanning.supervision import Supervisor
 from hal.errors import HalError
@@ -45,25 +50,32 @@ def watch(
     _show(hardware, "idle")
     supervisor.ready(f"ready, {room}")
     while True:
-        press = hardware.button.wait_for_press(supervisor.longest_wait_s)
+        began_ns = next_push(hardware, supervisor.longest_wait_s)
         supervisor.alive()
-        if press is None:
+        if began_ns is None:
             continue
-        if press.held_s >= LONG_PUSH_S:
-            tell(f"Held {press.held_s:.0f} s, no scan. {_state(hardware, scanner)}")
-            continue
+        _show(hardware, "busy")
         try:
-            _show(hardware, "busy")
-            outcome = scanner.scan(annotations, lambda: _show(hardware, "may lift"))
+            press = scanner.take(lambda: _show(hardware, "may lift"))
+            if held_long(hardware, began_ns):
+                tell(f"Held {LONG_PUSH_S:.0f} s, no scan. {_state(hardware, scanner)}")
+            else:
+                outcome = scanner.publish(press, annotations)
+                report(outcome)
+                _show(hardware, outcome.bundle.record.verdict.level)
         except (DeviceError, HalError) as error:
             complain(error)
             _show(hardware, "refused")
-        else:
-            report(outcome)
-            _show(hardware, outcome.bundle.record.verdict.level)
         if missed := hardware.button.forget_presses():
             complain(f"{missed} push(es) came while busy and did nothing: push again when the indicator is off")
             _show(hardware, "refused")
+
+
+def held_long(hardware: Hardware, began_ns: int) -> bool:
+    """Whether the press that began then is held `LONG_PUSH_S`; returns when it is over or held that long."""
+    held_s = (hardware.clock.monotonic_ns() - began_ns) * 1e-9
+    press = hardware.button.wait_for_press(max(LONG_PUSH_S - held_s, 0.0))
+    return press is None or press.held_s >= LONG_PUSH_S
 
 
 def _show(hardware: Hardware, cue: Cue) -> None:
@@ -73,11 +85,8 @@ def _show(hardware: Hardware, cue: Cue) -> None:
 
 
 def _state(hardware: Hardware, scanner: Scanner) -> str:
-    """Room and battery in a sentence."""
-    try:
-        reading = hardware.power.read()
-        room = scanner.check_room()
-    except (DeviceError, HalError) as error:
-        return str(error)
+    """Room, battery and what does not answer, in sentences."""
+    reading = hardware.power.read()
     battery = "" if reading.battery_share is None else f" Battery {reading.battery_share:.0%}."
-    return f"Room for {room} scans.{battery}"
+    complaints = "".join(f" {complaint}." for complaint in reading.complaints)
+    return f"Room for {scanner.check_room()} scans.{battery}{complaints}"

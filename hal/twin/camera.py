@@ -15,7 +15,6 @@ from hal.twin.bench import Bench
 
 AIMING_STEP: Final = 2
 _POWER_ON: Final = CameraSettings(exposure_us=9_990.0, analogue_gain=1.0)
-_LINE_US: Final = 14.8
 _GAIN_STEP_DB: Final = 0.1
 _READOUT_US: Final = 1_000.0
 
@@ -48,10 +47,10 @@ class TwinCamera:
         if self._bench.faults.controls_ignored:
             return
         if not self._streaming:
-            self._current = _granted(settings)
+            self._current = self._granted(settings)
             return
         self._catch_up()
-        self._pending.append((self._index + self._bench.twin.control_delay_frames, _granted(settings)))
+        self._pending.append((self._index + self._bench.twin.control_delay_frames, self._granted(settings)))
 
     def next_frame(self, timeout_s: float) -> RawFrame:
         """The next frame whose read-out completes after now.
@@ -122,9 +121,10 @@ class TwinCamera:
     def _period_ns(self) -> int:
         return round(max(self._bench.twin.frame_period_us, self._current.exposure_us + _READOUT_US) * 1e3)
 
-
-def _granted(asked: CameraSettings) -> CameraSettings:
-    """What the sensor can do of what is asked: whole lines of exposure, gain in steps of a tenth of a decibel."""
-    lines = max(round(asked.exposure_us / _LINE_US), 1)
-    steps = max(round(20.0 * math.log10(max(asked.analogue_gain, 1.0)) / _GAIN_STEP_DB), 0)
-    return CameraSettings(lines * _LINE_US, 10.0 ** (steps * _GAIN_STEP_DB / 20.0))
+    def _granted(self, asked: CameraSettings) -> CameraSettings:
+        """What the sensor does of what is asked: as many whole lines of exposure as fit, told in whole µs as libcamera
+        does, and gain in steps of a tenth of a decibel."""
+        step_us = self._bench.profile.sensor.exposure_step_us
+        lines = max(math.floor(asked.exposure_us / step_us), 1)
+        steps = max(round(20.0 * math.log10(max(asked.analogue_gain, 1.0)) / _GAIN_STEP_DB), 0)
+        return CameraSettings(float(max(math.floor(lines * step_us), 1)), 10.0 ** (steps * _GAIN_STEP_DB / 20.0))

@@ -13,6 +13,7 @@ from device.ball import BallSamples, gather_samples
 from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg
 from device.inverse_fit import InverseFit, fit_inverse_map
+from device.light_field import LightField
 from device.photometry import LinearFrame, blurred_reference, pseudo_reference
 from device.surface import Float32Array, Float64Array
 from host_sync.calibration.assessment import Assessment, assess
@@ -113,7 +114,7 @@ def calibrate(
     located, pitch = _locate_all(presses, divisor, pitch_um, reference is not None)
     pitch_um = pitch.pitch_um if pitch else pitch_um
     tell("fitting the position-aware inverse map")
-    inverse, located, centres = _fit(presses, located)
+    inverse, located, centres = _fit(presses, located, LightField.of(divisor) if reference else None)
     used = after_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
     taught = gather_samples(kept)
@@ -157,14 +158,16 @@ def _locate_all(
 
 
 def _fit(
-    presses: Sequence[PressFrame], located: Sequence[UsedPress]
+    presses: Sequence[PressFrame], located: Sequence[UsedPress], light: LightField | None
 ) -> tuple[InverseFit, Sequence[UsedPress], Centres]:
     """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
 
     Balls that no label has count where they make the labelled ones' held-out error smaller.
+
+    light : of untouched skin, None where no reference shows it
     """
     by_hand = [press.labelled_by_hand for press in presses]
-    best = _fit_to(located)
+    best = _fit_to(located, light)
     if not any(by_hand):
         return best, located, "found"
     chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
@@ -176,7 +179,7 @@ def _fit(
         moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
         if name == "found at labels and beyond" and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
-        fit = _fit_to(moved)
+        fit = _fit_to(moved, light)
         if _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
             best, chosen = fit, (moved, name)
     return best, *chosen
@@ -192,10 +195,10 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
-def _fit_to(presses: Sequence[UsedPress]) -> InverseFit:
+def _fit_to(presses: Sequence[UsedPress], light: LightField | None) -> InverseFit:
     samples = gather_samples([(press.intensity, press.balls) for press in presses])
     balls = [ball for press in presses for ball in press.balls]
-    return fit_inverse_map(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES)
+    return fit_inverse_map(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES, light=light)
 
 
 def _fitted_error_deg(inverse: InverseFit, samples: BallSamples) -> float:

@@ -64,7 +64,9 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
             for band in inverse.bands
         ],
         "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.steepest))),
-        "degree_in_position": inverse.map.position_degree,
+        "degree_in_colour": inverse.map.curve.colour_degree,
+        "degree_in_position": inverse.map.curve.position_degree,
+        "share_of_light": inverse.map.light.share if inverse.map.light else 0.0,
         "slope_error": calibration.slope_error,
         "paper": {
             "residual_order_2": paper.residual_order_2,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 DONE: Final = 0
 PARTLY: Final = 1
@@ -16,14 +19,29 @@ CONNECTION: Final = 3
 
 
 def say(line: str) -> None:
-    """Write one line as it is."""
-    sys.stdout.write(line + "\n")
+    """Write one line."""
+    sys.stdout.write(printable(line) + "\n")
 
 
 def complain(what: object, code: int) -> int:
     """Say what is wrong; returns the exit code."""
-    sys.stderr.write(f"retrosync: {what}\n")
+    sys.stderr.write(f"retrosync: {printable(str(what))}\n")
     return code
+
+
+def printable(text: str) -> str:
+    """The same with every control character written out: what a record or a file's name says never moves a terminal."""
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+
+
+@contextmanager
+def telling() -> Iterator[Callable[[str], None]]:
+    """A line that says what is being done and for how long."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda words: progress.update(task, description=words)
 
 
 def _named_folder(_: Any, tokens: Sequence[Any]) -> Path:

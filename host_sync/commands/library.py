@@ -8,7 +8,7 @@ from typing import Literal
 from cyclopts import App
 
 from device.errors import DeviceError
-from host_sync.commands.console import BAD_INPUT, DONE, PARTLY, Folder, complain, say
+from host_sync.commands.console import BAD_INPUT, DONE, PARTLY, Folder, complain, say, telling
 from host_sync.errors import HostError
 from host_sync.library import Library, default_library
 from host_sync.library_index import Query, search
@@ -61,7 +61,8 @@ def verify_command(*, library: Folder | None = None) -> int:
     ----------
     library: Which; ~/Retrograph when not given.
     """
-    found = verify_library(Library(library or default_library()))
+    with telling() as tell:
+        found = verify_library(Library(library or default_library()), tell)
     say(f"{found.sound} of {found.sound + len(found.damaged)} verified")
     for path in found.strangers:
         say(f"Note: {path} is in no manifest.")
@@ -69,6 +70,8 @@ def verify_command(*, library: Folder | None = None) -> int:
         say(f"Note: {path} waits for its transfer to go on.")
     for bundle in found.damaged:
         complain(f"{bundle.directory.name}: {bundle.reason}", PARTLY)
+    if found.damaged:
+        say("Move what is damaged away and sync again: it is fetched anew while its device or card still has it.")
     return PARTLY if found.damaged else DONE
 
 

@@ -1,8 +1,7 @@
-"""`retrosync discover`, `pair`, `pull`, `sync`, `status`, `push-calibration`."""
+"""`retrosync pull`, `sync`, `push-calibration`."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,14 +18,14 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from device.pairing_exchange import PAIRING_PORT
 from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, say
+from host_sync.commands.devices import known_devices
 from host_sync.errors import PairingError, SourceError
 from host_sync.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ledger import PullReport
 from host_sync.offload.opening import Address, is_folder, open_device, open_source
-from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
+from host_sync.offload.paired_devices import this_host
 from host_sync.offload.pull import PullProgress, pull
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.sync import sync, sync_one, utc_now
@@ -38,9 +37,6 @@ def register(app: App) -> None:
     """Add the commands of this theme."""
     app.command(pull_command, name="pull")
     app.command(sync_command, name="sync")
-    app.command(discover_command, name="discover")
-    app.command(pair_command, name="pair")
-    app.command(status_command, name="status")
     app.command(push_command, name="push-calibration")
 
 
@@ -54,7 +50,7 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
     at: Where the device is now, HOST or HOST:PORT, when it is not where it was paired.
     """
     target = Library(library or default_library())
-    devices = _devices()
+    devices = known_devices()
     address = Address.parse(at) if at else None
     with _progress() as show:
         if is_folder(source):
@@ -81,7 +77,7 @@ def sync_command(*names: str, library: Folder | None = None) -> int:
     names: Paired devices; all when none is named.
     library: Where to; ~/Retrograph when not given.
     """
-    target, devices = Library(library or default_library()), _devices()
+    target, devices = Library(library or default_library()), known_devices()
     wanted = [devices.find(name) for name in names] or devices.all()
     if not wanted:
         raise PairingError("no device is paired: `retrosync pair HOST` first")
@@ -102,77 +98,6 @@ def sync_command(*names: str, library: Folder | None = None) -> int:
     return PARTLY if DONE in codes and max(codes) > DONE else max(codes)
 
 
-def discover_command(*, seconds: float = 3.0) -> int:
-    """List the devices that announce themselves on the local network.
-
-    Parameters
-    ----------
-    seconds: How long to listen.
-    """
-    from host_sync.offload.discovery import discover
-
-    found = discover(seconds)
-    for one in found:
-        say(f"{one.name}  {one.host}:{one.port}  {' '.join(one.addresses)}")
-    if not found:
-        return complain("no device was heard: check cable or network, or name its address to `pair`", CONNECTION)
-    return DONE
-
-
-def pair_command(
-    host: str | None = None,
-    *,
-    code: str | None = None,
-    card: Folder | None = None,
-    port: int = PAIRING_PORT,
-    replace: bool = False,
-) -> int:
-    """Pair with a device whose window is open, by the code on its screen; or by files on its memory card.
-
-    Parameters
-    ----------
-    host: Where the device is reached.
-    code: What its screen shows; asked for when not given.
-    card: Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
-    port: Where its window listens.
-    replace: Accept that a known device has a new key, because you set it up anew.
-    """
-    from host_sync.offload import pairing
-
-    devices = _devices()
-    own = pairing.own_card(devices, this_host())
-    if card is not None:
-        device = pairing.pair_by_card(card, own, host)
-        if device is None:
-            say(f"This workstation's key waits on {card}: start the device with it, then run this again.")
-            return DONE
-    elif host:
-        device = pairing.pair_over_network(host, port, code or input("Code on the device's screen: "), own)
-    else:
-        raise PairingError("name the device's address, or --card with its memory card")
-    pairing.keep(devices, device, replace=replace)
-    say(f"Paired with {device.device_id} at {device.host}:{device.port}.")
-    return DONE
-
-
-def status_command() -> int:
-    """Say which devices are paired and how the last sync with each went."""
-    devices = _devices()
-    known = devices.all()
-    for device in known:
-        state = devices.sync_state(device.device_id)
-        say(f"{device.device_id}  {device.host}:{device.port}")
-        if state is None:
-            say("  never synced")
-            continue
-        offset_s = state.clock_offset_s
-        clock = "its clock was not seen" if offset_s is None else f"its clock was {offset_s:+.0f} s off"
-        say(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {state.verified} verified, {state.failed} failed; {clock}")
-    if not known:
-        say("No device is paired: `retrosync pair HOST` makes one known.")
-    return DONE
-
-
 def push_command(source: str, calibration: str, *, library: Folder | None = None, at: str | None = None) -> int:
     """Put a calibration of the library into a device's inbox; the device proves it when it takes it.
 
@@ -186,14 +111,10 @@ def push_command(source: str, calibration: str, *, library: Folder | None = None
     from host_sync.offload.push import push_calibration
 
     bundle = Library(library or default_library()).find_calibration(calibration)
-    with open_source(source, _devices(), Address.parse(at) if at else None) as opened:
+    with open_source(source, known_devices(), Address.parse(at) if at else None) as opened:
         push_calibration(opened, bundle)
     say(f"{bundle.calibration_id} lies in the inbox of {source}: `retroscan receive --activate` takes it there.")
     return DONE
-
-
-def _devices() -> PairedDevices:
-    return PairedDevices(default_devices_folder(os.environ))
 
 
 def _tell(report: PullReport, where: str) -> int:

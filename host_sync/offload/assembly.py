@@ -1,19 +1,24 @@
-"""Bundles on their way into a library: while one is proven and published, the next one is already coming."""
+"""Bundles on their way into a library: while some are proven and published, the next one is coming."""
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Final
 
-from host_sync.errors import SourceLost
+from host_sync.errors import LibraryError, SourceLost
 from host_sync.library import Library
 from host_sync.library_index import files_by_hash
 from host_sync.offload.bundle_transfer import Advance, Offer, fetch, prove
 from host_sync.offload.ledger import Ledger
 from host_sync.offload.receipting import Vouch
 from host_sync.offload.source import Source
+
+MOST_UNDER_WAY: Final = 2
+"""Bundles that are proven at a time: disks wait, and while one does the other is read back."""
 
 
 class Assembly:
@@ -25,8 +30,8 @@ class Assembly:
         self._ledger = ledger
         self._vouch = vouch
         self._known = files_by_hash(library)
-        self._background = ThreadPoolExecutor(max_workers=1, thread_name_prefix="prove")
-        self._under_way: tuple[Offer, Future[None]] | None = None
+        self._background = ThreadPoolExecutor(MOST_UNDER_WAY, thread_name_prefix="prove")
+        self._under_way: deque[tuple[Offer, Future[str | None]]] = deque()
 
     def __enter__(self) -> Assembly:
         return self
@@ -35,13 +40,13 @@ class Assembly:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._background:
-            if error is None:
-                self._settle(self._vouch)
-            elif isinstance(error, SourceLost):
-                self._settle(None)  # nobody is there to take a receipt; the next pull re-reads it and leaves one
+            while self._under_way:
+                # Whatever ended it, what is under way is finished; its own trouble matters when there is no other.
+                with suppress(LibraryError) if error else nullcontext():
+                    self._settle()
 
     def add(self, offer: Offer, advance: Advance) -> None:
-        """Fetch a bundle; it is proven and published while the next one is added.
+        """Fetch a bundle; it is proven, published and receipted while the next ones are added.
 
         Raises
         ------
@@ -51,24 +56,30 @@ class Assembly:
             The library cannot be written.
         """
         with self._ledger.noting_failure(offer), ExitStack() as stack:
-            partial = stack.enter_context(self._library.publishing(offer.kind, offer.bundle_id))
+            partial = stack.enter_context(self._library.publishing(offer.kind, offer.bundle_id, offer.files))
             fetch(self._source, offer, partial, advance, self._known)
-            self._settle(self._vouch)
-            self._under_way = offer, self._background.submit(_finish, stack.pop_all(), offer, partial)
+            while len(self._under_way) >= MOST_UNDER_WAY:
+                self._settle()
+            self._under_way.append((offer, self._background.submit(self._finish, stack.pop_all(), offer, partial)))
 
-    def _settle(self, vouch: Vouch | None) -> None:
-        """Wait for the bundle that is being proven, and leave its receipt."""
-        if self._under_way is None:
-            return
-        offer, proven = self._under_way
-        self._under_way = None
+    def _settle(self) -> None:
+        """Wait for the bundle that has been proven the longest, and note what became of it."""
+        offer, proven = self._under_way.popleft()
         with self._ledger.noting_failure(offer):
-            proven.result()
+            lost = proven.result()
             self._ledger.copied.append(offer.bundle_id)
-            if vouch:
-                vouch.for_bundle(self._source, offer)
+            self._ledger.lost = self._ledger.lost or lost
 
+    def _finish(self, publishing: ExitStack, offer: Offer, partial: Path) -> str | None:
+        """Why no receipt could be left for a bundle that is published now: nobody is there any more to take it.
 
-def _finish(publishing: ExitStack, offer: Offer, partial: Path) -> None:
-    with publishing:
-        prove(offer, partial)
+        The next pull re-reads such a bundle and leaves the receipt.
+        """
+        with publishing:
+            prove(offer, partial)
+        try:
+            if self._vouch:
+                self._vouch.for_bundle(self._source, offer)
+        except SourceLost as error:
+            return str(error)
+        return None

@@ -31,6 +31,8 @@ from device.scan_bundle import decode_scan
 from host_sync.offload.source import Source
 
 PART: Final = ".part"
+WRITE_BACK_BYTES: Final = 4 << 20
+"""The disk is given work while a file still comes, so that it has little left to do at its end."""
 
 
 class Advance(Protocol):
@@ -169,7 +171,7 @@ def _fetch_file(source: Source, offer: Offer, name: str, entry: FileEntry, path:
 
 def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advance: Advance) -> tuple[int, str]:
     """Size and SHA-256 of a file that was completed in `part`; it stops as soon as more comes than is promised."""
-    digest, size = hashlib.sha256(), 0
+    digest, size, pending = hashlib.sha256(), 0, 0
     with part.open("a+b") as stored:
         stored.seek(0)
         while block := stored.read(CHUNK_BYTES):
@@ -182,6 +184,11 @@ def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advanc
                     stored.write(block)
                     digest.update(block)
                     size += len(block)
+                    pending += len(block)
+                    if pending >= WRITE_BACK_BYTES:
+                        stored.flush()
+                        _let_go(stored.fileno())
+                        pending = 0
                     advance(len(block), fetched=True)
                     if size > entry.size:
                         break
@@ -203,7 +210,12 @@ def _settle(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
-        if hasattr(os, "posix_fadvise"):
-            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+        _let_go(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _let_go(descriptor: int) -> None:
+    """Begin to write what memory holds of a file, and forget what is written already."""
+    if hasattr(os, "posix_fadvise"):
+        os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)

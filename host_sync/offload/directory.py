@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Generator
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from device.bundle_layout import MANIFESTS, BundleKind, bundle_ids
 from device.disk_advice import explain_refusal
@@ -61,22 +64,24 @@ class DirectorySource:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise SourceError(f"{path}: is no regular file: fetch the bundle again")
             stream.seek(offset_bytes)
-            while block := _next_block(stream.read, path):
+            while block := self._next_block(stream, path):
                 yield block
 
-    def write(self, place: str, blocks: Iterable[bytes]) -> None:
+    def write(self, place: str, data: bytes | Path) -> None:
         """Put a file there, durable before it appears under its name."""
         path = self.root / place
         partial = path.with_name(f".{path.name}.part")
         try:
             with partial.open("wb") as stream:
-                stream.writelines(blocks)
+                with BytesIO(data) if isinstance(data, bytes) else data.open("rb") as content:
+                    shutil.copyfileobj(content, stream, CHUNK_BYTES)
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(path)
             sync_directory(path.parent)
         except OSError as error:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
             raise SourceError(f"{path}: cannot be written {explain_refusal(error)}") from error
 
     def make_folder(self, place: str) -> None:
@@ -100,12 +105,19 @@ class DirectorySource:
         """A folder has no clock."""
         return
 
+    def _next_block(self, stream: IO[bytes], path: Path) -> bytes:
+        try:
+            return stream.read(CHUNK_BYTES)
+        except OSError as error:
+            kind = SourceError if self._is_there() else SourceLost
+            raise kind(f"{path}: cannot be read {explain_refusal(error)}; then repeat") from error
 
-def _next_block(read: Callable[[int], bytes], path: Path) -> bytes:
-    try:
-        return read(CHUNK_BYTES)
-    except OSError as error:
-        raise SourceLost(f"{path}: cannot be read {explain_refusal(error)}; then repeat") from error
+    def _is_there(self) -> bool:
+        """Whether the folder can still be listed: then a bad place concerns one file, else the whole card is gone."""
+        try:
+            return next(self.root.iterdir(), None) is not None
+        except OSError:
+            return False
 
 
 def _locate_store(path: Path) -> Path:

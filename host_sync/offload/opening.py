@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -13,6 +15,8 @@ from host_sync.errors import HostError, NoSource
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.source import Source
+
+MOST_PORT: Final = 65535
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +28,12 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """From "host" or "host:port"."""
-        host, colon, port = text.rpartition(":") if text.count(":") == 1 else (text, "", "")
-        if not host or (colon and not port.isdecimal()):
+        """From "host", "host:port", "[address of IPv6]:port" or the bare address."""
+        found = re.fullmatch(r"\[(?P<v6>[^]]+)\](:(?P<v6_port>\d+))?|(?P<host>[^][:]+)(:(?P<port>\d+))?", text)
+        if found is None and text.count(":") > 1 and "[" not in text:
+            return cls(text, None)
+        host, port = (found["v6"] or found["host"], found["v6_port"] or found["port"]) if found else (None, None)
+        if host is None or not 1 <= int(port or 1) <= MOST_PORT:
             raise HostError(f"{text!r} is no address: write HOST or HOST:PORT")
         return cls(host, int(port) if port else None)
 
@@ -41,7 +48,10 @@ def is_folder(name: str) -> bool:
     """
     if not name:
         raise NoSource("an empty name is no source: name a folder or a paired device")
-    return "/" in name or Path(name).exists()
+    try:
+        return "/" in name or Path(name).exists()
+    except OSError:  # too long for a file's name
+        return False
 
 
 @contextmanager
@@ -67,7 +77,8 @@ def open_device(device: PairedDevice, devices: PairedDevices, at: Address | None
     """A paired device as a source. Errors as for `open_source`."""
     from host_sync.offload.pairing import new_private_key
     from host_sync.offload.sftp import SftpSource
-    from host_sync.offload.sftp_link import Patience, SftpLink
+    from host_sync.offload.sftp_link import SftpLink
+    from host_sync.offload.ssh_session import Patience
 
     if at is not None:
         device = msgspec.structs.replace(device, host=at.host, port=at.port or device.port)

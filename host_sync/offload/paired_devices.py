@@ -95,6 +95,12 @@ class PairedDevices:
         """Store a device in the place of what was known of it."""
         self._store("devices", device.device_id, device)
 
+    def forget(self, device_id: str) -> None:
+        """Remove what is known of a device."""
+        with self._translating():
+            for kind in ("devices", "synced"):
+                (self.folder / kind / f"{device_id}.json").unlink(missing_ok=True)
+
     def sync_state(self, device_id: str) -> SyncState | None:
         """How the last sync ended, None when there was none."""
         path = self.folder / "synced" / f"{device_id}.json"

@@ -86,19 +86,30 @@ def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedD
 
 
 def keep(devices: PairedDevices, device: PairedDevice, *, replace: bool) -> None:
-    """Store a device; one that shows another key than before is kept only when that is asked for.
+    """Store a device; one that shows another key than before, or that answers where another did, only when asked to.
+
+    replace : the device was set up anew; what it was before is forgotten
 
     Raises
     ------
     PairingError
-        Its key has changed and `replace` is False.
+        Its key or its id has changed and `replace` is False.
     """
-    before = next((one for one in devices.all() if one.device_id == device.device_id), None)
+    known = devices.all()
+    before = next((one for one in known if one.device_id == device.device_id), None)
     if before is not None and before.host_key != device.host_key and not replace:
         raise PairingError(
             f"{device.device_id}: shows another key than when it was paired: if you set it up anew, "
             "pair it with --replace; otherwise something else answers in its place"
         )
+    others = [one for one in known if one != before and (one.host, one.port) == (device.host, device.port)]
+    if others and not replace:
+        raise PairingError(
+            f"{device.host}: is {device.device_id} and was {others[0].device_id}: if you set it up anew, pair it with "
+            "--replace and the former is forgotten; if they are two devices, give each an address of its own"
+        )
+    for other in others:
+        devices.forget(other.device_id)
     devices.save(device)
 
 

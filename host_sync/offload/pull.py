@@ -62,8 +62,7 @@ def pull_into(
     ledger = Ledger()
     receipted = {bundle_of(name) for name in source.names(RECEIPTS)} if vouch else set()
     try:
-        offers = _survey(source, library, ledger, receipted, vouch)
-        _require_space(library, sum(offer.size_bytes for offer in offers))
+        offers = _fitting(_survey(source, library, ledger, receipted, vouch), library, ledger)
         if offers:
             _copy(offers, Assembly(source, library, ledger, vouch), ledger, progress)
     except SourceLost as error:
@@ -78,7 +77,7 @@ def _survey(
     wanted = []
     for kind in _ORDER:
         for bundle_id in source.bundle_ids(kind):
-            if bundle_id in receipted and (library.root / kind / bundle_id).is_dir():
+            if bundle_id in receipted and library.looks_whole(kind, bundle_id):
                 ledger.already_there.append(bundle_id)
                 continue
             try:
@@ -114,13 +113,32 @@ def _holds(library: Library, offer: Offer) -> bool:
     return True
 
 
-def _require_space(library: Library, needed_bytes: int) -> None:
-    free = library.free_bytes()
-    if needed_bytes > free:
+def _fitting(offers: Sequence[Offer], library: Library, ledger: Ledger) -> list[Offer]:
+    """The offers for which there is room, one after the other; the others go to the ledger, so that one whose size is
+    absurd holds up nobody.
+
+    Raises
+    ------
+    LibraryError
+        There is room for none.
+    """
+    free_bytes = library.free_bytes()
+    fitting, left_bytes = [], free_bytes
+    for offer in offers:
+        needed_bytes = max(offer.size_bytes - library.unfinished_bytes(offer.kind, offer.bundle_id), 0)
+        if needed_bytes <= left_bytes:
+            fitting.append(offer)
+            left_bytes -= needed_bytes
+        else:
+            reason = f"needs {needed_bytes / 1e6:.0f} MB of the library's disk, and {left_bytes / 1e6:.0f} MB are left"
+            ledger.failed.append(PullFailure(offer.bundle_id, f"{reason}: free space or name another library"))
+    if offers and not fitting:
+        needed_bytes = sum(offer.size_bytes for offer in offers)
         raise LibraryError(
-            f"{library.root}: {needed_bytes / 1e6:.0f} MB are to come and {free / 1e6:.0f} MB are free: "
+            f"{library.root}: {needed_bytes / 1e6:.0f} MB are to come and {free_bytes / 1e6:.0f} MB are free: "
             "free space or name another library"
         )
+    return fitting
 
 
 def _copy(

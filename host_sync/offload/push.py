@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 from device.bundle_layout import partial_name
 from device.calibration_bundle import CALIBRATION_MANIFEST, CalibrationBundle
 from device.inbox import INBOX
-from device.records import CHUNK_BYTES, seal_name
+from device.records import seal_name
 from host_sync.errors import SourceError
 from host_sync.offload.source import Source
 
@@ -30,11 +27,5 @@ def push_calibration(source: Source, bundle: CalibrationBundle) -> None:
     growing = f"{INBOX}/{partial_name(name)}"
     source.make_folder(growing)
     for file_name in (*bundle.record.files, CALIBRATION_MANIFEST, seal_name(CALIBRATION_MANIFEST)):
-        source.write(f"{growing}/{file_name}", list(_file_blocks(bundle.directory / file_name)))
+        source.write(f"{growing}/{file_name}", bundle.directory / file_name)
     source.rename(growing, f"{INBOX}/{name}")
-
-
-def _file_blocks(path: Path) -> Iterator[bytes]:
-    with path.open("rb") as stream:
-        while block := stream.read(CHUNK_BYTES):
-            yield block

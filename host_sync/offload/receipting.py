@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from datetime import datetime
 
@@ -15,7 +16,9 @@ from host_sync.offload.source import Source
 
 
 class Vouch:
-    """Writes receipts in this workstation's name; the first refusal is remembered in `fault` and none is tried again.
+    """Writes receipts to one source in this workstation's name.
+
+    The first refusal is remembered in `fault`, and none is tried again.
 
     Parameters
     ----------
@@ -27,6 +30,8 @@ class Vouch:
         self.fault: str | None = None
         self._host = host
         self._now = now
+        self._has_folder = False
+        self._preparing = threading.Lock()
 
     def after_rereading(self, source: Source, library: Library, offer: Offer) -> None:
         """Receipt a bundle that the library holds already, hashed once more.
@@ -54,8 +59,11 @@ class Vouch:
             verified=self._now(),
         )
         try:
-            source.make_folder(RECEIPTS)
-            source.write(f"{RECEIPTS}/{receipt_name(offer.bundle_id)}", [encode_record(receipt)])
+            with self._preparing:
+                if not self._has_folder:
+                    source.make_folder(RECEIPTS)
+                    self._has_folder = True
+            source.write(f"{RECEIPTS}/{receipt_name(offer.bundle_id)}", encode_record(receipt))
         except SourceLost:
             raise
         except SourceError as error:

@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -20,38 +18,23 @@ import asyncssh
 
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.offload.paired_devices import PairedDevice
+from host_sync.offload.ssh_session import Patience, Session, explain_refusal, open_session
 
 T = TypeVar("T")
 
-CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
-PACKET_BYTES: Final = 128 << 10
-
 LOST: Final = (asyncssh.Error, OSError)
 """What a connection that is gone, or never came about, raises; a time-out is an OSError."""
+
+MOST_BEGINNINGS: Final = 20
+"""Work that cannot go on where it stopped is begun so often, and no more."""
 
 
 class LinkBroken(Exception):
     """The connection is gone; `SftpLink.restore` brings it back or says why not."""
 
 
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """How long silence is borne, s.
-
-    keepalive_s : between questions whether the other side is there
-    unanswered : questions without an answer after which the connection counts as lost
-    give_up_s : since something came last, after which reconnecting ends
-    retry_s : between two tries
-    """
-
-    keepalive_s: float = 1.0
-    unanswered: int = 3
-    give_up_s: float = 8.0
-    retry_s: float = 0.25
-
-
 class SftpLink:
-    """One device's connection; a context manager.
+    """One device's connection; a context manager. Several threads may use it: one mends it, the others wait.
 
     Raises
     ------
@@ -67,15 +50,16 @@ class SftpLink:
         self._patience = patience
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"sftp {device.device_id}", daemon=True)
-        self._connection: asyncssh.SSHClientConnection | None = None
-        self._client: asyncssh.SFTPClient | None = None
+        self._session: Session | None = None
+        self._mending = threading.Lock()
+        self._lost: SourceLost | SourceRefused | None = None
         self._last_byte_s = 0.0
 
     def __enter__(self) -> SftpLink:
         self._thread.start()
         try:
             self.note_progress()
-            self.restore()
+            self.restore(None)
         except BaseException:
             self._stop()
             raise
@@ -92,15 +76,19 @@ class SftpLink:
         return self._device.device_id
 
     @property
-    def client(self) -> asyncssh.SFTPClient:
-        """The SFTP session of the present connection."""
-        if self._client is None:
+    def session(self) -> Session:
+        """The present session, which may be broken already."""
+        if self._session is None:
             raise LinkBroken
-        return self._client
+        return self._session
 
     def note_progress(self) -> None:
         """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
+
+    def allow(self, busy_s: float) -> None:
+        """Time that this side needed for itself is no silence of the other's."""
+        self._last_byte_s += busy_s
 
     def submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
         """Begin some work on the connection."""
@@ -117,7 +105,7 @@ class SftpLink:
             The device refused just this.
         """
         try:
-            return future.result(timeout=self._patience.give_up_s)
+            return self._awaited(future)
         except LOST as error:
             future.cancel()
             if isinstance(error, asyncssh.SFTPError) and not isinstance(
@@ -129,79 +117,68 @@ class SftpLink:
     def persist(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
         """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
         self.note_progress()
-        while True:
+        for _ in range(MOST_BEGINNINGS):
+            session = self.session
             try:
-                return self.result(self.submit(work(self.client)))
+                return self.result(self.submit(work(session.client)))
             except LinkBroken:
-                self.restore()
+                self.restore(session)
+        raise SourceLost(
+            f"{self.name}: breaks off again and again: check cable or network and repeat; what came is kept"
+        )
 
-    def restore(self) -> None:
-        """Connect anew, trying until patience ends.
+    def restore(self, broken: Session | None) -> None:
+        """Have another session than the broken one, trying until patience ends.
 
         Raises
         ------
         SourceLost, SourceRefused
-            As when the link is made.
+            As when the link is made; from then on at once.
         """
-        self._drop()
+        with self._mending:
+            if self._lost is not None:
+                raise self._lost
+            if self._session is broken:
+                self._drop()
+                try:
+                    self._session = self._connected()
+                except (SourceLost, SourceRefused) as error:
+                    self._lost = error
+                    raise
+
+    def _awaited(self, future: Future[T]) -> T:
+        """What a future returns, awaited for as long as something comes now and then."""
+        while True:
+            left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
+            try:
+                return future.result(timeout=max(left_s, self._patience.retry_s))
+            except TimeoutError:
+                if future.done() or left_s <= self._patience.retry_s:
+                    raise
+
+    def _connected(self) -> Session:
         refusals = 0
         while True:
             left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
-            reason = "no answer"
             try:
-                self.result(self.submit(self._connect(max(left_s, self._patience.retry_s))))
-            except (LinkBroken, asyncssh.SFTPError) as error:
-                cause = error.__cause__ or error
-                refusals += isinstance(cause, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
+                return self.submit(self._open(max(left_s, self._patience.retry_s))).result()
+            except LOST as error:
+                refusals += isinstance(error, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
                 if refusals > 1:
-                    raise SourceRefused(self._explain_refusal(cause)) from error
-                reason = str(cause) or reason
-            else:
-                return
-            if left_s <= 0.0:
-                raise SourceLost(
-                    f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} ({reason}): check "
-                    "cable or network and repeat; what came is kept"
-                )
+                    raise SourceRefused(explain_refusal(self._device, error)) from error
+                if left_s <= 0.0:
+                    raise SourceLost(
+                        f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} "
+                        f"({str(error) or 'no answer'}): check cable or network and repeat; what came is kept"
+                    ) from error
             threading.Event().wait(self._patience.retry_s)
 
-    async def _connect(self, within_s: float) -> None:
-        device = self._device
-        key = asyncssh.import_public_key(device.host_key)
-        async with asyncio.timeout(within_s):
-            self._connection = await asyncssh.connect(
-                device.host,
-                device.port,
-                username=device.user,
-                client_keys=[str(self._private_key)],
-                known_hosts=([key], [], []),
-                server_host_key_algs=[device.host_key.partition(" ")[0]],
-                encryption_algs=CIPHERS,
-                compression_algs=None,
-                preferred_auth="publickey",
-                agent_path=None,
-                config=None,
-                keepalive_interval=self._patience.keepalive_s,
-                keepalive_count_max=self._patience.unanswered,
-            )
-            # The session that SFTP opens takes its packet size from nowhere else; large ones cost a seventh less work.
-            session = partial(self._connection.create_session, max_pktsize=PACKET_BYTES)
-            self._connection.create_session = session  # type: ignore[method-assign]
-            self._client = await self._connection.start_sftp_client()
-
-    def _explain_refusal(self, cause: BaseException) -> str:
-        where = f"{self.name} ({self._device.host}:{self._device.port})"
-        if isinstance(cause, asyncssh.HostKeyNotVerifiable):
-            return (
-                f"{where}: shows another key than the one it was paired with, so it was set up anew or something else "
-                "answers in its place: if you set it up anew, pair it again; otherwise do not"
-            )
-        return f"{where}: does not accept this workstation's key: pair it again"
+    def _open(self, within_s: float) -> Coroutine[Any, Any, Session]:
+        return open_session(self._device, self._private_key, self._patience, within_s)
 
     def _drop(self) -> None:
-        if self._connection is not None:
-            self._loop.call_soon_threadsafe(self._connection.abort)
-        self._connection = self._client = None
+        if self._session is not None:
+            self._loop.call_soon_threadsafe(self._session.connection.abort)
 
     def _stop(self) -> None:
         self._drop()

@@ -5,7 +5,8 @@ A place is a path below the store with "/" between its parts, such as "scans/<id
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator
+from pathlib import Path
 from typing import Protocol
 
 from device.bundle_layout import BundleKind
@@ -45,8 +46,8 @@ class Source(Protocol):
         """
         ...
 
-    def write(self, place: str, blocks: Iterable[bytes]) -> None:
-        """Put a file there, whole or not at all.
+    def write(self, place: str, data: bytes | Path) -> None:
+        """Put a file there, whole or not at all: these bytes, or what a file of ours holds.
 
         Raises
         ------

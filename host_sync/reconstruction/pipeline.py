@@ -10,12 +10,13 @@ import numpy as np
 
 from device.errors import CalibrationMismatch
 from device.photometry import IntensityImage, LinearFrame, divide
-from device.surface import Float32Array, GradientField, HeightMap, surface_slopes
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
 from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration, Method
 from host_sync.calibration.paper_model import estimate_gradients
 from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
 from host_sync.calibration.slope_error import SlopeError
+from host_sync.reconstruction.extrapolation import extrapolated
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import raw_intensity
 from host_sync.reconstruction.level import levelled, untouched_skin
@@ -38,6 +39,7 @@ class Reconstruction:
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either of them
     gradients : the slopes as estimated per pixel, before integration
     integration : what the solver reports
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught
     clipped_share : share of pixels with a saturated channel
     warnings : what speaks against the frame being of this calibration; it was reconstructed all the same
     """
@@ -51,6 +53,7 @@ class Reconstruction:
     slope_sigma: Float32Array
     gradients: GradientField
     integration: IntegrationReport
+    extrapolated: MaskArray
     clipped_share: float
     warnings: tuple[str, ...]
 
@@ -114,6 +117,7 @@ def reconstruct_intensity(
         slope_sigma=slope_sigma(gradients, p, q, contradiction, error),
         gradients=gradients,
         integration=integration,
+        extrapolated=extrapolated(intensity, calibration.inverse.map, p, q),
         clipped_share=float(intensity.clipped.mean()),
         warnings=tuple(warnings),
     )

@@ -8,9 +8,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 
 from device.surface import Float32Array, HeightMap
 from host_sync.calibration.full_calibration import Calibration
@@ -23,6 +25,9 @@ from host_sync.render.relief_sheet import write_relief
 SCHEMA = "retrograph.result/1"
 RECORD_FILE = "result.json"
 DRAWS_FILE = "height_draws_um.tif"
+EXTRAPOLATED_FILE = "extrapolated.png"
+"""White where a slope lies beyond what the calibration taught."""
+
 WRITERS = 2
 """Files written at a time: the relief takes about as long as the fields together."""
 
@@ -57,6 +62,8 @@ def write_result(
             jobs = [writers.submit(write_relief, folder / "relief.png", reconstruction.height, name)]
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
+            mask = np.where(reconstruction.extrapolated, np.uint8(255), np.uint8(0))
+            jobs.append(writers.submit(_write_mask, folder / EXTRAPOLATED_FILE, mask))
             jobs.append(writers.submit(write_draws, folder / DRAWS_FILE, reconstruction, calibration.pitch_um))
             for job in jobs:
                 job.result()
@@ -93,6 +100,13 @@ def write_field(path: Path, values: Float32Array, pitch_um: float, description: 
         description=f"{description}; pixel pitch {pitch_um:g} um; NaN is invalid",
         metadata=None,
     )
+
+
+def _write_mask(path: Path, mask: NDArray[np.uint8]) -> None:
+    """Write a mask of shape (H, W) as a PNG of one channel."""
+    done, encoded = cv2.imencode(".png", mask)
+    assert done  # noqa: S101 - memory is all it needs
+    path.write_bytes(encoded.tobytes())
 
 
 def write_draws(path: Path, reconstruction: Reconstruction, pitch_um: float) -> None:
@@ -132,6 +146,7 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         "height_zero": "median of untouched skin",
         "masked_share": reconstruction.masked_share,
         "clipped_share": reconstruction.clipped_share,
+        "extrapolated_share": float(reconstruction.extrapolated.mean()),
         "warnings": list(reconstruction.warnings),
         "calibration_passed": calibration.assessment.passed,
         "calibration_notes": list(calibration.assessment.notes),

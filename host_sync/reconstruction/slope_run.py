@@ -18,7 +18,7 @@ RUN: Final = 128
 """Pixels of one run: its planes stay in the first-level cache."""
 
 # Planes of a run. Constant numbers of one array of constant shape prove to the compiler that planes do not overlap.
-_LOGS: Final = 0
+_COLOURS: Final = 0
 _VARIABLE: Final = 3
 _ACROSS: Final = 6
 _FIRST: Final = 7
@@ -35,23 +35,52 @@ ONE: Final = np.float32(1.0)
 
 
 @njit(inline="always")
-def load(values: Float32Array, row: int, start: int, count: int, columns: int, run: Float32Array) -> None:
-    """Fill a run with the logarithm of intensity, the column's position and u = 0; past the row's end as if 1 stood."""
-    for k in range(count):
-        for channel in range(3):
-            run[_LOGS + channel, k] = max(values[row, start + k, channel], ZERO) + np.float32(DARK_OFFSET)
-    for k in range(count, RUN):
-        run[_LOGS, k] = ONE
-        run[_LOGS + 1, k] = ONE
-        run[_LOGS + 2, k] = ONE
+def begin(start: int, columns: int, run: Float32Array) -> None:
+    """Set the columns' position and u = 0."""
     begin, step = np.float32((2.0 * start + 1.0) / columns - 1.0), np.float32(2.0 / columns)
     for k in range(RUN):
         run[_ACROSS, k] = begin + step * np.float32(k)
         run[_U, k] = ZERO
         run[_U + 1, k] = ZERO
-        run[_LOGS, k] = _logarithm(run[_LOGS, k])
-        run[_LOGS + 1, k] = _logarithm(run[_LOGS + 1, k])
-        run[_LOGS + 2, k] = _logarithm(run[_LOGS + 2, k])
+
+
+@njit(inline="always")
+def load(values: Float32Array, row: int, start: int, count: int, run: Float32Array) -> None:
+    """Fill a run with the logarithm of intensity; past the row's end as if 1 stood."""
+    for k in range(count):
+        for channel in range(3):
+            run[_COLOURS + channel, k] = max(values[row, start + k, channel], ZERO) + np.float32(DARK_OFFSET)
+    for k in range(count, RUN):
+        run[_COLOURS, k] = ONE
+        run[_COLOURS + 1, k] = ONE
+        run[_COLOURS + 2, k] = ONE
+    for k in range(RUN):
+        run[_COLOURS, k] = _logarithm(run[_COLOURS, k])
+        run[_COLOURS + 1, k] = _logarithm(run[_COLOURS + 1, k])
+        run[_COLOURS + 2, k] = _logarithm(run[_COLOURS + 2, k])
+
+
+@njit(inline="always")
+def load_light(
+    values: Float32Array, light: Float32Array, row: int, start: int, count: int, columns: int, run: Float32Array
+) -> None:
+    """Fill a run with light: intensity times the light of untouched skin; past the row's end as if 1 stood.
+
+    light : float32 array of shape (n, 3), along the row, from its left to its right border
+    """
+    last = len(light) - 1
+    per_column = np.float32(last) / np.float32(columns)
+    for k in range(count):
+        at = (np.float32(start + k) + np.float32(0.5)) * per_column
+        left = min(int(at), last - 1)
+        share = at - np.float32(left)
+        for channel in range(3):
+            here = light[left, channel] + share * (light[left + 1, channel] - light[left, channel])
+            run[_COLOURS + channel, k] = max(values[row, start + k, channel], ZERO) * here
+    for k in range(count, RUN):
+        run[_COLOURS, k] = ONE
+        run[_COLOURS + 1, k] = ONE
+        run[_COLOURS + 2, k] = ONE
 
 
 @njit(inline="always")
@@ -75,7 +104,7 @@ def take_variables(run: Float32Array, limits: Float32Array) -> None:
     """Variables, and how far outside the calibrated colours they lay; `limits` as the kernel has them."""
     for k in range(RUN):
         excess = ZERO
-        first, second, third = run[_LOGS, k], run[_LOGS + 1, k], run[_LOGS + 2, k]
+        first, second, third = run[_COLOURS, k], run[_COLOURS + 1, k], run[_COLOURS + 2, k]
         inside = min(max(first, limits[0, 0]), limits[1, 0])
         excess = max(excess, abs(first - inside))
         run[_VARIABLE, k] = (inside - limits[2, 0]) * limits[3, 0]

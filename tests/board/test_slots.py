@@ -134,6 +134,7 @@ def test_one_that_never_becomes_ready_goes_back_at_its_fourth_start(app: Path, r
         assert version_in_use(app) == "1.1"
     assert "was started 3 times and never became ready: back to version 1.0" in run(SLOT, "starting").stderr
     assert version_in_use(app) == "1.0"
+    assert "slot b: nothing" in run(SLOT, "status").stdout
 
 
 def test_a_confirmed_one_stays_however_often_it_starts(app: Path, run: Run, release: Release) -> None:

@@ -13,7 +13,7 @@ import pytest
 from hal.board_profile import load_board_profile
 
 ROOT = Path(__file__).parents[2]
-WIRED = ("pi4-imx477", "pi5-imx296", "zero2w-imx708")
+WIRED = ("pi4-imx477", "pi4-imx477-binned", "pi5-imx296", "zero2w-imx708")
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -179,6 +180,50 @@ def test_scans_left_keeps_a_reserve(store: BundleStore, monkeypatch: pytest.Monk
     assert store.scans_left(1_000) == 10
     usage.free = RESERVE_BYTES - 1
     assert store.scans_left(1_000) == 0
+
+
+def test_a_press_is_refused_when_the_store_cannot_be_written(
+    store: BundleStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genuine = os.statvfs
+
+    def mounted_read_only(path: Path) -> object:
+        facts = genuine(path)
+        return SimpleNamespace(f_flag=facts.f_flag | os.ST_RDONLY, f_files=facts.f_files, f_favail=facts.f_favail)
+
+    monkeypatch.setattr("device.store_access.os.statvfs", mounted_read_only)
+    with pytest.raises(StoreError, match=r"Read-only file system.*mount it"):
+        store.scans_left(1_000)
+
+
+def test_a_disk_without_names_left_has_room_for_no_scan(store: BundleStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = SimpleNamespace(
+        f_flag=0, f_files=1000, f_favail=40, f_frsize=4096, f_blocks=1 << 30, f_bfree=1 << 30, f_bavail=1 << 30
+    )
+    monkeypatch.setattr("device.store_access.os.statvfs", lambda _: few)
+    assert store.scans_left(1) == 2
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o002, 0o077])
+def test_the_group_reads_scans_and_writes_receipts_whatever_the_mask(
+    tmp_path: Path,
+    publish_scan: PublishScan,
+    publish_calibration: Callable[[BundleStore], CalibrationBundle],
+    mask: int,
+) -> None:
+    before = os.umask(mask)
+    try:
+        store = BundleStore(tmp_path / "deep" / "store", VirtualClock(), boot_id="b0071d00")
+        scan, calibration = publish_scan(store), publish_calibration(store)
+        store.activate(calibration.calibration_id)
+    finally:
+        os.umask(before)
+    modes = {path: path.stat().st_mode & 0o777 for path in (store.root, *store.root.rglob("*"))}
+    shared = {store.root / "receipts", store.root / "inbox"}
+    assert {modes.pop(path) for path in shared} == {0o770}
+    assert {mode for path, mode in modes.items() if path.is_dir()} == {0o750}
+    assert {mode for path, mode in modes.items() if path.is_file()} == {0o640}
+    scan.verify()
 
 
 def receipt_for(store: BundleStore, bundle: ScanBundle, manifest: bytes | None = None) -> None:

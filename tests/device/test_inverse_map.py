@@ -95,7 +95,7 @@ def test_an_unseen_ball_is_read_to_under_a_degree(near: bool) -> None:
 
 
 def test_near_lights_need_position() -> None:
-    assert fitted(near=True).map.position_degree > 0
+    assert fitted(near=True).map.curve.position_degree > 0
 
 
 def test_block_evaluation_agrees_with_prediction_of_single_pixels() -> None:

@@ -3,6 +3,8 @@
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -115,7 +117,40 @@ def test_the_selftest_of_a_board_that_is_not_there_blames_its_parts(capsys: pyte
     assert "skipped  light green: not tested, since the light driver failed" in told
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT]
+
+
+@pytest.mark.parametrize(("number", "again"), [*((number, False) for number in SIGNALS), (signal.SIGTERM, True)])
+def test_a_program_that_is_ended_while_it_is_lit_ends_dark(number: signal.Signals, again: bool, tmp_path: Path) -> None:
+    arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "calibrate", "--balance"]
+    program = subprocess.Popen(
+        [sys.executable, Path(__file__).parent / "lit_program.py", *arguments],
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])} | ({"SLOW_BUS": "1"} if again else {}),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with program:
+        assert program.stdout is not None
+        assert program.stderr is not None
+        said = []
+        while said[-1:] != ["lit"]:
+            line = program.stdout.readline()
+            assert line, program.stderr.read()
+            said.append(line.strip())
+        program.send_signal(number)
+        for line in program.stdout:
+            said.append(line.strip())
+            if again:
+                program.send_signal(number)
+        complaint = program.stderr.read()
+    assert [word for word in said if word in {"lit", "dark"}][-1] == "dark"
+    assert program.returncode == 130
+    assert complaint == "retroscan: stopped\n"
+
+
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_ends_through_every_exit(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

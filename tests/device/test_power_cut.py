@@ -1,7 +1,7 @@
 """Power cuts on a real ext4: every block write of a publishing store is recorded, then replayed up to any of them.
 
 Then the file system is mounted, the store starts, and every scan that was acknowledged must be there.
-Wants root, loop devices, mkfs.ext4 and qemu-storage-daemon (Debian: qemu-system-common, qemu-block-extra).
+Wants root, loop devices, mkfs.ext4 and qemu-storage-daemon (Debian: qemu-system-common), see `make test-deps`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DISK_BYTES = 16 << 20
 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="mounting wants root"),
-    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),
+    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; see `make test-deps`"),
     pytest.mark.skipif(not Path("/dev/fuse").exists(), reason="this kernel has no FUSE"),
     pytest.mark.skipif(not Path("/dev/loop-control").exists(), reason="this kernel has no loop devices"),
 ]

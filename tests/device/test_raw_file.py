@@ -112,6 +112,22 @@ def test_other_files_are_refused_in_a_sentence(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(("pages", "compression"), [(5, "zstd"), (3, "zstd"), (4, "zlib"), (4, None)])
+def test_only_four_pages_of_the_one_compression_are_unpacked(
+    tmp_path: Path, raw_frame: MakeFrame, pages: int, compression: str | None
+) -> None:
+    path = tmp_path / "raw.tif"
+    write_raw(path, raw_frame())
+    with tifffile.TiffFile(path) as genuine:
+        planes, description = genuine.asarray(), genuine.pages.first.description
+    more = np.concatenate([planes, planes])[:pages]
+    tifffile.imwrite(
+        path, more, compression=compression, description=description, metadata=None, photometric="minisblack"
+    )
+    with pytest.raises(RecordError, match=r"not four planes of 24x16 with zstd|cannot be read"):
+        read_raw(path)
+
+
 def test_an_odd_mosaic_is_a_mistake_of_the_caller(tmp_path: Path, raw_frame: MakeFrame) -> None:
     with pytest.raises(ValueError, match="2x2 blocks"):
         write_raw(tmp_path / "raw.tif", raw_frame(shape=(31, 48)))

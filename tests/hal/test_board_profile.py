@@ -102,7 +102,7 @@ def test_text_in_another_encoding_is_refused(tmp_path: Path) -> None:
         load_board_profile(path)
 
 
-REAL_BOARDS = ("pi4-imx477", "pi5-imx296", "zero2w-imx708")
+REAL_BOARDS = ("pi4-imx477", "pi4-imx477-binned", "pi5-imx296", "zero2w-imx708")
 
 
 @pytest.mark.parametrize("name", REAL_BOARDS)
@@ -118,8 +118,29 @@ def test_real_boards_are_complete(name: str) -> None:
 
 def test_capabilities_follow_from_the_tables() -> None:
     assert load_board_profile("twin").capabilities == frozenset()
-    assert load_board_profile("pi5-imx296").capabilities == {"indicator", "under-voltage", "battery", "light-current"}
-    assert load_board_profile("zero2w-imx708").capabilities == {"under-voltage", "focus"}
+    everything = {"indicator", "under-voltage", "battery", "light-current", "live-aiming"}
+    assert load_board_profile("pi5-imx296").capabilities == everything
+    assert load_board_profile("zero2w-imx708").capabilities == {"under-voltage", "focus", "live-aiming"}
+    assert "live-aiming" not in load_board_profile("pi4-imx477").capabilities
+    assert "live-aiming" in load_board_profile("pi4-imx477-binned").capabilities
+
+
+def test_the_binned_profile_sees_the_field_of_the_full_one_with_half_its_pixels() -> None:
+    full, binned = (load_board_profile(name) for name in ("pi4-imx477", "pi4-imx477-binned"))
+    for size in ("columns", "rows"):
+        assert getattr(full.sensor, size) == 2 * getattr(binned.sensor, size)
+    assert binned.sensor.pixel_pitch_um == 2.0 * full.sensor.pixel_pitch_um
+    assert (full.lights, full.gel, full.camera) == (binned.lights, binned.gel, binned.camera)
+
+
+@pytest.mark.parametrize("name", REAL_BOARDS)
+def test_exposures_of_real_boards_are_fine_steps(name: str) -> None:
+    profile = load_board_profile(name)
+    assert profile.camera.exposure_us >= 50.0 * profile.sensor.exposure_step_us
+
+
+def test_the_global_shutter_camera_hands_out_bggr_on_every_board() -> None:
+    assert load_board_profile("pi5-imx296").sensor.bayer_order == "BGGR"
 
 
 @pytest.mark.parametrize(
@@ -134,6 +155,11 @@ def test_capabilities_follow_from_the_tables() -> None:
         ("channel = 15", "channel = 15\nline = 3", r"indicator: accepted: exactly one"),
         ("channel = 15 ", "line = 17 ", r"indicator\.line: 17 is the button's line"),
         ("raw_bits = 16", "raw_bits = 12", r"sensor\.white_level_dn: accepted is less than 2\^raw_bits, 4096"),
+        (
+            "buffer_count = 4",
+            "aiming_rows = 180",
+            r"libcamera\.aiming_rows: 180 .*a part of the field only; .*about 240",
+        ),
         ("raw_bits = 16", "raw_bits = 11", r"libcamera\.raw_bits: 11 .*accepted: 8, 10, 12, 14, 16"),
         ("frame_period_us = 16667.0", "frame_period_us = 1000.0", r"camera\.exposure_us: accepted is at most"),
         ('[button]\nchip_label = "pinctrl-rp1"\nline = 17\n', "", r"button: .*needs a \[button\] table"),

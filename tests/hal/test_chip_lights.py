@@ -100,8 +100,35 @@ def test_open_leds_are_flagged_by_light_and_the_flag_goes_with_the_fault(wired: 
         assert lights.faults() == (LightFault("green", "open"),)
         wired.leds.open_channels.clear()
         lights.switch_on(CURRENTS_MA)
-        lights.faults()
         assert lights.faults() == ()
+
+
+def test_a_shorted_led_is_dark(wired: Wired) -> None:
+    wired.leds.shorted_channels.update({4, 5})
+    with wired.hardware.lights as lights:
+        lights.switch_on(CURRENTS_MA)
+        assert wired.leds.driven_ma()[4] > 4.0
+        assert wired.leds.currents_ma()[4] == 0.0
+        assert set(wired.bench.currents_ma) == {"red", "blue"}
+
+
+def test_tlc59116_tells_faults_only_of_outputs_without_pwm_and_a_0_is_a_fault(bench: Bench) -> None:
+    wired = wired_hardware(bench, "TLC59116")
+    wired.leds.open_channels.add(5)
+    with wired.hardware.lights as lights:
+        lights.switch_on(CURRENTS_MA)
+        duties = wired.leds.read(0x94, 4)
+        assert wired.leds.read(0x9D, 2) == [0, 0]
+        wired.leds.write(0x94, [0b0101, 0b0101, 0b0100, 0])
+        assert wired.leds.read(0x9D, 2) == [0b0001_0011, 0b0000_0010]
+        wired.leds.write(0x94, duties)
+        assert lights.faults() == (LightFault("green", "open"),)
+        assert wired.leds.read(0x94, 4) == duties
+        wired.leds.hot = True
+        assert [fault.light for fault in lights.faults()] == ["red", "green", "blue"]
+        lights.dark()
+        assert lights.faults() == ()
+        assert not any(wired.leds.driven_ma())
 
 
 def test_short_and_overtemperature_of_the_pca9955b(bench: Bench) -> None:

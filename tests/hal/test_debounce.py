@@ -81,7 +81,59 @@ def test_a_lost_edge_is_made_up_for_by_the_real_level() -> None:
     debouncer.rest(20 * MS, True)
     debouncer.edge(100 * MS, True)  # the release's edges were lost, all but one that says nothing new
     debouncer.rest(120 * MS, False)
+    assert debouncer.take() is None
+    debouncer.rest(131 * MS, False)
     assert debouncer.take() == ButtonPress(0, 0.1)
+
+
+def test_a_press_whose_edges_were_all_lost_is_one_once_its_level_has_rested() -> None:
+    debouncer = Debouncer(down=False)
+    debouncer.rest(100 * MS, True)
+    assert debouncer.push() is None
+    debouncer.rest(111 * MS, True)
+    assert debouncer.push() == 100 * MS
+    debouncer.rest(300 * MS, False)
+    debouncer.rest(311 * MS, False)
+    assert debouncer.take() == ButtonPress(100 * MS, 0.2)
+
+
+def test_a_push_is_told_while_it_is_held_and_once() -> None:
+    debouncer = Debouncer(down=False)
+    bounce(debouncer, 100 * MS, True)
+    debouncer.rest(120 * MS, True)
+    assert debouncer.push() == 100 * MS
+    assert debouncer.push() is None
+    assert debouncer.take() is None
+    bounce(debouncer, 300 * MS, False)
+    bounce(debouncer, 500 * MS, True)
+    debouncer.rest(520 * MS, True)
+    assert debouncer.forget() == 1
+    bounce(debouncer, 700 * MS, False)
+    debouncer.rest(800 * MS, False)
+    assert debouncer.push() is None
+    assert debouncer.take() is None
+
+
+def test_a_press_that_begins_while_the_level_is_read_does_not_hide_the_one_before(wired: Wired) -> None:
+    line = wired.line
+    with wired.hardware.button as button:
+        read = line.is_active
+        wired.bench.schedule_button(ButtonPress(1_000 * MS, 0.1))
+        assert button.wait_for_push(5.0) == 1_000 * MS
+
+        def read_late() -> bool:
+            if wired.bench.clock.monotonic_ns() >= 1_115 * MS and line.is_active is not read:
+                line.is_active = read  # type: ignore[method-assign]
+                wired.bench.schedule_button(ButtonPress(wired.bench.clock.monotonic_ns() + 1, 0.2))
+                wired.bench.clock.sleep(0.001)
+            return read()
+
+        line.is_active = read_late  # type: ignore[method-assign]
+        first, second = button.wait_for_press(5.0), button.wait_for_press(5.0)
+    assert first is not None
+    assert second is not None
+    assert first.held_s == pytest.approx(0.1)
+    assert second.held_s == pytest.approx(0.2)
 
 
 def test_several_presses_that_nobody_waited_for_come_in_order(wired: Wired) -> None:

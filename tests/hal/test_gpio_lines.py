@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 gpiod = pytest.importorskip("gpiod", reason="libgpiod is not installed: pip install 'retrograph[device]'")
 
-from hal.errors import ButtonError, IndicatorError  # noqa: E402
+from hal.errors import ButtonError, DriverMissing, IndicatorError  # noqa: E402
 from hal.gpio_lines import Edge, GpiodInput, GpiodOutput  # noqa: E402
 
 
@@ -61,6 +62,30 @@ def test_a_line_that_fails_is_named() -> None:
     for read in (lambda: line.wait(0.0), line.edges, line.is_active):
         with pytest.raises(ButtonError, match=r"the button on line 17 cannot be read \(No such device\)"):
             read()
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        (
+            "def version_string():\n    return '1.6.3'\n",
+            r"version 1\.6\.3 and version 2 is needed: pip install 'gpiod>=2",
+        ),
+        ("class chip: ...\n", r"version 1 and version 2 is needed"),
+        ("raise ImportError('libgpiod.so.2: no such file')", r"cannot be imported \(libgpiod\.so\.2"),
+    ],
+)
+def test_a_library_of_version_1_or_a_broken_one_is_named(
+    source: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gpiod.py").write_text(source, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.split(".")[0] == "gpiod"]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(DriverMissing, match=told):
+        GpiodInput.open("pinctrl-rp1", 17, active_low=True)
+    with pytest.raises(DriverMissing, match=told):
+        GpiodOutput("pinctrl-rp1", 27).switch(True)
 
 
 def test_a_chip_that_is_not_there_lists_those_that_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

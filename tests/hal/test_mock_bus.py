@@ -110,6 +110,14 @@ def test_open_and_shorted_leds_are_flagged_while_driven(bus: MockBus) -> None:
     assert told[3] == {"result": {"3": "open", "9": "short"}}
 
 
+def test_open_leds_of_the_tlc59116_are_flagged_and_it_drives_on_as_before(bus: MockBus) -> None:
+    bus.order("open 96 3")
+    told = bus.talk("TLC59116", "start", "flags", "drive", "flags")
+    assert told[1] == {"result": {}}
+    assert told[3] == {"result": {"3": "open"}}
+    assert bus.order()["96"][0] == pytest.approx(4.95, abs=0.06)
+
+
 def test_the_gauge_is_read_high_byte_first(bus: MockBus) -> None:
     (told,) = bus.talk("PCA9955B", "gauge")
     assert told["result"] == pytest.approx([3700.0, 0.5], abs=0.1)

@@ -1,11 +1,14 @@
 """The camera driver over a likeness of picamera2: what is refused by name, what is restarted, what is never leaked."""
 
+import sys
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
 from hal.board_parts import LibcameraFacts
-from hal.camera_picamera2 import MOST_RESTARTS, PicameraCamera
+from hal.camera_picamera2 import STALLED_S, PicameraCamera
 from hal.errors import CameraError, DriverMissing, FrameTimeout
 from hal.frame import CameraSettings
 from hal.picamera_stack import load_picamera2
@@ -104,34 +107,62 @@ def test_no_memory_at_configure_says_what_to_give_it(wired: Wired) -> None:
     assert wired.cameras.opened == 0
 
 
-def test_a_stalled_pipeline_is_opened_again_and_keeps_its_settings(wired: Wired) -> None:
+def test_a_stalled_pipeline_is_opened_again_by_the_next_call_and_keeps_its_settings(wired: Wired) -> None:
     asked = CameraSettings(3_000.0, 2.0)
-    wired.cameras.faults.stalled_openings = MOST_RESTARTS
+    wired.cameras.faults.stalled_openings = 2
     with wired.hardware as hardware:
         hardware.camera.apply(asked)
+        with pytest.raises(FrameTimeout, match=r"delivered no frame within 1 s: check its ribbon"):
+            hardware.camera.next_frame(1.0)
+        with pytest.raises(FrameTimeout):
+            hardware.camera.aiming_view(1.0)
+        assert hardware.clock.monotonic_ns() == pytest.approx(2e9, rel=0.1)
         frame = hardware.camera.next_frame(1.0)
-        assert hardware.clock.monotonic_ns() == pytest.approx(MOST_RESTARTS * 1e9, rel=0.1)
     assert frame.granted.exposure_us == pytest.approx(asked.exposure_us, rel=0.02)
     assert frame.granted.analogue_gain == pytest.approx(asked.analogue_gain, rel=0.02)
 
 
-def test_a_camera_that_stays_stalled_is_named_and_works_when_it_is_well_again(wired: Wired) -> None:
+def test_asking_for_settings_opens_a_stalled_pipeline_before_any_light_is_on(wired: Wired) -> None:
     with wired.hardware as hardware:
         wired.bench.faults.camera_stalled = True
-        with pytest.raises(FrameTimeout, match="though it was restarted 2 times"):
+        with pytest.raises(FrameTimeout):
             hardware.camera.next_frame(0.5)
+        first = wired.cameras.openings
         wired.bench.faults.camera_stalled = False
+        hardware.camera.apply(hardware.profile.camera.settings)
+        assert wired.cameras.openings == first + 1
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
+        assert wired.cameras.openings == first + 1
+
+
+def test_impatience_is_no_stall(wired: Wired) -> None:
+    with wired.hardware as hardware:
+        for _ in range(5):
+            with pytest.raises(FrameTimeout):
+                hardware.camera.next_frame(0.2 * STALLED_S * 1e-3)
+            hardware.camera.next_frame(0.5)
+        assert wired.cameras.openings == 1
+
+
+def test_requests_that_complete_while_they_are_called_off_are_given_back(wired: Wired) -> None:
+    with wired.hardware as hardware:
+        for _ in range(5):
+            wired.cameras.faults.late_requests = 1
+            with pytest.raises(FrameTimeout):
+                hardware.camera.next_frame(0.3)
+            assert wired.cameras.held_requests == 0
+            assert hardware.camera.next_frame(0.3).shape == hardware.camera.shape
 
 
 def test_a_camera_that_is_unplugged_and_plugged_in_again(wired: Wired) -> None:
     with wired.hardware as hardware:
         hardware.camera.next_frame(0.5)
         wired.bench.faults.camera_missing = True
-        with pytest.raises(CameraError, match="is not there"):
+        with pytest.raises(FrameTimeout, match="delivered no frame within"):
             hardware.camera.next_frame(0.5)
-        with pytest.raises(CameraError, match="is not there"):
-            hardware.camera.next_frame(0.5)
+        for ask in (lambda: hardware.camera.next_frame(0.5), lambda: hardware.camera.apply(CameraSettings(1e3, 1.0))):
+            with pytest.raises(CameraError, match="is not there"):
+                ask()
         wired.bench.faults.camera_missing = False
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
 
@@ -181,6 +212,19 @@ def test_buffers_are_always_given_back(wired: Wired) -> None:
     assert wired.cameras.opened == 0
 
 
+def test_an_aiming_view_shows_the_whole_field(wired: Wired) -> None:
+    with wired.hardware as hardware:
+        hardware.lights.switch_on(hardware.profile.currents_ma)
+        hardware.clock.sleep(0.1)
+        frame, view = hardware.camera.next_frame(0.5), hardware.camera.aiming_view(0.5)
+    rows, columns = frame.shape
+    for row, column in ((0, 0), (-1, 0), (0, -1), (-1, -1)):
+        at = (row % view.shape[0] * rows // view.shape[0], column % view.shape[1] * columns // view.shape[1])
+        seen = view[row, column] / 255.0 * frame.white_level_dn
+        patch = frame.mosaic[max(at[0] - 3, 0) : at[0] + 4, max(at[1] - 3, 0) : at[1] + 4]
+        assert patch.min() - 20 <= seen <= patch.max() + 20
+
+
 def test_aiming_is_live_at_ten_views_a_second(wired: Wired) -> None:
     with wired.hardware as hardware:
         hardware.lights.switch_on(hardware.profile.currents_ma)
@@ -198,6 +242,59 @@ def test_a_control_that_the_camera_does_not_know_is_refused(wired: Wired) -> Non
     camera = PicameraCamera(profile.sensor, facts, profile.camera.settings, lambda: wired.cameras, wired.hardware.clock)
     with pytest.raises(CameraError, match="AfMode is not advertised"):
         camera.__enter__()
+
+
+def test_a_camera_manager_that_fails_is_told(wired: Wired) -> None:
+    wired.cameras.faults.unlisted = True
+    with (
+        pytest.raises(CameraError, match=r"libcamera cannot list the cameras \(failed to start.*ribbon"),
+        wired.hardware,
+    ):
+        pass
+    wired.cameras.faults.unlisted = False
+    with wired.hardware as hardware:
+        hardware.camera.next_frame(0.5)
+
+
+@pytest.mark.parametrize("call", ["configure", "start"])
+def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_is_opened(wired: Wired, call: str) -> None:
+    wired.cameras.faults.timed_out = call
+    with pytest.raises(CameraError, match="timed out") as told, wired.hardware:
+        pass
+    assert not isinstance(told.value, FrameTimeout)
+    assert wired.cameras.opened == 0
+
+
+@pytest.mark.parametrize("call", ["get_result", "cancel_all_and_flush"])
+def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_runs(wired: Wired, call: str) -> None:
+    with wired.hardware as hardware:
+        wired.cameras.faults.timed_out = call
+        wired.bench.faults.camera_stalled = call != "get_result"
+        with pytest.raises(CameraError, match="timed out"):
+            hardware.camera.next_frame(0.5)
+        wired.cameras.faults.timed_out, wired.bench.faults.camera_stalled = "", False
+        assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
+        assert wired.cameras.openings == 2
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [
+        ValueError("numpy.dtype size changed, may indicate binary incompatibility"),
+        ImportError("libcamera.so.0.5: cannot open shared object file"),
+        RuntimeError("module compiled against another ABI"),
+    ],
+)
+def test_a_picamera2_that_does_not_fit_its_surroundings_is_told(
+    failure: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "picamera2.py").write_text(f"raise {failure!r}\n", encoding="utf-8")
+    (tmp_path / "libcamera.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "picamera2", raising=False)
+    with pytest.raises(DriverMissing, match=r"installed and cannot be imported .*simplejpeg") as told:
+        load_picamera2()
+    assert str(failure) in str(told.value)
 
 
 def test_without_picamera2_its_installation_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

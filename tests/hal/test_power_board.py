@@ -54,11 +54,27 @@ def test_a_battery_plays_its_discharge(bench: Bench) -> None:
 def test_a_gauge_that_is_another_chip_or_none_is_named(bench: Bench) -> None:
     wired = wired_hardware(bench, "PCA9955B")
     wired.gauge.registers[0x08:0x0A] = [0xFF, 0xFF]
-    with pytest.raises(PowerError, match=r"version 0xffff, no MAX17048: check power\.fuel_gauge"):
-        wired.hardware.power.read()
+    wired.firmware.throttled = "50005"
+    (told,) = wired.hardware.power.read().complaints
+    assert "version 0xffff, no MAX17048: check power.fuel_gauge" in told
     wired.wire.faults.unplugged.add(GAUGE_AT)
-    with pytest.raises(PowerError, match="no chip answers at 0x36 on bus 1"):
-        wired.hardware.power.read()
+    reading = wired.hardware.power.read()
+    assert "no chip answers at 0x36 on bus 1" in reading.complaints[0]
+    assert (reading.under_voltage, reading.was_under_voltage, reading.battery_share) == (True, True, None)
+
+
+def test_a_silent_firmware_does_not_hide_the_battery(bench: Bench) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    wired.firmware.throttled = "VCHI initialization failed"
+    reading = wired.hardware.power.read()
+    assert (reading.under_voltage, reading.battery_share) == (None, 0.5)
+    assert "no number" in reading.complaints[0]
+
+
+def test_troubles_of_an_earlier_reading_are_kept_and_figures_are_the_later_ones() -> None:
+    sagged = PowerReading(under_voltage=True, was_under_voltage=None, battery_share=0.9, complaints=("a",))
+    later = PowerReading(under_voltage=False, throttled=False, battery_share=0.8, complaints=("b", "a"))
+    assert later.with_earlier(sagged) == PowerReading(True, None, False, None, 0.8, ("a", "b"))
 
 
 def test_a_board_without_any_of_it_measures_nothing() -> None:

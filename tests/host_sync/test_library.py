@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import resource
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -135,6 +136,32 @@ def test_an_index_that_cannot_be_written_is_held_in_memory(
     scan = publish_scan(store)
     (library.root / INDEX_FILE).mkdir()
     assert [hit.scan_id for hit in search(library, Query())] == [scan.scan_id]
+
+
+def test_an_index_for_which_there_is_no_room_is_held_in_memory(
+    store: BundleStore, library: Library, publish_scan: PublishScan
+) -> None:
+    scans = [publish_scan(store) for _ in range(40)]
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16_384, before[1]))
+    try:
+        found = [hit.scan_id for hit in search(library, Query())]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert found == [scan.scan_id for scan in scans]
+
+
+def test_what_a_record_says_never_moves_the_terminal(
+    store: BundleStore,
+    library: Library,
+    scan_record: Callable[..., ScanRecord],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    annotated(scan_record, store, job="\x1b]0;owned\x07\x1b[2J", part="a\nb\u202ec µ")
+    assert main(["search", "--library", str(library.root)]) == 0
+    said = capsys.readouterr().out
+    assert r"\x1b]0;owned\x07\x1b[2J  a\nb\u202ec µ" in said
+    assert said.count("\n") == 1
 
 
 def test_verifying_names_rot_copies_strangers_and_what_is_unfinished(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -19,8 +18,12 @@ from hal.errors import CameraError, FrameTimeout
 from hal.frame import CameraSettings, RawFrame
 from hal.twin.bench import Bench
 from hal.twin.camera import TwinCamera
+from hal.twin.wired.stack_faults import StackFaults
 
 STRIDE_BYTES: Final = 64
+HANDED_OVER_S: Final = 0.002
+"""How long the stack's own thread takes to hand a completed request over."""
+
 CONTROLS: Final = frozenset(
     {
         "AeEnable",
@@ -35,34 +38,6 @@ CONTROLS: Final = frozenset(
 )
 
 
-@dataclass(slots=True)
-class StackFaults:
-    """Switches of the camera stack, thrown at any time; the sensor's own are the bench's.
-
-    no_memory : the kernel has no contiguous memory when the camera is configured
-    in_use : another program holds the camera
-    raw_format : the format that is granted whatever is asked for
-    no_raw : the camera has no raw modes, as libcamera's virtual one: picamera2 stumbles over that as it opens it
-    no_raw_granted : no raw stream is granted
-    rows_lost : rows that are missing at the end of every raw buffer
-    stalled_openings : times that the opened camera delivers nothing until it is opened again
-    unmappable : buffers cannot be mapped
-    without : a key that is missing from the metadata
-    clock_offset_ns : the frames are stamped by another clock, this much ahead
-    """
-
-    no_memory: bool = False
-    in_use: bool = False
-    raw_format: str = ""
-    no_raw: bool = False
-    no_raw_granted: bool = False
-    rows_lost: int = 0
-    stalled_openings: int = 0
-    unmappable: bool = False
-    without: str = ""
-    clock_offset_ns: int = 0
-
-
 class CameraWire:
     """See `hal.picamera_stack.CameraStack`."""
 
@@ -71,11 +46,14 @@ class CameraWire:
         self.camera_id = camera_id
         self.faults = StackFaults()
         self.opened = 0
+        self.openings = 0
         self.held_requests = 0
         self.others: list[str] = []
 
     def global_camera_info(self) -> list[dict[str, Any]]:
         """The attached cameras."""
+        if self.faults.unlisted:
+            raise RuntimeError("failed to start camera manager: Input/output error")
         ids = self.others + ([] if self.bench.faults.camera_missing else [self.camera_id])
         return [{"Id": name, "Num": number, "Model": "imx", "Location": 2} for number, name in enumerate(ids)]
 
@@ -86,6 +64,7 @@ class CameraWire:
         if self.faults.in_use or self.opened:
             raise RuntimeError("Camera __init__ sequence did not complete.")
         self.opened += 1
+        self.openings += 1
         return WiredCamera(self, camera_num)
 
 
@@ -111,6 +90,7 @@ class WiredCamera:
         """Grant a configuration: sizes and formats as the stack has them."""
         if self.wire.faults.no_memory:
             raise OSError(12, "Cannot allocate memory")
+        self.wire.faults.check("configure")
         granted = {**configuration, "raw": dict(configuration["raw"])}
         columns, _ = granted["raw"]["size"]
         granted["raw"]["format"] = self.wire.faults.raw_format or configuration["raw"]["format"]
@@ -134,6 +114,7 @@ class WiredCamera:
 
     def start(self) -> None:
         """Begin to stream."""
+        self.wire.faults.check("start")
         self.sensor.__enter__()
 
     def capture_request(self, wait: bool) -> WiredJob:
@@ -149,6 +130,7 @@ class WiredCamera:
         for job in self.jobs:
             job.cancelled = True
         self.jobs.clear()
+        self.wire.faults.check("cancel_all_and_flush")
 
     def close(self) -> None:
         """Stop and release the camera."""
@@ -162,6 +144,7 @@ class WiredJob:
 
     def __init__(self, camera: WiredCamera) -> None:
         self._camera = camera
+        self._late: WiredRequest | None = None
         self.cancelled = False
 
     def get_result(self, timeout: float | None = None) -> WiredRequest:
@@ -170,6 +153,12 @@ class WiredJob:
             raise CancelledError
         camera = self._camera
         wait_s = 3600.0 if timeout is None else timeout
+        if self._late is not None:
+            if wait_s < HANDED_OVER_S:
+                raise TimeoutError
+            camera.wire.bench.clock.sleep(HANDED_OVER_S)
+            return self._late
+        camera.wire.faults.check("get_result")
         if camera.stalled or camera.held >= camera.configuration["buffer_count"]:
             camera.wire.bench.clock.sleep(wait_s)
             raise TimeoutError
@@ -181,7 +170,12 @@ class WiredJob:
             camera.wire.bench.clock.sleep(wait_s)
             raise TimeoutError from None
         camera.jobs.remove(self)
-        return WiredRequest(camera, frame)
+        request = WiredRequest(camera, frame)
+        if camera.wire.faults.late_requests:
+            camera.wire.faults.late_requests -= 1
+            self._late = request
+            raise TimeoutError
+        return request
 
 
 class WiredRequest:
@@ -224,7 +218,11 @@ class WiredRequest:
         stride = -(-columns // STRIDE_BYTES) * STRIDE_BYTES
         picture = np.full((rows * 3 // 2, stride), 128, np.uint8)
         height, width = self._frame.shape
-        grey = self._frame.mosaic[np.ix_(np.arange(rows) * height // rows, np.arange(columns) * width // columns)]
+        # As libcamera has it: a picture of other proportions shows the middle of the field and loses what is beside.
+        shown = min(height / rows, width / columns)
+        top, left = (height - shown * rows) / 2.0, (width - shown * columns) / 2.0
+        at = (np.arange(size) * shown + first for size, first in ((rows, top), (columns, left)))
+        grey = self._frame.mosaic[np.ix_(*(places.astype(int) for places in at))]
         picture[:rows, :columns] = np.clip(grey * (255.0 / self._frame.white_level_dn), 0.0, 255.0)
         return picture
 

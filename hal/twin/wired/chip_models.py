@@ -16,8 +16,9 @@ class LedDriverModel(RegisterChip):
         super().power_cycle()
 
     def currents_ma(self) -> list[float]:
-        """Mean current (mA) through each of the 16 LEDs."""
-        return [0.0 if n in self.open_channels or self.hot else current for n, current in enumerate(self.driven_ma())]
+        """Mean current (mA) through each of the 16 LEDs: none flows where one is missing, or bridged by a short."""
+        dead = self.open_channels | self.shorted_channels
+        return [0.0 if n in dead or self.hot else current for n, current in enumerate(self.driven_ma())]
 
     def driven_ma(self) -> list[float]:
         """Mean current (mA) that each output would carry if an LED were there."""
@@ -74,7 +75,7 @@ class Pca9955bModel(LedDriverModel):
 
 
 class Tlc59116Model(LedDriverModel):
-    """TLC59116 with 1 kΩ at REXT: asleep after power-on, one current for all, open circuits in EFLAG1 and 2."""
+    """TLC59116 with 1 kΩ at REXT: asleep after power-on, one current for all, open circuits as 0 in EFLAG1 and 2."""
 
     def __init__(self) -> None:
         power_on = {0x00: 0x11, 0x12: 0xFF, 0x18: 0xD2, 0x19: 0xD4, 0x1A: 0xD8, 0x1B: 0xD0, 0x1C: 0xFF}
@@ -93,14 +94,17 @@ class Tlc59116Model(LedDriverModel):
         return [full_ma * (0.0, 1.0, duty, duty * group)[state] for state, duty in zip(states, duties, strict=True)]
 
     def shown(self, register: int) -> int:
-        """EFLAG1 and 2 show a bit a driven channel whose circuit is open, unless MODE2 bit 7 holds them cleared."""
-        if register in (0x1D, 0x1E):
-            if self.registers[0x01] & 0x80:
-                return 0
-            first = 8 * (register - 0x1D)
-            driven = self.driven_ma()
-            return sum(1 << n for n in range(8) if driven[first + n] and (self.hot or first + n in self.open_channels))
-        return super().shown(register)
+        """EFLAG1 and 2 (SLDS223A, tables 1 and 2): 1 is normal, and seen only where a channel is fully on.
+
+        MODE2 bit 7 holds over-temperature cleared, which hides it.
+        """
+        if register not in (0x1D, 0x1E):
+            return super().shown(register)
+        states = output_states(self.registers[0x14:0x18])
+        hot = self.hot and not self.registers[0x01] & 0x80
+        first = 8 * (register - 0x1D)
+        sound = [states[n] == 0b01 and n not in self.open_channels and not hot for n in range(first, first + 8)]
+        return sum(1 << n for n, well in enumerate(sound) if well)
 
 
 class Max17048Model(RegisterChip):

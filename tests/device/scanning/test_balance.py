@@ -7,7 +7,7 @@ import pytest
 
 from device.errors import CalibrationError
 from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, channel_levels
-from device.scanning.balance import AIMED_LEVEL, balance, warning
+from device.scanning.balance import AIMED_LEVEL, FEWEST_STEPS, balance, warning
 from device.scanning.calibrate import press_places
 from device.scanning.capture import capture
 from hal.board_profile import BoardProfile
@@ -66,10 +66,25 @@ def test_every_ball_press_of_the_field_stays_below_the_limit(
     assert found.predicted == pytest.approx((AIMED_LEVEL,) * 3, rel=0.03)
 
 
+def test_an_exposure_is_never_so_short_that_its_steps_are_coarse(bench: Bench) -> None:
+    short = unbalanced(bench, (1.0, 1.0, 1.0), 0.2)
+    sensor = msgspec.structs.replace(short.profile.sensor, exposure_step_us=28.5714)
+    world = build(msgspec.structs.replace(short.profile, sensor=sensor), bench.clock)
+    hardware = twin_hardware(world)
+    with hardware:
+        found = balance(hardware, BALL_RADIUS_MM, lambda _: None)
+        granted = capture(hardware, found.plan).granted
+    assert found.plan.settings.exposure_us == pytest.approx(FEWEST_STEPS * sensor.exposure_step_us)
+    assert granted.exposure_us == pytest.approx(found.plan.settings.exposure_us, rel=1.0 / FEWEST_STEPS)
+
+
 def test_a_light_that_is_not_seen_is_named(bench: Bench) -> None:
     bench.faults.open_lights.add("blue")
     hardware = twin_hardware(bench)
-    with hardware, pytest.raises(CalibrationError, match=r"light blue is hardly seen: run `retroscan selftest`"):
+    with (
+        hardware,
+        pytest.raises(CalibrationError, match=r"light blue is hardly seen \(the driver says open\): run `retro"),
+    ):
         balance(hardware, BALL_RADIUS_MM, lambda _: None)
 
 

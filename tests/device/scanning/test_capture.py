@@ -5,12 +5,16 @@ import msgspec
 import pytest
 
 from device.errors import FrameError, FrameNotProven
-from device.scanning.capture import MOST_FRAMES, CapturePlan, capture
+from device.fingerprint import Fingerprint
+from device.scanning.capture import MOST_FRAMES, MOST_RESTARTS, CapturePlan, capture, take
+from device.settings_record import SettingsRecord
 from hal.errors import FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
+from hal.interfaces import LightFault
 from hal.twin.bench import Bench
-from hal.twin.wired.hardware import wired_hardware
+from hal.twin.hardware import twin_hardware
+from hal.twin.wired.hardware import Chip, wired_hardware
 
 
 def test_the_frame_shows_what_was_asked_and_began_in_steady_light(hardware: Hardware, bench: Bench) -> None:
@@ -47,6 +51,82 @@ def test_a_stalled_camera_leaves_the_lights_dark(hardware: Hardware, bench: Benc
         with pytest.raises(FrameTimeout):
             capture(hardware, CapturePlan.of_board(hardware))
         assert not any(bench.currents_ma.values())
+
+
+def test_a_stalled_camera_is_opened_anew_in_the_dark_and_the_capture_goes_on(bench: Bench) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    lit_at_opening: list[bool] = []
+    opened = wired.cameras.__class__.__call__
+
+    class Watched(wired.cameras.__class__):  # type: ignore[misc, name-defined]
+        def __call__(self, camera_num: int) -> object:
+            lit_at_opening.append(any(wired.leds.currents_ma()))
+            return opened(self, camera_num)
+
+    wired.cameras.__class__ = Watched
+    wired.cameras.faults.stalled_openings = MOST_RESTARTS
+    with wired.hardware as hardware:
+        frame = capture(hardware, CapturePlan.of_board(hardware))
+        assert frame.mosaic.mean() > frame.black_level_dn + 100
+        assert lit_at_opening == [False] * (1 + MOST_RESTARTS)
+        assert not any(wired.leds.currents_ma())
+        wired.bench.faults.camera_stalled = True
+        with pytest.raises(FrameTimeout, match=f"though it was restarted {MOST_RESTARTS} times: check its ribbon"):
+            capture(hardware, CapturePlan.of_board(hardware))
+    assert not any(lit_at_opening)
+
+
+@pytest.mark.parametrize("driver", ["twin", "PCA9955B"])
+def test_a_calibrations_plan_is_granted_the_same_exposure_as_often_as_it_is_asked(bench: Bench, driver: str) -> None:
+    board = twin_hardware(bench) if driver == "twin" else wired_hardware(bench, "PCA9955B").hardware
+    with board as hardware:
+        plan = CapturePlan.of_board(hardware)
+        reference = capture(hardware, plan)
+        fingerprint = Fingerprint.of(hardware.profile, reference.granted, plan.currents_ma)
+        for asked in (SettingsRecord.of(plan.settings), None):
+            again = CapturePlan.of_calibration(hardware, fingerprint, asked)
+            for _ in range(3):
+                assert capture(hardware, again).granted == reference.granted
+
+
+def test_a_frame_one_step_off_the_calibration_is_not_taken(hardware: Hardware, bench: Bench) -> None:
+    with hardware:
+        plan = CapturePlan.of_board(hardware)
+        granted = capture(hardware, plan).granted
+        step_us = bench.profile.sensor.exposure_step_us
+        for off in (-step_us, step_us):
+            other = CameraSettings(granted.exposure_us + off, granted.analogue_gain)
+            with pytest.raises(FrameNotProven, match=f"showed exposure {other.exposure_us:g} µs"):
+                capture(hardware, dataclasses.replace(plan, granted=other))
+        louder = CameraSettings(granted.exposure_us, 1.01 * granted.analogue_gain)
+        with pytest.raises(FrameNotProven):
+            capture(hardware, dataclasses.replace(plan, granted=louder))
+
+
+@pytest.mark.parametrize("chip", ["PCA9955B", "TLC59116"])
+def test_what_the_driver_says_while_the_lights_shine_comes_with_the_frame(bench: Bench, chip: Chip) -> None:
+    wired = wired_hardware(bench, chip)
+    with wired.hardware as hardware:
+        plan = CapturePlan.of_board(hardware)
+        assert take(hardware, plan).light_faults == ()
+        wired.leds.open_channels.add(4)
+        assert take(hardware, plan).light_faults == (LightFault("green", "open"),)
+        wired.leds.open_channels.clear()
+        assert take(hardware, plan).light_faults == ()
+        assert not any(wired.leds.currents_ma())
+
+
+def test_a_driver_that_cannot_be_asked_for_faults_costs_no_frame(bench: Bench) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    with wired.hardware as hardware:
+
+        def mute() -> tuple[LightFault, ...]:
+            raise LightError("silent")
+
+        hardware.lights.faults = mute  # type: ignore[method-assign]
+        shot = take(hardware, CapturePlan.of_board(hardware))
+        assert shot.light_faults is None
+        assert shot.frame.mosaic.mean() > shot.frame.black_level_dn + 100
 
 
 @pytest.mark.parametrize(

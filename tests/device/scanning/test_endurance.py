@@ -5,8 +5,9 @@
 
 import resource
 import shutil
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from device.scanning.scanner import Scanner
 from hal.errors import HalError
 from hal.interfaces import LiftOff
 from hal.twin.bench import Bench
-from hal.twin.wired.hardware import LIGHTS_AT, Wired, wired_hardware
+from hal.twin.wired.hardware import GAUGE_AT, LIGHTS_AT, Wired, wired_hardware
 
 FAULT_SHARE = 0.05
 
@@ -37,12 +38,37 @@ def _set(thing: object, name: str, value: object, well: object) -> Callable[[], 
     return lambda: setattr(thing, name, well)
 
 
+def _lose_the_chip_while_lit(wired: Wired) -> Callable[[], None]:
+    lights = wired.hardware.lights
+    switch_on = lights.switch_on
+
+    def switch_on_and_lose_the_chip(currents_ma: Mapping[str, float]) -> None:
+        switch_on(currents_ma)
+        wired.wire.faults.unplugged = {LIGHTS_AT}
+
+    lights.switch_on = switch_on_and_lose_the_chip  # type: ignore[method-assign]
+
+    def mend() -> None:
+        lights.switch_on = switch_on  # type: ignore[method-assign]
+        wired.wire.faults.unplugged = set()
+        lights.dark()  # as `watch` does every second
+
+    return mend
+
+
 def break_something(wired: Wired, dice: np.random.Generator) -> tuple[bool, Callable[[], None]]:
     """Whether the press must fail, and how to mend it."""
     bus, cameras, world = wired.wire.faults, wired.cameras.faults, wired.bench.faults
     faults: list[tuple[bool, Callable[[], Callable[[], None]]]] = [
         (False, lambda: _set(bus, "refused", 2, 0)),
         (False, lambda: _set(wired.firmware, "throttled", "50005", "0")),
+        (False, lambda: _set(bus, "unplugged", {GAUGE_AT}, set())),
+        (False, lambda: _set(wired.leds, "open_channels", {4}, set())),
+        (False, lambda: _set(wired.leds, "shorted_channels", {0, 1}, set())),
+        (False, lambda: _set(cameras, "late_requests", 1, 0)),
+        (False, lambda: _set(cameras, "stalled_openings", 1, 0)),
+        (True, lambda: _lose_the_chip_while_lit(wired)),
+        (True, lambda: _set(cameras, "timed_out", "get_result", "")),
         (True, lambda: _set(bus, "unplugged", {LIGHTS_AT}, set())),
         (True, lambda: _set(bus, "stuck", True, False)),
         (True, lambda: _set(bus, "gone", True, False)),
@@ -66,7 +92,7 @@ def press_for_a_while(wired: Wired, store: BundleStore, presses: int) -> tuple[i
         for _ in range(presses):
             must_fail, mend = break_something(wired, dice) if dice.random() < FAULT_SHARE else (False, lambda: None)
             hardware.operator.ask(LiftOff())
-            assert hardware.button.wait_for_press(10.0) is not None
+            assert hardware.button.wait_for_push(10.0) is not None
             try:
                 bundle = scanner.scan(Annotations()).bundle
             except (DeviceError, HalError):
@@ -97,7 +123,11 @@ def test_every_good_press_is_published_once_and_nothing_leaks(
     before = (open_files(), threading.active_count())
     before_mb = resident_mb()
     good, failed = press_for_a_while(wired, calibrated, presses)
+    grown_mb = resident_mb() - before_mb
+    after = (open_files(), threading.active_count())
+    figures = f"{good} published, {failed} failed; open files and threads {before} -> {after}; {grown_mb:+.1f} MB\n"
+    sys.stdout.write(figures)  # shown with -rP
     assert good + failed == presses
     assert 0 < failed < 0.1 * presses
-    assert (open_files(), threading.active_count()) == before
-    assert resident_mb() - before_mb < most_growth_mb
+    assert after == before
+    assert grown_mb < most_growth_mb

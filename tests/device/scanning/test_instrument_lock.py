@@ -37,7 +37,7 @@ def test_a_second_one_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InstrumentBusy, match="cannot be locked"), instrument_lock(tmp_path / "no" / "lock"):
+    with pytest.raises(InstrumentBusy, match="run this as its own user"), instrument_lock(tmp_path / "no" / "lock"):
         pass
 
 

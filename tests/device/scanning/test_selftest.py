@@ -43,6 +43,10 @@ def open_green(wired: Wired) -> None:
     wired.leds.open_channels.update({4, 5})
 
 
+def short_green(wired: Wired) -> None:
+    wired.leds.shorted_channels.update({4, 5})
+
+
 def hold_button(wired: Wired) -> None:
     wired.line.held_down = True
 
@@ -64,6 +68,11 @@ def break_gauge(wired: Wired) -> None:
     [
         (unplug, "light driver", "no chip answers at 0x15 on bus 1: .*check SDA/SCL on pins 3 and 5"),
         (open_green, "light green", "is not seen by the camera; the driver says open: .* channels 4, 5"),
+        (
+            short_green,
+            "light green",
+            "is not seen by the camera; the driver (says short|reports no fault): .* channels 4, 5",
+        ),
         (hold_button, "button", "is held down, or its line is shorted"),
         (tear_camera, "camera", "imx296@1a is not there: .*ribbon cable"),
         (sag, "power", "the supply is too low now"),

@@ -111,15 +111,15 @@ def test_the_work_loop_itself_feeds_the_watchdog(
     bench.schedule_button(ButtonPress(began_ns + 50_000_000_000, 0.1))
     scans = []
     waits = []
-    wait = hardware.button.wait_for_press
+    wait = hardware.button.wait_for_push
 
-    def wait_or_end(timeout_s: float | None) -> ButtonPress | None:
+    def wait_or_end(timeout_s: float | None) -> int | None:
         waits.append(timeout_s)
         if clock.monotonic_ns() - began_ns > 100e9:
             raise ButtonError("the line is gone")
         return wait(timeout_s)
 
-    hardware.button.wait_for_press = wait_or_end  # type: ignore[method-assign]
+    hardware.button.wait_for_push = wait_or_end  # type: ignore[method-assign]
     with hardware, pytest.raises(ButtonError):
         watch(hardware, calibrated, Annotations(), scans.append, print, lambda _line: None, supervisor)
     told = messages(heard)

@@ -1,16 +1,19 @@
 """Scanning at every push on the real drivers: cues, long pushes, pushes while busy, faults and what follows them."""
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 
 from device.bundle_store import BundleStore
 from device.scan_bundle import Annotations
 from device.scanning.scanner import ScanOutcome
+from device.scanning.selftest import selftest
 from device.scanning.supervision import Supervisor
 from device.scanning.watching import watch
-from hal.errors import ButtonError
+from hal.errors import ButtonError, IndicatorError
 from hal.interfaces import ButtonPress
+from hal.rhythm_indicator import RhythmIndicator
 from hal.twin.bench import Bench
 from hal.twin.wired.gpio_wire import Edge
 from hal.twin.wired.hardware import LIGHTS_AT, SPARE_CHANNEL, Wired, wired_hardware
@@ -70,8 +73,30 @@ def test_every_push_is_one_scan_with_its_cues(watched: Watched) -> None:
     assert shown == ["idle", "busy", "may lift", "doubtful", "busy", "may lift", "doubtful"]
 
 
+@pytest.mark.parametrize("held_s", [0.03, 0.5, 1.8])
+def test_cue_and_frame_follow_the_push_and_not_the_release(watched: Watched, held_s: float) -> None:
+    clock = watched.wired.bench.clock
+    shown: dict[str, int] = {}
+    show = watched.wired.hardware.indicator.show
+    watched.wired.hardware.indicator.show = lambda cue: (  # type: ignore[method-assign]
+        shown.setdefault(cue, clock.monotonic_ns()),
+        show(cue),
+    )[1]
+    watched.push(1.0, held_s)
+    pushed_ns = clock.monotonic_ns() + SECOND
+    watched.run()
+    assert 0 < shown["busy"] - pushed_ns <= 0.1 * SECOND
+    assert shown["may lift"] - pushed_ns <= 0.5 * SECOND
+    assert len(watched.outcomes) == 1
+
+
 def test_a_long_push_tells_the_state_and_does_not_scan(watched: Watched) -> None:
     watched.push(1.0, held_s=2.5)
+    watched.push(9.0)
+    watched.run()
+    assert len(watched.outcomes) == len(watched.store.scans().bundles) == 1
+    watched.outcomes.clear()
+    watched.push(1.0, held_s=12.0)
     watched.run()
     assert watched.outcomes == []
     assert "Held 2 s, no scan. Room for" in watched.said[-1]
@@ -147,6 +172,56 @@ def test_a_fault_is_told_nothing_is_published_and_the_next_push_scans(
     assert len(watched.outcomes) == 1
     assert len(watched.store.scans().bundles) == 1
     assert watched.wired.bench.clock.monotonic_ns() < 120 * SECOND
+
+
+def test_lights_that_could_not_be_switched_off_are_dark_a_second_after_the_bus_is_back(watched: Watched) -> None:
+    wired = watched.wired
+    clock, lights = wired.bench.clock, wired.hardware.lights
+    switch_on, wait = lights.switch_on, wired.line.wait
+    back_ns: list[int] = []
+    dark_ns: list[int] = []
+
+    def switch_on_and_lose_the_chip(currents_ma: Mapping[str, float]) -> None:
+        switch_on(currents_ma)
+        wired.wire.faults.unplugged.add(LIGHTS_AT)
+        lights.switch_on = switch_on  # type: ignore[method-assign]
+
+    def wait_and_look(timeout_s: float | None) -> bool:
+        now_ns = clock.monotonic_ns()
+        if back_ns and not dark_ns and now_ns >= back_ns[0]:
+            wired.wire.faults.unplugged.clear()
+        lit = any(wired.leds.currents_ma())
+        if back_ns and not lit and not dark_ns:
+            dark_ns.append(now_ns)
+        return wait(timeout_s)
+
+    lights.switch_on = switch_on_and_lose_the_chip  # type: ignore[method-assign]
+    wired.line.wait = wait_and_look  # type: ignore[method-assign]
+    watched.then = lambda: back_ns.append(clock.monotonic_ns() + 5 * SECOND)
+    watched.push(1.0)
+    watched.run()
+    assert "switching all channels off" in watched.said[-1]
+    assert 0 <= dark_ns[0] - back_ns[0] <= 1.1 * SECOND
+    assert watched.outcomes == []
+
+
+def test_a_failing_indicator_costs_no_scan_and_does_not_keep_the_instrument_from_starting(
+    bench: Bench, calibrated: BundleStore
+) -> None:
+    def fail(_on: bool) -> None:
+        raise IndicatorError("the indicator on line 27 cannot be driven")
+
+    wired = wired_hardware(bench, "PCA9955B")
+    broken = RhythmIndicator(fail, lambda: fail(False), wired.bench.clock)
+    board = dataclasses.replace(wired, hardware=dataclasses.replace(wired.hardware, indicator=broken))
+    watched = Watched(board, calibrated)
+    with board.hardware:
+        watched.push(1.0)
+        watched.run()
+    assert len(watched.outcomes) == 1
+    assert not any(wired.leds.currents_ma())
+    blamed = [finding.part for finding in selftest(board.hardware) if finding.state == "failed"]
+    assert blamed == ["indicator"]
 
 
 def test_chatter_on_the_line_scans_nothing(watched: Watched) -> None:

@@ -22,6 +22,30 @@ def test_a_request_is_answered_by_one_press(driver: Hardware) -> None:
         assert driver.button.wait_for_press(1.0) is None
 
 
+def test_a_push_is_told_while_the_button_is_down_and_within_a_tenth_of_a_second(driver: Hardware) -> None:
+    with driver:
+        driver.operator.ask(LiftOff())
+        began_ns = driver.button.wait_for_push(None)
+        assert began_ns is not None
+        assert 0 <= driver.clock.monotonic_ns() - began_ns <= 100_000_000
+        assert driver.button.is_down()
+        press = driver.button.wait_for_press(10.0)
+        assert press is not None
+        assert press.began_ns == began_ns
+        assert driver.button.wait_for_push(1.0) is None
+
+
+def test_a_push_that_was_told_is_no_push_while_busy(driver: Hardware) -> None:
+    with driver:
+        driver.operator.ask(LiftOff())
+        assert driver.button.wait_for_push(0.01) is None
+        assert driver.button.wait_for_push(10.0) is not None
+        assert driver.button.forget_presses() == 0
+        assert driver.button.wait_for_press(1.0) is None
+        driver.operator.ask(LiftOff())
+        assert driver.button.wait_for_push(10.0) is not None
+
+
 def test_a_short_wait_does_not_swallow_the_press(driver: Hardware) -> None:
     with driver:
         driver.operator.ask(LiftOff())

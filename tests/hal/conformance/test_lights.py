@@ -54,6 +54,14 @@ def test_healthy_lights_report_no_faults(driver: Hardware) -> None:
         assert driver.lights.faults() == ()
 
 
+def test_looking_for_faults_of_lights_that_shine_finds_none_and_leaves_them_as_they_were(driver: Hardware) -> None:
+    with driver:
+        driver.lights.switch_on(driver.profile.currents_ma)
+        before = brightness(driver)
+        assert driver.lights.faults() == ()
+        assert abs(brightness(driver) - before) < 0.01 * before
+
+
 def test_what_is_granted_is_near_what_is_asked_and_within_reach(driver: Hardware) -> None:
     lights = driver.lights
     granted = lights.granted_ma(driver.profile.currents_ma)

@@ -1,5 +1,7 @@
 """What the twin's devices promise beyond the Protocols: late controls, faults on demand, virtual time."""
 
+from itertools import pairwise
+
 import msgspec
 import numpy as np
 import pytest
@@ -26,6 +28,21 @@ def test_controls_arrive_frames_late_and_close_but_not_equal(hardware: Hardware,
     assert granted[-1] != ASKED
     assert granted[-1].exposure_us == pytest.approx(ASKED.exposure_us, rel=0.01)
     assert granted[-1].analogue_gain == pytest.approx(ASKED.analogue_gain, rel=0.01)
+
+
+def test_exposures_are_cut_to_whole_steps_and_what_was_granted_loses_another_when_it_is_asked_again(
+    hardware: Hardware, bench: Bench
+) -> None:
+    step_us = bench.profile.sensor.exposure_step_us
+    asked_us = [2_000.0]
+    for _ in range(3):
+        hardware.camera.apply(CameraSettings(asked_us[-1], 1.0))
+        with hardware:
+            asked_us.append(hardware.camera.next_frame(1.0).granted.exposure_us)
+    assert all(granted_us == int(granted_us) for granted_us in asked_us)
+    assert asked_us[0] - step_us < asked_us[1] <= asked_us[0]
+    for granted_us, again_us in pairwise(asked_us[1:]):
+        assert granted_us - again_us == pytest.approx(step_us, abs=1.0)
 
 
 def test_metadata_states_what_the_pixels_show(hardware: Hardware) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from device.bundle_store import BundleStore
 from host_sync.__main__ import main
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState
 
 
 @pytest.fixture(autouse=True)
@@ -46,6 +48,28 @@ def test_an_empty_library_is_no_name(store: BundleStore, capsys: pytest.CaptureF
 def test_status_without_devices_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["status"]) == 0
     assert "retrosync pair" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "words"),
+    [
+        (None, "its clock was not seen"),
+        (-1.4, "its clock was right"),
+        (90.0, "its clock was 90 s ahead"),
+        (-1_795_000_000.0, "its clock was 57 years behind"),
+        (7200.0, "its clock was 2 hours ahead"),
+    ],
+)
+def test_the_devices_clock_is_told_in_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_s: float | None, words: str
+) -> None:
+    devices = PairedDevices(tmp_path / "config" / "retrograph")
+    key = "ssh-ed25519 " + "A" * 68
+    devices.save(PairedDevice(device_id="rg1", host="bench.local", port=22, user="retrosync", host_key=key))
+    seen = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+    devices.save_sync_state(SyncState(device_id="rg1", synced=seen, clock_offset_s=offset_s, verified=41, failed=0))
+    assert main(["status"]) == 0
+    assert f"synced 2026-11-21 12:00 UTC: 41 verified, 0 failed; {words}\n" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

@@ -20,12 +20,11 @@ import pytest
 
 from device.bundle_store import BundleStore
 from host_sync.offload.paired_devices import PairedDevice
-from host_sync.offload.sftp_link import Patience, SftpLink
+from host_sync.offload.sftp_link import SftpLink
+from host_sync.offload.ssh_session import Patience
 
 SSHD = shutil.which("sshd") or shutil.which("sshd", path="/usr/sbin:/usr/local/sbin")
 BRISK = Patience(keepalive_s=0.5, unanswered=2, give_up_s=5.0, retry_s=0.01)
-
-needs_sshd = pytest.mark.skipif(SSHD is None, reason="OpenSSH's sshd is not installed")
 
 
 @dataclass
@@ -94,7 +93,7 @@ def confinement() -> Callable[[Path], str]:
 def server(tmp_path: Path, store: BundleStore, confinement: Callable[[Path], str]) -> Iterator[Server]:
     """The store of the fixture `store`, served; nothing but SFTP, nobody but one key."""
     if SSHD is None:
-        pytest.skip("OpenSSH's sshd is not installed")
+        pytest.skip("OpenSSH's sshd is not installed: `make test-deps`")
     if os.geteuid() == 0:
         Path("/run/sshd").mkdir(exist_ok=True)
     folder = tmp_path / "sshd"
@@ -128,6 +127,7 @@ class Proxy:
     def __init__(self, server_port: int) -> None:
         self.harms: deque[tuple[Harm, int]] = deque()
         self.bytes_per_s: float | None = None
+        self.upward_bytes_per_s: float | None = None
         self.served_bytes = 0
         self.connections = 0
         self.milestone_bytes = 0
@@ -176,6 +176,8 @@ class Proxy:
         with suppress(OSError):
             while block := client.recv(16384):
                 server.sendall(block)
+                if self.upward_bytes_per_s:
+                    self._ended.wait(len(block) / self.upward_bytes_per_s)
         self._hang_up(client, server)
 
     def _downwards(self, server: socket.socket, client: socket.socket, harm: tuple[Harm, int] | None) -> None:

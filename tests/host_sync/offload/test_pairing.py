@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import io
 import socket
 import threading
 from collections.abc import Iterator
@@ -16,13 +18,17 @@ import pytest
 from device.bundle_store import BundleStore
 from device.errors import PairingRefused, RecordError
 from device.pairing.authorized_keys import authorize, read_host_key
-from device.pairing.window import wait_for_host
+from device.pairing.opening import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
+from device.pairing.window import PairingWindow
 from device.pairing_card import leave_device_card, take_host_cards
-from device.pairing_exchange import DeviceCard, HostCard
+from device.pairing_channel import PairingChannel
+from device.pairing_exchange import DeviceCard, Element, Exchange, HostCard
+from hal.clock import VirtualClock
 from host_sync.__main__ import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
 from host_sync.offload import pairing
-from host_sync.offload.paired_devices import PairedDevices
+from host_sync.offload.opening import Address
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 
 
 @pytest.fixture
@@ -37,30 +43,23 @@ def device_card() -> DeviceCard:
 
 
 @contextmanager
-def window(card: DeviceCard, keys: Path, code: str) -> Iterator[tuple[int, list[Any]]]:
-    """A device's open window: its port, and what became of it when it is closed."""
+def window(card: DeviceCard, keys: Path, clock: VirtualClock | None = None) -> Iterator[tuple[int, PairingWindow]]:
+    """A device's open window and its port."""
     listening = socket.create_server(("127.0.0.1", 0))
-    outcome: list[Any] = []
-
-    def wait() -> None:
-        try:
-            outcome.append(wait_for_host(listening, code, card, lambda host: authorize(keys, host), window_s=20.0))
-        except PairingRefused as error:
-            outcome.append(error)
-
-    thread = threading.Thread(target=wait)
-    thread.start()
-    yield listening.getsockname()[1], outcome
-    thread.join()
+    with PairingWindow(listening, card, lambda host: authorize(keys, host), clock or VirtualClock()) as opened:
+        yield listening.getsockname()[1], opened
 
 
 def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     keys = tmp_path / "pairing" / "authorized_keys"
     own = pairing.own_card(devices, "my bench!")
-    with window(device_card, keys, "12345678") as (port, outcome):
-        device = pairing.pair_over_network("127.0.0.1", port, "1234 5678", own)
+    with window(device_card, keys) as (port, opened):
+        assert (opened.outcome, opened.seconds_left) == (None, 120.0)
+        device = pairing.pair_over_network("127.0.0.1", port, opened.code_to_show, own)
         pairing.keep(devices, device, replace=False)
-    assert outcome[0].public_key == own.public_key
+        assert opened.wait().public_key == own.public_key
+    assert opened.outcome is not None
+    assert (opened.outcome.sentence, opened.seconds_left) == ("paired with my-bench-", 0.0)
     assert keys.read_text() == f"restrict {own.public_key} my-bench-\n"
     assert devices.all() == [device]
     assert (device.device_id, device.host_key, device.host) == (
@@ -82,8 +81,8 @@ def test_after_pairing_and_not_before_scans_can_be_fetched(
     keys.unlink()
     card = DeviceCard(device_id=store.device_id, user=server.device().user, port=server.port, host_key=server.host_key)
     assert main(["pull", store.device_id, *library]) == 2
-    with window(card, keys, "12345678") as (port, _):
-        assert main(["pair", "127.0.0.1", "--port", str(port), "--code", "1234 5678"]) == 0
+    with window(card, keys) as (port, opened):
+        assert main(["pair", "127.0.0.1", "--port", str(port), "--code", opened.code]) == 0
     assert main(["pull", store.device_id, *library]) == 0
     keys.unlink()
     assert main(["pull", store.device_id, *library]) == 3
@@ -92,22 +91,84 @@ def test_after_pairing_and_not_before_scans_can_be_fetched(
 def test_three_wrong_codes_close_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     keys = tmp_path / "authorized_keys"
     own = pairing.own_card(devices, "bench")
-    with window(device_card, keys, "12345678") as (port, outcome):
+    with window(device_card, keys) as (port, opened):
+        wrong = "".join(str(9 - int(digit)) for digit in opened.code)
         with socket.create_connection(("127.0.0.1", port)) as nonsense:
             nonsense.sendall(b"GET / HTTP/1.1\r\n\r\n")
         for _ in range(3):
             with pytest.raises(PairingError, match="the code may be wrong"):
-                pairing.pair_over_network("127.0.0.1", port, "00000000", own)
-    assert isinstance(outcome[0], PairingRefused)
+                pairing.pair_over_network("127.0.0.1", port, wrong, own)
+        with pytest.raises(PairingRefused, match="wrong 3 times"):
+            opened.wait()
     assert not keys.exists()
     assert devices.all() == []
 
 
-def test_nobody_coming_closes_the_window(device_card: DeviceCard) -> None:
-    listening = socket.create_server(("127.0.0.1", 0))
-    with pytest.raises(PairingRefused, match="no workstation came"):
-        wait_for_host(listening, "1", device_card, lambda _: None, window_s=0.0)
-    assert listening.fileno() == -1
+def test_nobody_coming_closes_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with window(device_card, tmp_path / "keys", clock) as (port, opened):
+        clock.sleep(119.0)
+        assert (opened.seconds_left, opened.outcome) == (1.0, None)
+        clock.sleep(1.0)
+        assert opened.outcome is not None
+        assert (opened.seconds_left, opened.outcome.host) == (0.0, None)
+        with pytest.raises(PairingRefused, match="no workstation came"):
+            opened.wait()
+        with pytest.raises(SourceError, match="no device waits there"):
+            pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+    assert not (tmp_path / "keys").exists()
+
+
+def test_a_window_that_is_closed_lets_nobody_in(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    own = pairing.own_card(devices, "bench")
+    with (
+        window(device_card, tmp_path / "keys") as (port, opened),
+        socket.create_connection(("127.0.0.1", port)) as call,
+    ):
+        channel, exchange = PairingChannel(call, 10.0), Exchange(opened.code, "host")
+        channel.send(exchange.element)
+        exchange.meet(channel.receive(Element))
+        closing = threading.Thread(target=opened.close)
+        closing.start()
+        while opened.outcome is None:
+            pass
+        channel.send(exchange.proven(own))
+        closing.join()
+        assert opened.outcome.sentence == "the window was closed: open it again"
+    assert not (tmp_path / "keys").exists()
+
+
+def test_a_key_that_cannot_be_stored_is_told_on_the_screen(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    (tmp_path / "keys").mkdir()
+    with window(device_card, tmp_path / "keys") as (port, opened):
+        with pytest.raises(PairingError):
+            pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+        with pytest.raises(PairingRefused, match="key cannot be stored"):
+            opened.wait()
+
+
+def test_a_device_opens_its_window_by_one_call(store: BundleStore, devices: PairedDevices, tmp_path: Path) -> None:
+    own = pairing.own_card(devices, "bench")
+    (tmp_path / "host.pub").write_text(f"{own.public_key} root@device\n")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        setup = PairingSetup(taken.getsockname()[1], 2222, host_key=tmp_path / "host.pub", keys=tmp_path / "keys")
+        with pytest.raises(PairingRefused, match="cannot be listened on"):
+            open_pairing_window(store, VirtualClock(), setup)
+    with open_pairing_window(store, VirtualClock(), setup) as opened:
+        told = how_to_call(opened, setup, store)
+        assert opened.code_to_show in told
+        assert f"--port {setup.port}" in told
+        assert f"{store.device_id}, key {fingerprint_of(own.public_key)}" in told
+        device = pairing.pair_over_network("127.0.0.1", setup.port, opened.code, own)
+    assert (device.device_id, device.user, device.port) == (store.device_id, "retrosync", 2222)
+    assert own.public_key in (tmp_path / "keys" / "authorized_keys").read_text()
+    for wrong in ({"ssh_port": 0}, {"user": "no user"}):
+        with pytest.raises(RecordError, match="name another"):
+            dataclasses.replace(setup, **wrong).card(store)  # type: ignore[arg-type]
 
 
 def test_an_impostor_without_the_code_is_found_out(
@@ -116,9 +177,6 @@ def test_an_impostor_without_the_code_is_found_out(
     listening = socket.create_server(("127.0.0.1", 0))
 
     def pose() -> None:
-        from device.pairing_channel import PairingChannel
-        from device.pairing_exchange import Element, Exchange
-
         connection, _ = listening.accept()
         with connection, listening:
             channel, exchange = PairingChannel(connection, 10.0), Exchange("99999999", "device")
@@ -168,6 +226,54 @@ def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_ca
     assert devices.find("c0ffee") == anew
     with pytest.raises(NoSource, match="paired are: rg00c0ffee"):
         devices.find("other")
+
+
+def test_a_device_set_up_anew_takes_the_place_of_what_it_was_only_when_asked(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    own = pairing.own_card(devices, "bench")
+    before = PairedDevice(device_id="rg1", host="bench.local", port=22, user="retrosync", host_key=own.public_key)
+    pairing.keep(devices, before, replace=False)
+    anew = msgspec.structs.replace(before, device_id="rg2", host_key=device_card.host_key)
+    with pytest.raises(PairingError, match=r"bench\.local: is rg2 and was rg1: if you set it up anew.*--replace"):
+        pairing.keep(devices, anew, replace=False)
+    assert devices.find("bench.local") == before
+    pairing.keep(devices, anew, replace=True)
+    assert devices.all() == [anew]
+    assert devices.find("bench.local") == anew
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("bench", "bench", None),
+        ("bench:22", "bench", 22),
+        ("[fe80::1%eth0]:22", "fe80::1%eth0", 22),
+        ("::1", "::1", None),
+    ],
+)
+def test_addresses(text: str, host: str, port: int | None) -> None:
+    assert Address.parse(text) == Address(host, port)
+
+
+@pytest.mark.parametrize("text", ["", ":22", "bench:", "bench:x", "bench:0", "bench:65536", "[::1", "[]:22"])
+def test_what_is_no_address(text: str) -> None:
+    with pytest.raises(HostError, match="is no address"):
+        Address.parse(text)
+
+
+def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert main(["pair", "localhost"]) == 2
+    assert main(["pair", "localhost", "--port", "99999", "--code", "1"]) == 2
+    assert main(["pull", "a" * 5000, "--library", str(tmp_path / "library")]) == 2
+    said = capsys.readouterr().err
+    assert "no code was typed" in said
+    assert "99999: is no port" in said
+    assert "names 0 paired devices" in said
 
 
 def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:

@@ -1,23 +1,28 @@
 from __future__ import annotations
 
 import errno
+import io
+import json
 import os
 import shutil
 import tracemalloc
 from collections.abc import Callable, Generator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from device.bundle_publishing import locked_directory
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
-from device.records import CHUNK_BYTES
+from device.records import CHUNK_BYTES, seal_of
 from device.scan_bundle import ScanBundle, ScanRecord
 from host_sync.errors import LibraryError, NoSource
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import PullProgress, pull
+from host_sync.offload.receipting import Vouch
 
 PublishScan = Callable[..., ScanBundle]
 PublishCalibration = Callable[[BundleStore], CalibrationBundle]
@@ -147,6 +152,98 @@ def test_a_pull_that_cannot_fit_is_refused_before_it_begins(
     with pytest.raises(LibraryError, match="are to come and 0 MB are free"):
         pull(DirectorySource(store.root), library)
     assert library.scans().bundles == ()
+
+
+def test_one_bundle_of_absurd_size_holds_up_no_other(
+    store: BundleStore, library: Library, scans: list[ScanBundle]
+) -> None:
+    manifest = scans[1].directory / "scan.json"
+    record = json.loads(manifest.read_bytes())
+    record["files"]["raw.tif"]["size"] = 1 << 40
+    data = json.dumps(record).encode()
+    manifest.write_bytes(data)
+    (scans[1].directory / "scan.json.sha256").write_bytes(seal_of("scan.json", data))
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == [scans[1].scan_id]
+    assert "needs 1099512 MB" in report.failed[0].reason
+    assert {bundle.scan_id for bundle in library.scans().bundles} == {scans[0].scan_id, scans[2].scan_id}
+
+
+def test_what_an_earlier_transfer_left_needs_no_room_again(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = [sum(entry.size for entry in scan.record.files.values()) for scan in scans]
+    shutil.copytree(store.root / "calibrations", library.root / "calibrations")
+    (library.root / "scans").mkdir()
+    for scan in scans:
+        shutil.copytree(scan.directory, library.root / "scans" / f".{scan.scan_id}.partial")
+    monkeypatch.setattr(Library, "free_bytes", lambda _: min(sizes) // 2)
+    assert pull(DirectorySource(store.root), library).complete
+
+
+@pytest.mark.parametrize("card", ["has a bad place", "is pulled out"])
+def test_a_bad_place_of_a_card_costs_one_bundle_and_a_card_that_is_gone_the_rest(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch, card: str
+) -> None:
+    class Failing(io.FileIO):
+        def read(self, _: int | None = -1) -> bytes:
+            if card == "is pulled out":
+                store.root.rename(store.root.with_name("elsewhere"))
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    genuine = os.fdopen
+
+    def opened(descriptor: int, mode: str) -> Any:
+        bad = Path(f"/proc/self/fd/{descriptor}").resolve() == scans[1].directory / "raw.tif"
+        return Failing(descriptor) if bad else genuine(descriptor, mode)
+
+    source = DirectorySource(store.root)
+    monkeypatch.setattr("host_sync.offload.directory.os.fdopen", opened)
+    report = pull(source, library)
+    if card == "has a bad place":
+        assert [failure.bundle_id for failure in report.failed] == [scans[1].scan_id]
+        assert "Input/output error" in report.failed[0].reason
+        assert {bundle.scan_id for bundle in library.scans().bundles} == {scans[0].scan_id, scans[2].scan_id}
+    else:
+        assert "Input/output error" in (report.lost or "")
+        assert [bundle.scan_id for bundle in library.scans().bundles] == [scans[0].scan_id]
+
+
+def test_a_write_protected_card_gives_everything_and_takes_no_receipt(
+    store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        if store.root in path.parents:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    with monkeypatch.context() as patch:
+        genuine_open, genuine_unlink = Path.open, Path.unlink
+
+        def opened(path: Path, mode: str = "r", **named: Any) -> Any:
+            if "w" in mode:
+                refuse(path)
+            return genuine_open(path, mode, **named)
+
+        def unlinked(path: Path, **named: Any) -> None:
+            refuse(path)
+            genuine_unlink(path, **named)
+
+        patch.setattr(Path, "open", opened)
+        patch.setattr(Path, "unlink", unlinked)
+        report = pull(DirectorySource(store.root), library, vouch=Vouch("bench", lambda: datetime.now(UTC)))
+    assert report.complete
+    assert "Read-only file system" in (report.unreceipted or "")
+
+
+def test_a_receipt_stands_for_no_bundle_that_the_library_has_lost_part_of(
+    store: BundleStore, library: Library, scans: list[ScanBundle]
+) -> None:
+    vouch = Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
+    assert pull(DirectorySource(store.root), library, vouch=vouch).unreceipted is None
+    library.find(scans[0].scan_id).path("raw.tif").write_bytes(b"rot")
+    report = pull(DirectorySource(store.root), library, vouch=vouch)
+    assert [failure.bundle_id for failure in report.failed] == [scans[0].scan_id]
+    assert report.here == 3
 
 
 def test_another_bundle_under_the_same_id_is_never_overwritten(

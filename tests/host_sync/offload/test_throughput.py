@@ -1,4 +1,7 @@
-"""Speed and memory of a pull, against OpenSSH's own client on the same files in the same run (on demand: -m slow)."""
+"""Speed and memory of a pull, against OpenSSH's own client on the same files in the same run (on demand: -m slow).
+
+The two take turns, and the turn that others disturbed least counts: shares in one turn, never seconds.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ FILES = 12
 FILE_BYTES = 24 << 20
 MOST_RSS_KB = 150_000
 LEAST_SHARE = 0.8
+TURNS = 5
 
 PULL_AND_SAY_RSS = """
 import re, sys, time
@@ -36,7 +40,7 @@ sys.exit(code)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("sftp") is None, reason="OpenSSH's sftp is not installed")
+@pytest.mark.skipif(shutil.which("sftp") is None, reason="OpenSSH's sftp is not installed: `make test-deps`")
 def test_pulling_keeps_up_with_openssh_in_bounded_memory(
     server: Any, publish_large: Callable[[int], object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -47,7 +51,7 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
     settings.save(server.device())
     environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")}
     streamed_s, pulled_s, theirs_s, most_rss_kb = [], [], [], 0
-    for turn in range(3):
+    for turn in range(TURNS):
         target = tmp_path / f"theirs-{turn}"
         target.mkdir()
         options = ["-oStrictHostKeyChecking=no", f"-oUserKnownHostsFile={tmp_path}/known", "-oBatchMode=yes"]
@@ -76,11 +80,17 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
         shutil.rmtree(target)
         shutil.rmtree(library)
     megabytes = FILES * FILE_BYTES / 1e6
+    streamed, pulled = (
+        [theirs / ours for theirs, ours in zip(theirs_s, each_s, strict=True)] for each_s in (streamed_s, pulled_s)
+    )
     with capsys.disabled():
         sys.stdout.write(
-            f"\nsftp {megabytes / min(theirs_s):.0f} MB/s; ours {megabytes / min(streamed_s):.0f} MB/s "
-            f"written and hashed, {megabytes / min(pulled_s):.0f} MB/s as a whole pull with fsync, "
-            f"re-reading and receipts; at most {most_rss_kb / 1e3:.0f} MB of memory\n"
+            f"\nsftp {megabytes / min(theirs_s):.0f} MB/s; ours {megabytes / min(streamed_s):.0f} MB/s written and "
+            f"hashed, {megabytes / min(pulled_s):.0f} MB/s as a whole pull with fsync, re-reading and receipts; "
+            f"at most {most_rss_kb / 1e3:.0f} MB of memory\nshares of sftp, turn by turn: "
+            f"streamed {' '.join(f'{share:.2f}' for share in streamed)}, "
+            f"pulled {' '.join(f'{share:.2f}' for share in pulled)}\n"
         )
     assert most_rss_kb <= MOST_RSS_KB
-    assert min(theirs_s) / min(streamed_s) >= LEAST_SHARE
+    assert max(streamed) >= LEAST_SHARE
+    assert max(pulled) >= LEAST_SHARE

@@ -7,6 +7,7 @@ from device.colour_domain import ColourDomain
 from device.colour_space import ColourSpace
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
+from device.slope_curve import SlopeCurve
 from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
 
 SHAPE = (240, 320)
@@ -30,7 +31,7 @@ def pressed() -> np.ndarray:
 def inverse() -> InverseMap:
     seen = pressed().reshape(-1, 3)
     space, domain = ColourSpace.observed(seen), ColourDomain.observed(seen)
-    return InverseMap(SHAPE, space, domain, 0, 0, np.zeros((1, 1, 2), np.float32), 1.0)
+    return InverseMap(SHAPE, domain, SlopeCurve(space, 0, 0, np.zeros((1, 1, 2), np.float32)), 1.0)
 
 
 def image_of(values: np.ndarray) -> IntensityImage:

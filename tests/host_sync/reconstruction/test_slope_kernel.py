@@ -7,9 +7,11 @@ import pytest
 from device.colour_domain import ColourDomain
 from device.colour_space import ColourSpace
 from device.errors import CalibrationMismatch
-from device.inverse_map import InverseMap
+from device.inverse_map import InverseMap, LightCurve
+from device.light_field import LightField
 from device.photometry import IntensityImage
 from device.polynomials import colour_exponents, position_exponents
+from device.slope_curve import SlopeCurve
 from host_sync.reconstruction.slope_kernel import evaluate
 
 SHAPE = (150, 300)
@@ -19,13 +21,20 @@ def colours(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).lognormal(0.0, 0.3, (4000, 3)).astype(np.float32)
 
 
-def map_of(shape: tuple[int, int] = SHAPE, position_degree: int = 2) -> InverseMap:
-    random = np.random.default_rng(1)
-    terms = (len(colour_exponents(4)), len(position_exponents(position_degree)), 2)
+def curve_of(degree: int, position_degree: int, *, linear: bool = False) -> SlopeCurve:
+    random = np.random.default_rng(degree)
+    terms = (len(colour_exponents(degree)), len(position_exponents(position_degree)), 2)
     coefficients = (0.1 * random.standard_normal(terms)).astype(np.float32)
-    seen = colours()
-    space, domain = ColourSpace.observed(seen), ColourDomain.observed(seen)
-    return InverseMap(shape, space, domain, 4, position_degree, coefficients, 0.8)
+    return SlopeCurve(ColourSpace.observed(colours(), linear=linear), degree, position_degree, coefficients)
+
+
+def map_of(shape: tuple[int, int] = SHAPE, position_degree: int = 2, *, lit: bool = False) -> InverseMap:
+    light = None
+    if lit:
+        down, across = np.mgrid[:7, :12].astype(np.float32)
+        nodes = np.stack([1.2 - 0.05 * down, 0.6 + 0.06 * across, 1.0 + 0.02 * down * across], axis=-1)
+        light = LightCurve(LightField(nodes), curve_of(5, 1, linear=True), 0.6)
+    return InverseMap(shape, ColourDomain.observed(colours()), curve_of(4, position_degree), 0.8, light)
 
 
 def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
@@ -36,12 +45,13 @@ def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
     return IntensityImage(values, random.random(shape) > 0.02, random.random(shape) < 0.02)
 
 
+@pytest.mark.parametrize("lit", [False, True])
 @pytest.mark.parametrize("position_degree", [0, 1, 2])
-def test_compiled_and_portable_evaluation_agree(position_degree: int) -> None:
-    inverse, image = map_of(position_degree=position_degree), image_of()
+def test_compiled_and_portable_evaluation_agree(position_degree: int, lit: bool) -> None:
+    inverse, image = map_of(position_degree=position_degree, lit=lit), image_of()
     found, expected = evaluate(inverse, image), inverse.gradients(image)
-    np.testing.assert_allclose(found.p, expected.p, rtol=1e-4, atol=2e-5)
-    np.testing.assert_allclose(found.q, expected.q, rtol=1e-4, atol=2e-5)
+    np.testing.assert_allclose(found.p, expected.p, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.q, expected.q, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found.weight, expected.weight, rtol=1e-3, atol=1e-5)
     np.testing.assert_array_equal(found.valid, expected.valid)
     assert not expected.valid.all()

@@ -16,6 +16,7 @@ from PIL import Image
 from device.colour_domain import ColourDomain
 from device.colour_space import DARK_OFFSET, ColourSpace
 from device.inverse_map import InverseMap
+from device.slope_curve import SlopeCurve
 from device.stereographic import stereographic_from_slope
 from host_sync.errors import ResultError, SequenceError
 from host_sync.frame_sequence import BadFrame, StoredFrame
@@ -37,7 +38,8 @@ def calibration() -> SimpleNamespace:
     coefficients = np.zeros((4, 1, 2), np.float32)
     coefficients[3, 0, 0] = coefficients[2, 0, 1] = 1.0
     every_colour = ColourDomain(-wide, 1.0, 1.0, np.zeros((7, 7, 7), np.float32))
-    inverse = InverseMap(SHAPE, ColourSpace(centre, one, -wide, wide), every_colour, 1, 0, coefficients, 2.0)
+    curve = SlopeCurve(ColourSpace(centre, one, -wide, wide), 1, 0, coefficients)
+    inverse = InverseMap(SHAPE, every_colour, curve, 2.0)
     return SimpleNamespace(
         divisor=np.full((*SHAPE, 3), REST, np.float32),
         pitch_um=PITCH_UM,

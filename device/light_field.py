@@ -1,0 +1,85 @@
+"""The light that untouched skin sends back, place by place: what intensity is multiplied with to be light again.
+
+A frame divided by its reference carries the reference's own errors: lights that stood otherwise, a haze that was added
+and not multiplied. A curve that reads the frame's light itself is free of them (docs/decisions/0004-direct-inverse.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.surface import Float32Array
+
+NODE_PX: Final = 8
+"""Distance of the places at which the light is kept, pixels, about: the reference was blurred before."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightField:
+    """Light of untouched skin relative to its mean over the field, at places even over the field, borders included.
+
+    nodes : float32 array of shape (h, w, 3), h and w at least 2; between them it runs straight
+    """
+
+    nodes: Float32Array
+
+    @classmethod
+    def of(cls, divisor: Float32Array) -> LightField:
+        """The light field of a reference, float32 array of shape (H, W, 3), share of full scale."""
+        rows, columns = divisor.shape[:2]
+        counts = [max(size // NODE_PX, 1) + 1 for size in (rows, columns)]
+        row, column = (
+            np.linspace(0.0, size, count, dtype=np.float32) - np.float32(0.5)
+            for size, count in zip((rows, columns), counts, strict=True)
+        )
+        smooth = cv2.blur(divisor, (NODE_PX, NODE_PX), borderType=cv2.BORDER_REPLICATE)
+        grid = np.meshgrid(column, row)
+        nodes = cv2.remap(smooth, grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cls(np.asarray(nodes / divisor.mean(axis=(0, 1), dtype=np.float64), np.float32))
+
+    def at(self, place: NDArray[Any]) -> Float32Array:
+        """Light of shape (N, 3) at position variables of shape (N, 2), -1 to 1 over the field."""
+        (left, right_share), (top, down_share) = (
+            _between(place[:, axis], self.nodes.shape[1 - axis]) for axis in (0, 1)
+        )
+        upper = _mix(self.nodes[top, left], self.nodes[top, left + 1], right_share)
+        lower = _mix(self.nodes[top + 1, left], self.nodes[top + 1, left + 1], right_share)
+        return _mix(upper, lower, down_share)
+
+    def rows(self, across: Float32Array, down: Float32Array) -> Float32Array:
+        """Light of shape (h, w, 3) of whole rows at position variables `across` (w,) and `down` (h,)."""
+        left, right_share = _between(across, self.nodes.shape[1])
+        top, down_share = _between(down, self.nodes.shape[0])
+        coarse = self.nodes[top] + (self.nodes[top + 1] - self.nodes[top]) * down_share[:, None, None]
+        return np.asarray(
+            coarse[:, left] + (coarse[:, left + 1] - coarse[:, left]) * right_share[None, :, None], np.float32
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        return {"nodes": self.nodes}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LightField:
+        """The field that `arrays` wrote; KeyError or ValueError when it is none."""
+        nodes = np.asarray(arrays["nodes"], np.float32)
+        if nodes.ndim != 3 or nodes.shape[2] != 3 or min(nodes.shape[:2]) < 2 or not np.isfinite(nodes).all():
+            raise ValueError(f"light of shape {nodes.shape}")
+        return cls(nodes)
+
+
+def _between(position: NDArray[Any], count: int) -> tuple[NDArray[np.intp], Float32Array]:
+    """Index of the node before each position variable, and the share of the way to the next, float32."""
+    at = np.clip((np.asarray(position, np.float64) + 1.0) * (0.5 * (count - 1)), 0.0, count - 1.0)
+    before = np.minimum(at.astype(np.intp), count - 2)
+    return before, (at - before).astype(np.float32)
+
+
+def _mix(first: Float32Array, second: Float32Array, share: Float32Array) -> Float32Array:
+    return np.asarray(first + (second - first) * share[:, None], np.float32)

@@ -1,0 +1,70 @@
+"""Which pixels show slopes that the calibration never taught: they are kept, and marked.
+
+Steeper than any ball, or of a colour and place whose leverage is beyond that of every ball pixel (`device.leverage`).
+Leverage is looked at on a coarse grid and holds for the block of pixels around each of its points.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from device.inverse_map import InverseMap
+from device.photometry import IntensityImage
+from device.polynomials import field_position
+from device.surface import Float32Array, MaskArray
+
+MOST_POINTS: Final = 60_000
+"""Points of the coarse grid, at most: each costs as many products as the map has features squared."""
+
+MOST_LEVERAGE: Final = 2.0
+"""Leverage, relative to the highest that balls taught, from which a pixel is extrapolated."""
+
+STEEPER: Final = 1.05
+"""Slope, relative to the steepest that balls showed, from which it is: noise alone passes 1 at the rim of a ball."""
+
+_CHUNK: Final = 8192
+
+
+def extrapolated(intensity: IntensityImage, inverse: InverseMap, p: Float32Array, q: Float32Array) -> MaskArray:
+    """True where a slope lies beyond what the calibration taught, shape (H, W).
+
+    p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
+    """
+    limit = np.float32((STEEPER * inverse.steepest) ** 2)
+    steep = np.nan_to_num(p * p + q * q, nan=0.0) > limit
+    strange = _strange(intensity, inverse)
+    rows, columns = intensity.shape
+    step = _step(intensity.shape)
+    blocks = np.repeat(np.repeat(strange, step, axis=0), step, axis=1)[:rows, :columns]
+    return np.asarray((steep | blocks) & np.isfinite(p), np.bool_)
+
+
+def _strange(intensity: IntensityImage, inverse: InverseMap) -> MaskArray:
+    """Leverage beyond what was taught, at one point of every block of pixels."""
+    step = _step(intensity.shape)
+    rows, columns = intensity.shape
+    values = intensity.values[step // 2 :: step, step // 2 :: step]
+    # A last block that is cut before its middle has no point of its own.
+    height, width = -(-rows // step), -(-columns // step)
+    strange = np.zeros((height, width), np.bool_)
+    if inverse.leverage is None:
+        return strange
+    seen_rows, seen_columns, _ = values.shape
+    found = np.zeros((seen_rows, seen_columns), np.bool_)
+    across = np.arange(seen_columns) * step + step // 2
+    down = np.arange(seen_rows) * step + step // 2
+    column, row = (axis.ravel().astype(np.float64) for axis in np.meshgrid(across, down))
+    place = field_position(column, row, inverse.shape)
+    colours = np.ascontiguousarray(values).reshape(-1, 3)
+    flat = found.ravel()
+    for start in range(0, len(colours), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        flat[part] = inverse.leverage.relative(inverse.curve, colours[part], place[part]) > MOST_LEVERAGE
+    strange[:seen_rows, :seen_columns] = flat.reshape(found.shape)
+    return strange
+
+
+def _step(shape: tuple[int, int]) -> int:
+    return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_POINTS))))

@@ -1,0 +1,52 @@
+"""`retroscan` on a wired board in real time, told on standard output what its LEDs do; a test sends it signals.
+
+Its camera delivers nothing, so that it stays lit while it waits for a frame. With SLOW_BUS set, each transfer while it
+is lit is told and takes its time.
+"""
+
+import os
+import sys
+import time
+
+from device import __main__ as program
+from hal.board_profile import BoardProfile
+from hal.clock import SystemClock
+from hal.hardware import Hardware
+from hal.interfaces import ButtonPress
+from hal.twin.bench import build
+from hal.twin.wired.hardware import wired_hardware
+from hal.twin.wired.register_chip import RegisterChip
+
+
+def open_lit_hardware(profile: BoardProfile) -> Hardware:
+    """A board whose button is pushed at once, and whose chip model tells of every change of its outputs."""
+    wired = wired_hardware(build(profile, SystemClock()), "PCA9955B")
+    follow, reach, told = wired.leds.changed, wired.wire.reach, []
+
+    def say(word: str) -> None:
+        told.append(word)
+        sys.stdout.write(f"{word}\n")
+        sys.stdout.flush()
+
+    def tell() -> None:
+        follow()
+        state = "lit" if any(wired.leds.currents_ma()[:15]) else "dark"
+        if [word for word in told if word != "transfer"][-1:] != [state]:
+            say(state)
+
+    def reach_slowly(address: int) -> RegisterChip:
+        if "lit" in told and "SLOW_BUS" in os.environ:
+            say("transfer")
+            time.sleep(0.2)
+        return reach(address)
+
+    wired.leds.changed = tell
+    wired.wire.reach = reach_slowly
+    wired.bench.faults.camera_stalled = True
+    now_ns = wired.bench.clock.monotonic_ns()
+    wired.bench.schedule_button(ButtonPress(now_ns + 50_000_000, 0.05))
+    return wired.hardware
+
+
+program.open_hardware = open_lit_hardware
+sys.exit(program.main())
