@@ -139,6 +139,7 @@ def test_after_a_reboot_only_the_calibration_is_missing(board: Board) -> None:
 
 
 def test_the_self_test_drives_bus_and_lines(board: Board) -> None:
+    board.machine.run("rmmod i2c-stub; modprobe i2c-stub chip_addr=0x15; udevadm settle")
     assert board.machine.run(REGISTER.format(PWM_ALL)).strip() == "0"
     with board.stage("self-test"):
         said = board.machine.run(f"{PROGRAM} selftest")
@@ -150,9 +151,9 @@ def test_the_self_test_drives_bus_and_lines(board: Board) -> None:
 
 
 def test_a_part_that_is_gone_is_blamed(board: Board) -> None:
-    board.machine.run("rmmod i2c-stub; modprobe i2c-stub chip_addr=0x20")
+    board.machine.run("rmmod i2c-stub; modprobe i2c-stub chip_addr=0x20; udevadm settle")
     answer = board.machine.ask(f"{PROGRAM} selftest")
-    board.machine.run("rmmod i2c-stub; modprobe i2c-stub chip_addr=0x15")
+    board.machine.run("rmmod i2c-stub; modprobe i2c-stub chip_addr=0x15; udevadm settle")
     assert answer.code == 3
     assert "no chip answers at 0x15 on bus 1" in answer.text
 
