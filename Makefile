@@ -58,7 +58,7 @@ system-test: system-cache ## the whole handheld on a virtual board: install, sca
 system-cache: set-up
 	@bash tests/system/build "$(SYSTEM_CACHE)" "$(VENV)/bin/python"
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, sshd, disks that lose power, dtc, openscad (asks for root)
+test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (asks for root)
 	@bash .ci/test-deps all
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)

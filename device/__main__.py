@@ -9,26 +9,31 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
 from device.active_calibration import read_active
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationRecord
+from device.ending_signals import ending_like_ctrl_c
 from device.errors import DeviceError, FrameNotProven, InstrumentBusy
 from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
 from device.scanning.balance import balance, warning
 from device.scanning.calibrate import calibrate
 from device.scanning.instrument_lock import owned_hardware, sole_owner
+from device.scanning.mounting import with_mounted_gel
 from device.scanning.scanner import Scanner, ScanOutcome
 from device.scanning.selftest import selftest
 from device.scanning.service_commands import add_service_commands
 from device.scanning.supervision import Supervisor
-from device.scanning.watching import watch
+from device.session.commands import add_shelf_commands
+from device.session.headless import run_headless
+from device.session.instrument import Instrument
 from device.store_location import default_store
+from device.tui.commands import add_screen_command, run_screens
 from hal.board_profile import load_board_profile, profile_names
 from hal.clock import SystemClock
 from hal.errors import BoardProfileError, HalError, OperatorError
@@ -43,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        with _ending_like_ctrl_c(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        with ending_like_ctrl_c(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             return command(options)
     except (BoardProfileError, OperatorError) as error:
         return _complain(error, 2)
@@ -65,7 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
     parser.add_argument("--store", type=_folder, help="folder of scans and calibrations")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    parser.set_defaults(command=run_screens)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", description="without one: the screens")
+    add_screen_command(commands)
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
     guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM")
@@ -82,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     watch.set_defaults(command=_watch)
 
     add_offload_commands(commands, _folder, _say)
+    add_shelf_commands(commands, _folder, _say)
     add_service_commands(commands, _say, _warn)
 
     test = commands.add_parser("selftest", help="walk through every part and say which one is at fault")
@@ -126,7 +134,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     with owned_hardware(load_board_profile(options.board)) as hardware:
         store = _store(options, hardware)
         plan = balance(hardware, options.ball_radius_mm, _say).plan if options.balance else None
-        outcome = calibrate(hardware, store, options.ball_radius_mm, _say, plan)
+        fitted = with_mounted_gel(hardware, store.root)
+        outcome = calibrate(fitted, store, options.ball_radius_mm, _say, plan)
     fit = outcome.fit
     error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
     _say(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
@@ -137,7 +146,8 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 def _scan(options: argparse.Namespace) -> int:
     with owned_hardware(load_board_profile(options.board)) as hardware:
-        scanner = Scanner(hardware, _calibrated_store(options, hardware))
+        store = _calibrated_store(options, hardware)
+        scanner = Scanner(with_mounted_gel(hardware, store.root), store)
         scanner.check_room()
         _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
@@ -148,14 +158,23 @@ def _scan(options: argparse.Namespace) -> int:
 
 def _watch(options: argparse.Namespace) -> int:
     profile, supervisor = load_board_profile(options.board), Supervisor.from_environment(os.environ)
-    # As a service the twin lives in real time too, or its waits would take none.
-    with owned_hardware(profile, SystemClock() if supervisor.is_there else None) as hardware:
+
+    def go_on() -> bool:
+        supervisor.alive()
+        return True
+
+    with sole_owner(profile):
+        # Somebody is waited for: the twin's time passes like everybody's.
+        hardware = open_hardware(profile, SystemClock())
         store = _calibrated_store(options, hardware)
         take_inbox(store, _say)
-        try:
-            watch(hardware, store, _annotations(options), _report, _warn, _say, supervisor)
-        finally:
-            supervisor.stopping()
+        with Instrument(hardware, store) as instrument:
+            instrument.set_sticky(_annotations(options))
+            supervisor.ready(instrument.state.sentence)
+            try:
+                run_headless(instrument, _say, _warn, go_on)
+            finally:
+                supervisor.stopping()
     return 0
 
 
@@ -206,26 +225,6 @@ def _say_levels(record: CalibrationRecord) -> None:
     _say("Flat skin at " + ", ".join(f"{level:.0%}" for level in flat) + " of full scale (R, G, B).")
     if told := warning((peak[0], peak[1], peak[2])):
         _say(f"Note: {told}.")
-
-
-@contextmanager
-def _ending_like_ctrl_c(*signals: signal.Signals) -> Iterator[None]:
-    """Within it these signals end the program as Ctrl-C does: through every exit, lights dark.
-
-    The first one counts: a second would break into the very exit that makes the lights dark.
-    """
-
-    def interrupt(_number: int, _frame: object) -> None:
-        for number in signals:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _say(line: str) -> None:

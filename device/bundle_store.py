@@ -23,7 +23,7 @@ from device.device_identity import DeviceState, count_press, current_boot_id, ne
 from device.disk_advice import explain_refusal
 from device.errors import DeviceError, RecordError, StoreError
 from device.freeing import free_receipted
-from device.inbox import INBOX, Delivery, take_deliveries
+from device.inbox import INBOX, Delivery, copy_calibration, take_deliveries
 from device.receipts import RECEIPTS
 from device.records import FileEntry, Identity, encode_record
 from device.scan_bundle import ScanBundle, ScanRecord, decode_scan, read_scan
@@ -201,6 +201,19 @@ class BundleStore:
         """
         with self._translating("read"):
             return take_deliveries(self.root, self._room_bytes())
+
+    def take_calibration(self, bundle: CalibrationBundle) -> None:
+        """Copy a calibration that lies elsewhere into the store; it is not active yet.
+
+        Raises
+        ------
+        RecordError
+            It is damaged.
+        StoreError
+            There is no room, or the disk refused.
+        """
+        with self._translating("written"):
+            copy_calibration(self.root, bundle, self._room_bytes())
 
     def _room_bytes(self) -> int:
         """Free space beside the reserve, bytes."""

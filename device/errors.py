@@ -40,5 +40,9 @@ class PairingRefused(DeviceError, PermissionError):
     """No workstation was paired: none came in time, or the code was wrong. Open the window again."""
 
 
+class TerminalMissing(DeviceError, OSError):
+    """The screens were asked for where no terminal is. Run them in one, or scan without a screen."""
+
+
 class InstrumentBusy(DeviceError, BlockingIOError):
     """Another program has camera and lights. End it, or wait until it has ended."""

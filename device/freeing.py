@@ -12,6 +12,7 @@ from device.errors import RecordError
 from device.receipts import RECEIPTS, is_receipted, receipt_name
 from device.records import read_manifest
 from device.scan_bundle import SCAN_MANIFEST, ScanBundle, read_scan
+from device.scan_marks import mark_path
 
 
 def receipted_scans(root: Path) -> list[ScanBundle]:
@@ -45,6 +46,7 @@ def unpublish(root: Path, scan: ScanBundle) -> None:
     discard(vanished)
     with suppress(OSError):
         (root / RECEIPTS / receipt_name(scan.scan_id)).unlink(missing_ok=True)
+        mark_path(root, scan.scan_id).unlink(missing_ok=True)
 
 
 def _is_receipted(root: Path, scan: ScanBundle) -> bool:

@@ -55,7 +55,7 @@ def _take(root: Path, delivered: Path, room_bytes: int) -> str | None:
         if bundle.calibration_id != delivered.name:
             raise RecordError(f"{delivered}: holds {bundle.calibration_id}: push it under its own id")
         if not (root / "calibrations" / bundle.calibration_id).exists():
-            _copy(root, bundle, room_bytes)
+            copy_calibration(root, bundle, room_bytes)
     except (DeviceError, OSError) as error:
         return str(error)
     finally:
@@ -81,7 +81,18 @@ def _copy_file(source: Path, target: Path, size_bytes: int) -> None:
             size_bytes -= len(block)
 
 
-def _copy(root: Path, bundle: CalibrationBundle, room_bytes: int) -> None:
+def copy_calibration(root: Path, bundle: CalibrationBundle, room_bytes: int) -> None:
+    """Copy a calibration that lies elsewhere into a store, proven on the way.
+
+    Raises
+    ------
+    RecordError
+        It is damaged.
+    StoreError
+        There is no room.
+    OSError
+        The disk refused; nothing is left behind.
+    """
     needed = sum(entry.size for entry in bundle.record.files.values())
     if needed > room_bytes:
         raise StoreError(f"{bundle.directory}: needs {needed / 1e6:.0f} MB and there is less room: free space first")

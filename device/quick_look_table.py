@@ -15,7 +15,7 @@ interpolated: a second curve would take the time of a second table, and change l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -48,6 +48,7 @@ class SlopeTable:
 
     colours : the map's colour space, asked only for how far an intensity lies outside it
     first, per_bin : float32 arrays of shape (3,), intensity of the first bin's centre and bins per unit of intensity
+    kept : which terms of position are there
     terms : for each term of position its table of u, float32 array of shape (BINS³, 2)
     places : for each term its value at every pixel, once for each component of u: float32 array of shape (H, 2 W)
     """
@@ -55,6 +56,7 @@ class SlopeTable:
     colours: ColourSpace
     first: Float32Array
     per_bin: Float32Array
+    kept: tuple[int, ...]
     terms: tuple[Float32Array, ...]
     places: tuple[Float32Array, ...]
 
@@ -66,16 +68,21 @@ class SlopeTable:
         first = 1.0 - np.round((1.0 - low) / width) * width
         centres = first + width * np.arange(BINS)[:, None]
         terms = _tables(inverse_map, low, high, centres)
-        shape = (inverse_map.shape[0] // binning, inverse_map.shape[1] // binning)
-        places = _place_terms(inverse_map.shape, shape, binning)
+        places = _place_terms(inverse_map.shape, binning)
         kept = [k for k, term in enumerate(terms) if np.abs(term).max() > NEGLIGIBLE or k == 0]
         return cls(
             inverse_map.curve.colours,
             first.astype(np.float32),
             (1.0 / width).astype(np.float32),
+            tuple(kept),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
             tuple(places[k] for k in kept),
         )
+
+    def resized(self, shape: tuple[int, int], binning: int) -> SlopeTable:
+        """The same tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
+        places = _place_terms(shape, binning)
+        return replace(self, places=tuple(places[k] for k in self.kept))
 
     def gradients(self, image: IntensityImage) -> GradientField:
         """Slope, validity and relative confidence of every pixel, as the map itself would give them."""
@@ -148,8 +155,9 @@ def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> 
     return np.asarray(np.tensordot(np.linalg.pinv(basis), u, axes=1).transpose(1, 0, 2))
 
 
-def _place_terms(full: tuple[int, int], shape: tuple[int, int], binning: int) -> list[Float32Array]:
-    """Every position monomial at the centres of binned pixels of `shape` (H, W): float32 arrays of shape (H, 2 W)."""
+def _place_terms(full: tuple[int, int], binning: int) -> list[Float32Array]:
+    """Every position monomial at the centres of binned pixels of a field `full` (H, W): float32 arrays (h, 2 w)."""
+    shape = (full[0] // binning, full[1] // binning)
     column, row = (np.arange(size) * binning + 0.5 * (binning - 1) for size in shape[::-1])
     across = field_position(column, np.zeros_like(column), full)[:, 0]
     down = field_position(np.zeros_like(row), row, full)[:, 1]

@@ -10,11 +10,14 @@ import msgspec
 
 from device.active_calibration import ActiveCalibration
 from device.calibration_bundle import CalibrationRecord
+from device.calibration_slots import Slots
 from device.device_identity import DeviceState
+from device.gel_log import GelRecord, MountedGel
 from device.raw_file import RawHeader
 from device.receipts import Receipt
 from device.records import Record
 from device.scan_bundle import ScanRecord
+from device.scan_marks import ScanMark
 
 _RECORDS: Final[tuple[type[Record], ...]] = (
     ScanRecord,
@@ -23,6 +26,10 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     DeviceState,
     ActiveCalibration,
     Receipt,
+    ScanMark,
+    GelRecord,
+    MountedGel,
+    Slots,
 )
 
 

@@ -176,7 +176,9 @@ class Button(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
-Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "refused"]
+Refusal = Literal["refused", "refused: calibration", "refused: full", "refused: hardware"]
+Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "pairing", Refusal]
+"""What an indicator can say; "refused" alone is: busy, push again."""
 
 
 class Indicator(Protocol):

@@ -18,6 +18,10 @@ RHYTHMS: Final[dict[Cue, tuple[tuple[float, float], ...]]] = {
     "doubtful": (_SHORT, _SHORT, _SHORT),
     "retake": (_LONG,),
     "refused": (_LONG, _SHORT, _SHORT),
+    "refused: calibration": (_LONG, _SHORT, _SHORT, _SHORT),
+    "refused: full": (_SHORT, _LONG),
+    "refused: hardware": (_SHORT, _SHORT, _LONG),
+    "pairing": (_SHORT, _LONG, _SHORT),
 }
 """Times on and off, in seconds, of each cue."""
 

@@ -10,14 +10,14 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
 from device.errors import DeviceError
-from host_sync.commands import devices, exporting, offload
+from host_sync.commands import devices, exporting, gaging, measuring, offload, rendering, reporting, viewing
 from host_sync.commands import library as library_commands
-from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, telling
+from host_sync.commands.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, complain, say, telling
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
@@ -26,6 +26,9 @@ from host_sync.method_name import MethodName
 from host_sync.picture_format import PictureFormat
 from host_sync.reconstruction.detail_filter import DetailBand
 from host_sync.video_command import video
+
+if TYPE_CHECKING:
+    from host_sync.calibration.full_calibration import Calibration
 
 app = App(
     name="retrosync",
@@ -66,6 +69,11 @@ offload.register(app)
 devices.register(app)
 library_commands.register(app)
 exporting.register(app)
+measuring.register(app)
+gaging.register(app)
+reporting.register(app)
+viewing.register(app)
+rendering.register(app)
 
 
 @app.command
@@ -118,7 +126,9 @@ def _reconstruct_frame_set(
     tell_of_compiling()
     from host_sync.reconstruction.frame_set_job import reconstruct_frame_set
 
-    done, failures = reconstruct_frame_set(frame_set, out, method, names, tell, band, force=force)
+    done, failures = reconstruct_frame_set(
+        frame_set, out, method, names, tell, band, force=force, calibrated=_say_calibration
+    )
     for failure in failures:
         complain(f"{failure.name}: {failure.reason}", PARTLY)
     for name, warnings in done.items():
@@ -128,6 +138,13 @@ def _reconstruct_frame_set(
     if failures and not done:
         return BAD_INPUT
     return PARTLY if failures else DONE
+
+
+def _say_calibration(calibration: Calibration) -> None:
+    from host_sync.calibration.calibration_words import calibration_lines
+
+    for line in calibration_lines(calibration):
+        say(line)
 
 
 def _reconstruct_library(
@@ -148,7 +165,7 @@ def _reconstruct_library(
     tell_of_compiling()
     from host_sync.reconstruction.library_job import LibraryJob
 
-    job = LibraryJob(library, method, tell, band, force=force)
+    job = LibraryJob(library, method, tell, band, force=force, calibrated=_say_calibration)
     done = 0
     for scan in scans:
         try:
@@ -185,7 +202,8 @@ def figures(
     formats: Any of png, pdf, svg.
     """
     with telling() as tell:
-        tell("loading compiled code (the first run compiles it)")
+        tell("loading compiled code")
+        tell_of_compiling()
         from host_sync.reconstruction.figures_job import frames_to_draw, write_figures
 
         frames = frames_to_draw(name, Library(library) if library is not None else None)

@@ -36,6 +36,10 @@ class MissingCalibration(HostError, LookupError):
     """A scan names no calibration, or one that the library does not hold. Pull it from the device."""
 
 
+class MissingResult(HostError, LookupError):
+    """A scan of the library has no results yet. Reconstruct it."""
+
+
 class ResultError(HostError, OSError):
     """Results cannot be written where they belong: full, read-only or in the way. Free it or choose another place."""
 
@@ -66,3 +70,15 @@ class ExportError(HostError, OSError):
 
 class FilterError(HostError, ValueError):
     """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""
+
+
+class MeasurementError(HostError, ValueError):
+    """A result or a recipe cannot be measured as asked. Mend the file, key or place that the message names."""
+
+
+class RenderError(HostError, ValueError):
+    """A picture cannot be made as it was asked for. Give another size, light, viewpoint or kind of file."""
+
+
+class ViewError(HostError, LookupError):
+    """What was to be looked at is not there, or cannot be shown. Name a library, a result or another scan."""

@@ -19,7 +19,15 @@ from device.disk_advice import explain_refusal
 from device.durable import discard, publish_directory
 from device.errors import DeviceError, RecordError
 from device.scan_bundle import ScanBundle, read_scan
-from host_sync.errors import BusyBundle, HostError, LibraryError, MissingCalibration, NoSuchBundle, SourceLost
+from host_sync.errors import (
+    BusyBundle,
+    HostError,
+    LibraryError,
+    MissingCalibration,
+    MissingResult,
+    NoSuchBundle,
+    SourceLost,
+)
 
 RESULTS: Final = "results"
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -104,6 +112,22 @@ class Library:
             folder = scan.directory / RESULTS
             entries = folder.iterdir() if folder.is_dir() else ()
             return tuple(sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")))
+
+    def newest_result(self, scan: ScanBundle) -> Path:
+        """The folder of the results that were written last.
+
+        Raises
+        ------
+        MissingResult
+            The scan has none.
+        """
+        with self.translating("read"):
+            folders = sorted(self.results(scan), key=lambda folder: folder.stat().st_mtime_ns)
+        if not folders:
+            raise MissingResult(
+                f"{scan.scan_id}: has no results: run retrosync reconstruct --library {self.root} {scan.scan_id}"
+            )
+        return folders[-1]
 
     def require(self) -> None:
         """Refuse a library that is not there."""

@@ -22,6 +22,7 @@ from host_sync.library import Library
 INDEX_FILE: Final = "index.sqlite3"
 IN_MEMORY: Final = Path(":memory:")
 _VERSION: Final = 1
+_HIT: Final = "id, taken, verdict, job, part, gel, operator, device, reason"
 _TABLES: Final = """
 CREATE TABLE bundle (kind TEXT, id TEXT, stamp TEXT, damage TEXT, device TEXT, counter INTEGER, taken TEXT, board TEXT,
     gel TEXT, job TEXT, part TEXT, operator TEXT, verdict TEXT, reason TEXT, calibration TEXT, PRIMARY KEY (kind, id));
@@ -50,7 +51,7 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """A scan that answers to a query; `taken` is the device's own idea of the time."""
+    """A scan that answers to a query; `taken` is the device's own idea of the time, `reason` the verdict's."""
 
     scan_id: str
     taken: str
@@ -58,6 +59,9 @@ class Hit:
     job: str | None
     part: str | None
     gel: str
+    operator: str | None
+    device: str
+    reason: str
 
 
 def search(library: Library, query: Query) -> list[Hit]:
@@ -74,9 +78,7 @@ def search(library: Library, query: Query) -> list[Hit]:
     days = {name: day.isoformat() for name, day in (("since", query.since), ("until", query.until)) if day is not None}
     clauses += [f"substr(taken, 1, 10) {'>=' if name == 'since' else '<='} :{name}" for name in days]
     # Only names of columns from this file are put into the text; every value goes in by name.
-    sql = (
-        f"SELECT id, taken, verdict, job, part, gel FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
-    )
+    sql = f"SELECT {_HIT} FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
     return [Hit(*row) for row in _ask(library, sql, given | days)]
 
 

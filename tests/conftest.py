@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from device.scanning.calibrate import calibrate
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame
-from hal.twin.bench import build
+from hal.hardware import Hardware
+from hal.twin.bench import Bench, build
 from hal.twin.hardware import twin_hardware
 
 SHAPE = (32, 48)
@@ -133,3 +135,23 @@ def calibrated_root(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardP
     with hardware:
         calibrate(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f"), 3.0, lambda _: None)
     return root
+
+
+@pytest.fixture
+def bench(small_twin: BoardProfile) -> Bench:
+    """A world of the small twin, in virtual time."""
+    return build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))
+
+
+@pytest.fixture
+def hardware(bench: Bench) -> Hardware:
+    """The devices of that world."""
+    return twin_hardware(bench)
+
+
+@pytest.fixture
+def calibrated(calibrated_root: Path, tmp_path: Path, hardware: Hardware) -> BundleStore:
+    """A store of its own with an active calibration of the small twin."""
+    root = tmp_path / "calibrated"
+    shutil.copytree(calibrated_root, root)
+    return BundleStore(root, hardware.clock, boot_id="b0075e1f")

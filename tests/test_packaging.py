@@ -50,7 +50,8 @@ def run_away_from_checkout(unpacked: Path, *arguments: str) -> str:
 
 def test_wheel_holds_the_three_packages_and_nothing_else(held: frozenset[str]) -> None:
     assert {name.partition("/")[0] for name in held if ".dist-info/" not in name} == set(PACKAGES)
-    code = [name for name in held if ".dist-info/" not in name and not name.startswith("hal/board/")]
+    facts = ("hal/board/", "host_sync/viewer/page/")
+    code = [name for name in held if ".dist-info/" not in name and not name.startswith(facts)]
     assert {Path(name).suffix for name in code} == {".py"}
     assert {Path(name).suffix for name in held if name.startswith("hal/board/")} <= {".toml", ".md"}
 
@@ -64,6 +65,12 @@ def test_wheel_holds_every_board_profile(held: frozenset[str]) -> None:
     profiles = {f"hal/board/{path.name}" for path in (ROOT / "board").glob("*.toml")}
     assert "hal/board/twin.toml" in profiles
     assert profiles <= held
+
+
+def test_wheel_holds_the_viewers_page_and_the_licence_of_what_it_brings(held: frozenset[str]) -> None:
+    place = ROOT / "host_sync" / "viewer" / "page"
+    page = {path.relative_to(ROOT).as_posix() for path in place.rglob("*") if path.is_file()}
+    assert {"host_sync/viewer/page/index.html", "host_sync/viewer/page/vendor/three.LICENSE.txt"} <= page <= held
 
 
 def test_wheel_carries_its_licence(held: frozenset[str]) -> None:

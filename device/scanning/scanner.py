@@ -18,6 +18,7 @@ from device.quick_look_files import write_quick_look
 from device.raw_file import write_raw
 from device.scan_bundle import Annotations, LightFaultRecord, PowerRecord, ScanBundle, ScanRecord, VerdictRecord
 from device.scanning.capture import CapturePlan, Shot, take
+from device.scanning.scan_health import ScanHealth
 from device.settings_record import SettingsRecord
 from device.verdict import judge
 from hal.hardware import Hardware
@@ -38,10 +39,16 @@ class ScanOutcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TakenPress:
-    """A press that was taken and is not yet published: its shot, and supply and battery right after it."""
+    """A press that was taken and is not yet published.
+
+    shot : its frame, proven
+    power : supply and battery right after it
+    motion : how much the contact moved as it was taken, in intensity; None when nobody looked
+    """
 
     shot: Shot
     power: PowerReading
+    motion: float | None = None
 
 
 class Scanner:
@@ -63,7 +70,34 @@ class Scanner:
         self._plan = CapturePlan.of_calibration(hardware, record.fingerprint, record.asked)
         _check_belongs(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
-        self._model = QuickLookModel.prepare(self._calibration.reference(), inverse_map, record.pixel_pitch_um)
+        reference = self._calibration.reference()
+        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um)
+        self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
+
+    @property
+    def calibration(self) -> CalibrationBundle:
+        """The calibration that scans are taken under."""
+        return self._calibration
+
+    @property
+    def plan(self) -> CapturePlan:
+        """Exposure and currents of every scan."""
+        return self._plan
+
+    @property
+    def model(self) -> QuickLookModel:
+        """The calibration at quick-look size."""
+        return self._model
+
+    def scans_left(self) -> int:
+        """How many more scans fit.
+
+        Raises
+        ------
+        StoreError
+            The disk cannot be asked.
+        """
+        return self._store.scans_left(self._bytes_per_scan)
 
     def check_room(self) -> int:
         """How many more scans fit; when none does, scans that a workstation vouches for make room, oldest first.
@@ -73,14 +107,17 @@ class Scanner:
         StoreError
             Not one more fits: the press is refused before it is made.
         """
-        rows, columns = self._hardware.camera.shape
-        bytes_per_scan = int(BYTES_PER_PIXEL * rows * columns)
-        left = self._store.scans_left(bytes_per_scan)
-        if left < 1 and self._store.make_room(bytes_per_scan):
-            left = self._store.scans_left(bytes_per_scan)
+        left = self.scans_left()
+        if left < 1 and self._store.make_room(self._bytes_per_scan):
+            left = self.scans_left()
         if left < 1:
             raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space first")
         return left
+
+    @property
+    def _bytes_per_scan(self) -> int:
+        rows, columns = self._hardware.camera.shape
+        return int(BYTES_PER_PIXEL * rows * columns)
 
     def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
         """Capture, judge, look and publish; `may_lift` is called as soon as the frame is in memory.
@@ -122,8 +159,10 @@ class Scanner:
             look = quick_look(binned, self._model)
         except DeviceError as error:
             fault = str(error)
+        intensity = look.intensity if look else None
         flags = {fault.light: fault.kind for fault in press.shot.light_faults or ()}
-        verdict = judge(binned, look.intensity if look else None, self._hardware.lights.names, flags)
+        known = self.health.circumstances(intensity, look, press.motion)
+        verdict = judge(binned, intensity, self._hardware.lights.names, flags, known)
         record = self._record(press, annotations, verdict)
 
         def write(directory: Path) -> None:

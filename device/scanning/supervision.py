@@ -1,7 +1,7 @@
 """What a service manager is told: ready, still alive, about to stop. Without one, nobody is told and nothing fails.
 
 The watchdog is fed by the loop that does the work, and by nothing else: a loop that hangs falls silent, and is started
-again. Whoever runs such a loop (`device.scanning.watching`, the screen) makes one `Supervisor.from_environment`, calls
+again. Whoever runs such a loop (`device.session.headless`, the screen) makes one `Supervisor.from_environment`, calls
 `ready` once and `alive` in every turn, and lets no turn wait longer than `longest_wait_s`.
 
 Why an own module: the protocol is one datagram of text, see sd_notify(3).

@@ -12,7 +12,7 @@ from pattern import Patch
 from pattern_frames import pattern_light, rgb_frame, skin_light
 from twin_instrument import BALL_RADIUS_MM
 
-from device.scanning.calibrate import press_places
+from device.scanning.guided_calibration import press_places
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import PressBall

@@ -109,6 +109,10 @@ def _pipeline_per_pixel(figures: Figures) -> float | None:
     return float(large["min_ms"] / large["megapixels"] / (small["min_ms"] / small["megapixels"]))
 
 
+def _press(name: str) -> Callable[[Figures], float]:
+    return lambda f: float(_at(f, "one press", name))
+
+
 MARKS = (
     Mark("unweighted_over_dctn", 1, "full rectangle: times as fast as scipy dctn with 2 workers", "at least", 3.0,
          _faster("unweighted", "scipy dctn, 2 workers"), lambda f: _over_exact(f, "unweighted") <= 1.01),
@@ -146,5 +150,16 @@ MARKS = (
     Mark("cost_gradients", 8, "the same: slopes per pixel", "at most", 1.3,
          _per_pixel(("gradients", "ours"), ("gradients", "small", "ours"))),
     Mark("cost_pipeline", 8, "the same: raw file to results on disk", "at most", 1.3, _pipeline_per_pixel),
+    Mark("press_cue_ms", 9, "one press: button down to light and cue, ms", "at most", 100.0, _press("cue_ms")),
+    Mark("press_lift_ms", 9, "one press: frame in memory, you may lift, ms", "at most", 500.0, _press("may_lift_ms")),
+    Mark("press_disk_ms", 9, "one press: safe on disk, CPU time included, ms", "at most", 1500.0, _press("on_disk_ms")),
+    Mark("press_verdict_ms", 9, "one press: verdict after the lift cue, ms", "at most", 1000.0,
+         _press("verdict_after_lift_ms")),
+    Mark("press_preview_ms", 9, "one press: relief preview, ms", "at most", 2000.0, _press("preview_ms")),
+    Mark("press_ready_ms", 9, "one press: ready again, cues played, ms", "at most", 2000.0, _press("ready_again_ms")),
+    Mark("press_refused_ms", 9, "one press: a refusal's cue and reason, ms", "at most", 100.0, _press("refused_ms")),
+    Mark("coach_hz", 9, "press coach: readings a second", "at least", 10.0, _press("coach_hz")),
+    Mark("coach_cpu_ms", 9, "press coach: CPU time a reading, ms", "at most", 20.0, _press("coach_cpu_ms")),
+    Mark("calibration_s", 9, "guided calibration on the twin, s", "at most", 180.0, _press("calibration_virtual_s")),
 )  # fmt: skip
 """Every mark, in the order of issue and note."""

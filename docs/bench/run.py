@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 FILE_COLUMNS = 110
 """Width of the tables where no terminal says how wide it is."""
 
-SECTIONS = ["handheld", "integration", "gradients", "video", "pipeline", "two workers", "memory"]
-WITHOUT_FRAMES = {"integration", "memory"}
+SECTIONS = ["handheld", "one press", "integration", "gradients", "video", "pipeline", "two workers", "memory"]
+WITHOUT_FRAMES = {"one press", "integration", "memory"}
 
 
 def main() -> int:
@@ -63,6 +63,7 @@ def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], Non
     import handheld
     import integration
     import memory
+    import one_press
     import pipeline
     import two_workers
     import video
@@ -78,6 +79,7 @@ def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], Non
             fresh(render, shape, folder)
     sections: dict[str, Callable[[], dict[str, Any]]] = {
         "handheld": lambda: handheld.measure(plan, maps, folder, tell),
+        "one press": lambda: one_press.measure(plan, folder, tell),
         "integration": lambda: integration.measure(plan, tell),
         "gradients": lambda: gradients.measure(plan, calibration, tell),
         "video": lambda: video.measure(plan, calibration, folder, tell),

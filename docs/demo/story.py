@@ -25,7 +25,8 @@ from device.bundle_store import BundleStore
 from device.photometry import demosaic
 from device.quick_look_files import PICTURE_FILE
 from device.scan_bundle import Annotations
-from device.scanning.calibrate import calibrate, press_places
+from device.scanning.calibrate import calibrate
+from device.scanning.guided_calibration import press_places
 from device.scanning.scanner import Scanner
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock

@@ -110,7 +110,7 @@ class Bench:
         for light, per_ma_ms in zip(self.profile.lights, scene.charge_e, strict=True):
             dose = self._dose_ma_ms(light.name, began_ns, began_ns + exposure_ns)
             if dose > 0.0 and not (self.faults.lights_broken or light.name in self.faults.open_lights):
-                charge_e += per_ma_ms * np.float32(dose)
+                charge_e += per_ma_ms * np.float32(dose * self.faults.dimmed.get(light.name, 1.0))
         random = np.random.Generator(np.random.SFC64([self.seed, index]))
         mosaic = expose(charge_e, sensor, settings.analogue_gain, random)
         return RawFrame(mosaic, sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn, settings, began_ns)

@@ -15,6 +15,7 @@ class Faults:
     lights_silent : the light driver does not acknowledge
     lights_broken : the driver answers, but no light comes
     open_lights : lights whose LED is not connected: the driver says "open", and no light comes
+    dimmed : share of its light that an ageing light still gives, by name
     button_unreadable : the button's line cannot be read
     under_voltage : the supply is too low
     """
@@ -25,5 +26,6 @@ class Faults:
     lights_silent: bool = False
     lights_broken: bool = False
     open_lights: set[str] = field(default_factory=set)
+    dimmed: dict[str, float] = field(default_factory=dict)
     button_unreadable: bool = False
     under_voltage: bool = False

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from device.ball import BallSamples
+from device.calibration_checks import Check, check_fit
+from device.calibration_coverage import Coverage, measure_coverage
 from device.inverse_fit import InverseFit
 from host_sync.calibration.ball_location import PressFrame, UsedPress
 from host_sync.calibration.ball_radii import check_radii, radius_shares
-from host_sync.calibration.calibration_verdict import Check, check_count, check_fit, checks
-from host_sync.calibration.coverage import Coverage, measure_coverage
+from host_sync.calibration.calibration_verdict import check_count, checks
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.scale_uncertainty import ScaleUncertainty, scale_uncertainty
 

@@ -12,6 +12,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from host_sync.plain_text import printable
+
 DONE: Final = 0
 PARTLY: Final = 1
 BAD_INPUT: Final = 2
@@ -27,11 +29,6 @@ def complain(what: object, code: int) -> int:
     """Say what is wrong; returns the exit code."""
     sys.stderr.write(f"retrosync: {printable(str(what))}\n")
     return code
-
-
-def printable(text: str) -> str:
-    """The same with every control character written out: what a record or a file's name says never moves a terminal."""
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
 
 
 @contextmanager

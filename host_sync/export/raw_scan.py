@@ -7,16 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 import tifffile
 
-from device.disk_advice import explain_refusal
 from device.records import encode_record
 from device.scan_bundle import ScanBundle
 from hal.frame import BayerOrder, RawFrame
-from host_sync.errors import ExportError
+from host_sync.export.publishing import check_free, publish
 
 RawFormat = Literal["dng", "tiff"]
 
@@ -27,7 +26,7 @@ _XYZ_TO_CAMERA: Final = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 """Identity: the colours are those of the lights, and no conversion to a person's eye is claimed."""
 
 
-def export_raw(scan: ScanBundle, form: RawFormat, folder: Path) -> Path:
+def export_raw(scan: ScanBundle, form: RawFormat, folder: Path, *, overwrite: bool = False) -> Path:
     """The file that was written into `folder`: `<scan id>.dng` or `<scan id>.tif`.
 
     Raises
@@ -35,31 +34,24 @@ def export_raw(scan: ScanBundle, form: RawFormat, folder: Path) -> Path:
     RecordError
         The scan is damaged; nothing is written.
     ExportError
-        The folder cannot be written.
+        The folder cannot be written, or the file is there already.
     """
     scan.verify()
     frame = scan.raw_frame()
     write, suffix = _WRITERS[form]
     path = folder / f"{scan.scan_id}{suffix}"
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            write(partial, frame, scan)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise ExportError(f"{path}: cannot be written {explain_refusal(error)}") from error
+    if not overwrite:
+        check_free([path])
+    publish(path, lambda file: write(file, frame, scan))
     return path
 
 
-def write_dng(path: Path, frame: RawFrame, scan: ScanBundle) -> None:
+def write_dng(file: BinaryIO, frame: RawFrame, scan: ScanBundle) -> None:
     """Write a DNG 1.4: the Bayer mosaic, 16 bit, not compressed, with black and white levels and exposure."""
     black, white = round(frame.black_level_dn), round(frame.white_level_dn)
     exposure_us = round(frame.granted.exposure_us * 1000)
     tifffile.imwrite(
-        path,
+        file,
         frame.mosaic,
         photometric=_CFA,
         planarconfig=1,
@@ -88,11 +80,11 @@ def write_dng(path: Path, frame: RawFrame, scan: ScanBundle) -> None:
     )
 
 
-def write_imagej_tiff(path: Path, frame: RawFrame, scan: ScanBundle) -> None:
+def write_imagej_tiff(file: BinaryIO, frame: RawFrame, scan: ScanBundle) -> None:
     """Write the mosaic as one page of uint16, deflated, with the pixel pitch as its resolution."""
     per_cm = 1e4 / scan.record.pixel_pitch_um
     tifffile.imwrite(
-        path,
+        file,
         frame.mosaic,
         photometric="minisblack",
         compression="adobe_deflate",
@@ -108,7 +100,7 @@ def _cfa_pattern(order: BayerOrder) -> bytes:
     return bytes(np.array([_PLANE[colour] for colour in order], np.uint8))
 
 
-_WRITERS: Final[dict[RawFormat, tuple[Callable[[Path, RawFrame, ScanBundle], Any], str]]] = {
+_WRITERS: Final[dict[RawFormat, tuple[Callable[[BinaryIO, RawFrame, ScanBundle], Any], str]]] = {
     "dng": (write_dng, ".dng"),
     "tiff": (write_imagej_tiff, ".tif"),
 }

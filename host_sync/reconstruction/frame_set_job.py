@@ -99,11 +99,13 @@ def reconstruct_frame_set(
     band: DetailBand | None = None,
     *,
     force: bool = False,
+    calibrated: Callable[[Calibration], None] = lambda _: None,
 ) -> tuple[dict[str, tuple[str, ...]], list[ScanFailure]]:
     """Reconstruct the named scans (all when none is named) and write every result: warnings by scan, and failures.
 
     band : of the detail that is written beside each height map, if any
     force : reconstruct frames too that the calibration cannot explain
+    calibrated : is given the calibration as soon as it is made
 
     Raises
     ------
@@ -115,6 +117,7 @@ def reconstruct_frame_set(
     scans = chosen_scans(frame_set, names)
     calibration = calibrate_frame_set(frame_set, tell)
     write_report(out / CALIBRATION_FOLDER, calibration)
+    calibrated(calibration)
     done: dict[str, tuple[str, ...]] = {}
     failures = []
     for scan in scans:

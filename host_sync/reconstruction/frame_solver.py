@@ -22,7 +22,7 @@ from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_inten
 from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import Integrator
 from host_sync.reconstruction.pipeline import estimate, refuse_doubtful
-from host_sync.reconstruction.plausibility import frame_doubts
+from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
 
 CHECK_COARSENESS: Final = 2
 SAMPLED_COLUMNS: Final = 180
@@ -106,7 +106,9 @@ class FrameSolver:
         refuse_doubtful(self._doubts(intensity), frame.name, force=self._force)
         gradients = self._gradients(intensity)
         height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
-        zero_um = height_of_rest_um(height, untouched_skin(gradients))
+        at_rest = untouched_skin(gradients)
+        refuse_doubtful(rest_doubts(intensity, at_rest), frame.name, force=self._force)
+        zero_um = height_of_rest_um(height, at_rest)
         peak_um, known = _lower(height.z_um, np.float32(zero_um), out)
         return FrameFigures(
             contact_share=shaded_share(_sampled(intensity)),

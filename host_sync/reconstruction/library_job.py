@@ -30,6 +30,7 @@ class LibraryJob:
     tell : is given a few words as each step begins
     band : of the detail that is written beside each height map, if any
     force : reconstruct scans too that their calibration cannot explain
+    calibrated : is given every calibration as soon as it is made
     """
 
     def __init__(
@@ -40,12 +41,14 @@ class LibraryJob:
         band: DetailBand | None = None,
         *,
         force: bool = False,
+        calibrated: Callable[[Calibration], None] = lambda _: None,
     ) -> None:
         self._library = library
         self._method = method
         self._tell = tell
         self._band = band
         self._force = force
+        self._calibrated = calibrated
         self._calibrations: dict[str, Calibration] = {}
 
     def run(
@@ -83,6 +86,7 @@ class LibraryJob:
             known = self._calibrations[bundle.calibration_id] = calibration_of(bundle, self._tell)
             self._tell(f"{bundle.calibration_id[-10:]}: calibration report")
             write_report(self._library.result_folder(bundle, version("retrograph"), known.calibration_id), known)
+            self._calibrated(known)
         return known
 
 

@@ -10,23 +10,11 @@ from numpy.typing import NDArray
 
 from device.surface import Float32Array, HeightMap
 from host_sync.render.shading import flat_brightness, shade
+from host_sync.render.tints import HIGHLIGHT, tint_table
 
 Picture = NDArray[np.uint8]
 
-TINTS: Final = ((48, 68, 112), (66, 108, 138), (108, 148, 148), (168, 181, 150), (214, 199, 152), (241, 226, 194))
-"""R, G, B from low to high: dark blue to light sand, readable without colour vision, pale enough to be shaded."""
-
-HIGHLIGHT: Final = 0.55
-"""How far the brightest slope goes from its tint towards white."""
-
 INVALID: Final = 255
-
-
-def tint_table(entries: int = 256) -> Float32Array:
-    """Colours of equally spaced heights from low to high: float32 array of shape (entries, 3), 0 to 255."""
-    at = np.linspace(0.0, len(TINTS) - 1.0, entries)
-    columns = [np.interp(at, np.arange(len(TINTS)), [tint[k] for tint in TINTS]) for k in range(3)]
-    return np.stack(columns, axis=-1).astype(np.float32)
 
 
 def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: float = 1.0) -> Picture:
@@ -37,11 +25,19 @@ def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: f
     low_um, high_um : heights of the first and the last tint, µm
     exaggeration : factor on the slopes that are shaded
     """
+    return tinted(height, shade(height, exaggeration=exaggeration), flat_brightness(), low_um, high_um)
+
+
+def tinted(height: HeightMap, brightness: Float32Array, flat: float, low_um: float, high_um: float) -> Picture:
+    """Picture of shape (H, W, 3): the tint of the height, darker or lighter as it is less or more bright than a flat.
+
+    brightness : float32 array of shape (H, W), 0 to 1; NaN becomes white
+    flat : brightness of a flat under the same light
+    """
     picture = np.empty((*height.z_um.shape, 3), np.uint8)
     share = np.float32(1.0 / max(high_um - low_um, 1e-9))
-    brightness = shade(height, exaggeration=exaggeration)
-    flat = np.float32(flat_brightness())
-    _tint(np.ascontiguousarray(height.z_um), brightness, np.float32(low_um), share, flat, tint_table(), picture)
+    low = np.float32(low_um)
+    _tint(np.ascontiguousarray(height.z_um), brightness, low, share, np.float32(flat), tint_table(), picture)
     return picture
 
 

@@ -8,9 +8,10 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from device.surface import HeightMap
-from host_sync.render.relief import height_range_um, relief_rgb, tint_table
+from host_sync.render.relief import height_range_um, relief_rgb
 from host_sync.render.relief_sheet import WIDEST_PX
 from host_sync.render.shading import exaggeration_for, reduced, steep_slope
+from host_sync.render.tints import tint_table
 
 
 def draw_relief(axes: Axes, height: HeightMap, title: str) -> None:

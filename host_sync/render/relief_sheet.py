@@ -14,8 +14,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from device.surface import HeightMap
-from host_sync.render.relief import Picture, height_range_um, relief_rgb, tint_table
+from host_sync.render.relief import Picture, height_range_um, relief_rgb
 from host_sync.render.shading import exaggeration_for, reduced, steep_slope
+from host_sync.render.tints import tint_table
 
 WIDEST_PX: Final = 1600
 NARROWEST_PX: Final = 320

@@ -9,6 +9,7 @@ import sys
 import time
 
 from device import __main__ as program
+from device.scanning import instrument_lock
 from hal.board_profile import BoardProfile
 from hal.clock import SystemClock
 from hal.hardware import Hardware
@@ -18,7 +19,7 @@ from hal.twin.wired.hardware import wired_hardware
 from hal.twin.wired.register_chip import RegisterChip
 
 
-def open_lit_hardware(profile: BoardProfile) -> Hardware:
+def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:
     """A board whose button is pushed at once, and whose chip model tells of every change of its outputs."""
     wired = wired_hardware(build(profile, SystemClock()), "PCA9955B")
     follow, reach, told = wired.leds.changed, wired.wire.reach, []
@@ -48,5 +49,5 @@ def open_lit_hardware(profile: BoardProfile) -> Hardware:
     return wired.hardware
 
 
-program.open_hardware = open_lit_hardware
+instrument_lock.open_hardware = open_lit_hardware
 sys.exit(program.main())

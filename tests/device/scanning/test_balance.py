@@ -8,8 +8,8 @@ import pytest
 from device.errors import CalibrationError
 from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, channel_levels
 from device.scanning.balance import AIMED_LEVEL, FEWEST_STEPS, balance, warning
-from device.scanning.calibrate import press_places
 from device.scanning.capture import capture
+from device.scanning.guided_calibration import press_places
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware

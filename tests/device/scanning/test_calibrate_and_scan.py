@@ -13,8 +13,9 @@ from device.errors import CalibrationError, CalibrationMismatch, NoCalibration, 
 from device.model_file import read_model
 from device.quick_look_files import HEIGHT_FILE, PICTURE_FILE
 from device.scan_bundle import Annotations, LightFaultRecord
-from device.scanning.calibrate import calibrate, press_places
+from device.scanning.calibrate import calibrate
 from device.scanning.capture import CapturePlan
+from device.scanning.guided_calibration import press_places
 from device.scanning.scanner import Scanner
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, LightFault, OperatorRequest, PressBall, PressObject

@@ -9,6 +9,7 @@ import pytest
 
 from device.ball import Ball, BallSamples, gather_samples
 from device.ball_finder import BallSearch, RejectedBall
+from device.calibration_coverage import measure_coverage
 from device.photometry import IntensityImage, LinearFrame
 from host_sync.calibration.ball_location import (
     GridSpacing,
@@ -19,7 +20,6 @@ from host_sync.calibration.ball_location import (
     seen_instead_of_labelled,
 )
 from host_sync.calibration.balls_figure import MOST_SHOWN, balls_figure
-from host_sync.calibration.coverage import measure_coverage
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.scale_uncertainty import scale_uncertainty
 

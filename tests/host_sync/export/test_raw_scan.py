@@ -78,3 +78,16 @@ def test_a_damaged_scan_and_a_place_in_the_way_are_refused(
     assert export(scan, store, tmp_path / "out", "dng") == 2
     assert "raw.tif" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_raw_frame_is_not_replaced_unasked(
+    store: BundleStore, publish_scan: Callable[..., ScanBundle], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = publish_scan(store)
+    path = tmp_path / f"{scan.scan_id}.dng"
+    path.write_text("mine")
+    assert export(scan, store, tmp_path, "dng") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+    assert export(scan, store, tmp_path, "dng", "--overwrite") == 0
+    assert path.read_bytes().startswith(b"II*")

@@ -7,7 +7,8 @@ import pytest
 
 from device.surface import HeightMap
 from host_sync.errors import FilterError
-from host_sync.reconstruction.detail_filter import DetailBand, detail, gaussian_mean
+from host_sync.measurement.gaussian_regression import gaussian_mean
+from host_sync.reconstruction.detail_filter import DetailBand, detail
 from host_sync.render.detail_picture import exaggeration
 
 PITCH_UM = 4.0

@@ -1,0 +1,47 @@
+"""The instrument without a screen: button and indicator do the work, and what happens is said in lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from device.session.events import (
+    Event,
+    Failed,
+    PairingChanged,
+    PowerOffAsked,
+    PressRefused,
+    ScanFinished,
+    Told,
+    ZeroChecked,
+)
+from device.session.instrument import Instrument
+
+
+def run_headless(
+    instrument: Instrument, tell: Callable[[str], None], complain: Callable[[object], None], go_on: Callable[[], bool]
+) -> None:
+    """Serve the button for as long as `go_on` says; what fails is complained of, and the next push is heard."""
+    state = instrument.state
+    room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
+    tell(f"Ready:{room} Push the button to scan, hold it to pair, Ctrl-C to stop.")
+    while go_on():
+        instrument.step()
+        for event in instrument.take_events():
+            say(event, tell, complain)
+
+
+def say(event: Event, tell: Callable[[str], None], complain: Callable[[object], None]) -> None:
+    """One event as a line; cues that the indicator has shown already are not repeated."""
+    match event:
+        case ScanFinished():
+            tell(f"{event.verdict.level}: {event.verdict.reason} ({event.scan_id})")
+            if event.fault:
+                tell(f"No quick look: {event.fault}")
+        case PressRefused() | Failed():
+            complain(event.sentence)
+        case Told() | PairingChanged() | ZeroChecked():
+            tell(event.sentence)
+        case PowerOffAsked():
+            tell("The power may be switched off.")
+        case _:
+            pass

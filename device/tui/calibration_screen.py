@@ -1,0 +1,157 @@
+"""Calibrate: one instruction at a time, the found circle on the picture, coverage filling up, numbers at last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar, Final
+
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.widget import Widget
+from textual.widgets import Static
+
+from device.scanning.guided_calibration import CalibrationProgress
+from device.session.instrument import Instrument
+from device.session.state import InstrumentState
+from device.session.state import LiveView as LivePicture
+from device.tui.coverage_text import check_lines, coverage_lines
+from device.tui.frame_picture import Circle
+from device.tui.instrument_screen import InstrumentScreen
+from device.tui.live_view import LiveView
+from device.tui.terminal import ColourDepth
+from device.tui.words import gauge_text, hanging
+
+RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
+"""Radii of balls that are easy to buy; chosen, never typed."""
+
+_CONTACT_SHARE: Final = 0.6
+"""Of the ball's radius: how large its contact ought to grow."""
+
+_INTRODUCTION: Final = (
+    "Have ready: the gel in its place and clean, and a polished steel ball.",
+    "First a picture of the skin at rest, then the ball pressed at twelve places. It takes less than three minutes.",
+    "Nothing changes until the new calibration has passed.",
+)
+
+
+class CalibrationScreen(InstrumentScreen):
+    """The guided calibration."""
+
+    PLACE = "calibrate"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("space,enter", "go_on", "start / take"),
+        Binding("r", "radius", "ball radius"),
+        Binding("x", "stop", "stop"),
+    ]
+
+    def __init__(self, instrument: Instrument, depth: ColourDepth, radius_mm: float = 3.0) -> None:
+        super().__init__(instrument)
+        self._radius_mm = radius_mm
+        self._live = LiveView(depth)
+        self._instructions = Static(id="instruction", markup=False)
+        self._progress = Static(id="progress", markup=False)
+        self._coverage = Static(id="coverage", markup=False)
+        self._figures = Static(id="details", markup=False)
+
+    def body(self) -> Iterable[Widget]:
+        """Live picture with circles; instruction, coverage and numbers."""
+        yield self._instructions
+        with Horizontal(id="guide"):
+            yield self._live
+            with Vertical(id="guide-side"):
+                yield self._progress
+                yield self._coverage
+                yield self._figures
+
+    def follow(self, state: InstrumentState) -> None:
+        """Instruction, progress, coverage, and in the end the numbers."""
+        guide = state.guide
+        self._instructions.update(self._instruction(state))
+        taken, wanted = (guide.accepted, guide.wanted) if guide else (0, 12)
+        width = max(self._progress.size.width, 24)
+        gauge = gauge_text("presses", taken / wanted, width, f" {taken} of {wanted}")
+        self._progress.update(gauge)
+        self._coverage.update("\n".join(coverage_lines(guide.coverage if guide else None)))
+        details = [hanging(line, width, indent) for line, indent in self._details(guide)]
+        self._figures.update("\n".join(details))
+        self.refresh_bindings()
+
+    def look_live(self, state: InstrumentState) -> None:
+        """Live picture, the circle that was found and the place that is wanted."""
+        if state.live is None:
+            self._live.show(None, sentence=state.sentence or "Waiting for the camera.")
+            return
+        self._live.show(state.live.picture, circles_of(state.guide, state.live, self._wanted_share()))
+
+    def action_go_on(self) -> None:
+        """Begin, or take the frame that is asked for."""
+        if self._is_running(self.instrument.state):
+            self.instrument.press()
+        else:
+            self.instrument.start_calibration(self._radius_mm)
+
+    def action_radius(self) -> None:
+        """Choose the next radius of the ball."""
+        larger = [radius for radius in RADII_MM if radius > self._radius_mm]
+        self._radius_mm = larger[0] if larger else RADII_MM[0]
+        self.follow(self.instrument.state)
+
+    def action_stop(self) -> None:
+        """Stop; the calibration before stays in force."""
+        self.instrument.cancel_calibration()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """A ball is chosen before, and stopping is for what runs."""
+        running = self._is_running(self.instrument.state)
+        if action in {"radius", "stop"}:
+            return running == (action == "stop")
+        return super().check_action(action, parameters)
+
+    async def short_push(self) -> None:
+        """Begin."""
+        self.action_go_on()
+
+    def _instruction(self, state: InstrumentState) -> str:
+        if state.guide and (self._is_running(state) or state.guide.is_over):
+            again = "" if self._is_running(state) else " Push the button to calibrate again."
+            complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""
+            return f"{state.guide.instruction}{complaint}{again}"
+        return f"Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
+
+    def _details(self, guide: CalibrationProgress | None) -> list[tuple[str, int]]:
+        """Lines, and how far their second lines are indented."""
+        if guide is None:
+            return [(line, 0) for line in _INTRODUCTION]
+        if guide.is_over:
+            return [(line, 6) for line in check_lines(guide.checks)] + [(line, 2) for line in guide.next_presses]
+        return [(line, 2) for line in self._last_press(guide)]
+
+    def _last_press(self, guide: CalibrationProgress) -> list[str]:
+        """What the last press showed."""
+        pitch_mm = self.retroscan.pitch_um * 1e-3
+        found = [
+            f"Ball found, contact {2.0 * ball.contact_radius_px * pitch_mm:.1f} mm across." for ball in guide.circles
+        ]
+        return found + [f"Not used: {ball.reason}." for ball in guide.rejected]
+
+    def _wanted_share(self) -> float:
+        """Radius of the wanted contact as a share of the field's columns."""
+        return _CONTACT_SHARE * self._radius_mm / (self.retroscan.field_um * 1e-3)
+
+    @staticmethod
+    def _is_running(state: InstrumentState) -> bool:
+        return state.activity == "calibrating"
+
+
+def circles_of(guide: CalibrationProgress | None, live: LivePicture, wanted: float) -> tuple[Circle, ...]:
+    """The circles to draw: what the last press showed, and where the next is to go."""
+    if guide is None or guide.is_over:
+        return ()
+    rows, columns = (size * live.step for size in live.picture.shape[:2])
+    found = [
+        Circle("found", ball.column / columns, ball.row / rows, ball.contact_radius_px / columns)
+        for ball in guide.circles
+    ]
+    refused = [Circle("refused", ball.column / columns, ball.row / rows, wanted / 2.0) for ball in guide.rejected]
+    place = [Circle("wanted", *guide.place, wanted, "press here")] if guide.place else []
+    return tuple(found + refused + place)

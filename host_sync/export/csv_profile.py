@@ -1,0 +1,69 @@
+"""A profile as comma-separated values: the pixels nearest to a line, their values untouched."""
+
+from __future__ import annotations
+
+import math
+from typing import BinaryIO, TypeAlias
+
+import numpy as np
+
+from host_sync.errors import ExportError
+from host_sync.export.source_surface import SourceSurface
+
+LineUm: TypeAlias = tuple[float, float, float, float]
+"""Start column, start row, end column, end row, µm from the centre of the first pixel."""
+
+
+def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | None) -> None:
+    """Write distance along the line, column, row, height and standard uncertainty; an invalid value is left empty.
+
+    line_um : the middle row when None
+
+    Raises
+    ------
+    ExportError
+        The line leaves the field, or has no length.
+    """
+    distance_um, rows, columns = pixels_on_line(surface, line_um)
+    z_um = surface.z_um[rows, columns]
+    sigma_um = np.full_like(z_um, np.nan) if surface.sigma_um is None else surface.sigma_um[rows, columns]
+    lines = ["distance_um,column,row,height_um,height_sigma_um"]
+    for along, column, row, height, sigma in zip(distance_um, columns, rows, z_um, sigma_um, strict=True):
+        lines.append(f"{along:.9g},{column},{row},{_cell(height)},{_cell(sigma)}")
+    file.write("\r\n".join([*lines, ""]).encode())
+
+
+def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances in µm, rows and columns of the pixels nearest to a line, one for each step of its longer direction.
+
+    Raises
+    ------
+    ExportError
+        The line leaves the field, or has no length.
+    """
+    last = (surface.columns - 1, surface.rows - 1)
+    if line_um is None:
+        middle = float(surface.rows // 2)
+        ends = (0.0, middle, float(last[0]), middle)
+    else:
+        x0, y0, x1, y1 = (place / surface.pitch_um for place in line_um)
+        ends = (x0, y0, x1, y1)
+    for place, limit in zip(ends, last * 2, strict=True):
+        if not -0.5 <= place <= limit + 0.5:
+            raise ExportError(
+                f"the line leaves the field, which ends at {last[0] * surface.pitch_um:g}, "
+                f"{last[1] * surface.pitch_um:g} um: move it inside"
+            )
+    steps = round(max(abs(ends[2] - ends[0]), abs(ends[3] - ends[1])))
+    if line_um is not None and steps == 0:
+        raise ExportError("the line is shorter than a pixel: move its ends apart")
+    share = np.linspace(0.0, 1.0, steps + 1)
+    columns, rows = (
+        np.clip(np.rint(ends[axis] + share * (ends[axis + 2] - ends[axis])).astype(np.intp), 0, last[axis])
+        for axis in (0, 1)
+    )
+    return share * math.dist(ends[:2], ends[2:]) * surface.pitch_um, rows, columns
+
+
+def _cell(value: np.float32) -> str:
+    return "" if np.isnan(value) else f"{value:.9g}"

@@ -1,0 +1,110 @@
+"""The surface that is exported: what a result folder holds, checked once."""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from device.surface import Float32Array, MaskArray
+from host_sync.errors import ExportError
+from host_sync.measurement.result_surface import (
+    EXTRAPOLATED_FILE,
+    HEIGHT_SIGMA_FILE,
+    read_beside,
+    read_height,
+    read_mask,
+    read_record,
+)
+
+LONGEST_PITCH_UM: Final = 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceSurface:
+    """A height map with its uncertainty and origin.
+
+    z_um : float32 array of shape (H, W), µm, NaN where invalid; some pixel is valid
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid; or None
+    written_utc : when the result was written, as 2026-11-21T14:30:00Z; empty if unknown
+    origin : what is known of it, one sentence of printable characters
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught; or None
+    """
+
+    name: str
+    z_um: Float32Array
+    pitch_um: float
+    sigma_um: Float32Array | None = None
+    written_utc: str = ""
+    origin: str = ""
+    extrapolated: MaskArray | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.z_um.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return int(self.z_um.shape[1])
+
+
+def read_surface(folder: Path) -> SourceSurface:
+    """The surface of a result folder.
+
+    Raises
+    ------
+    MeasurementError
+        A file is missing or damaged, or does not fit the record.
+    ExportError
+        No height is valid.
+    """
+    record = read_record(folder)
+    height = read_height(folder, record)
+    parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *record.warnings)
+    return checked_surface(
+        SourceSurface(
+            name=one_line(record.name),
+            z_um=height.z_um,
+            pitch_um=height.pitch_um,
+            sigma_um=read_beside(folder / HEIGHT_SIGMA_FILE, height.z_um.shape),
+            written_utc=one_line(record.written_utc),
+            origin=one_line("; ".join(part for part in parts if part)),
+            extrapolated=read_mask(folder / EXTRAPOLATED_FILE, height.z_um.shape),
+        ),
+        folder,
+    )
+
+
+def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
+    """The same, with NaN as the one sign of what is invalid.
+
+    Raises
+    ------
+    ExportError
+        The pitch is no length, or no height is valid.
+    """
+    if not 0.0 < surface.pitch_um < LONGEST_PITCH_UM:
+        raise ExportError(f"{source}: its pixel pitch of {surface.pitch_um} um is no length: reconstruct it again")
+    finite = np.isfinite(surface.z_um)
+    if not finite.any():
+        raise ExportError(f"{source}: no height is valid, so there is nothing to export: make the scan again")
+    surface.z_um[~finite] = np.nan
+    if surface.sigma_um is not None:
+        surface.sigma_um[~(finite & np.isfinite(surface.sigma_um))] = np.nan
+    return surface
+
+
+def one_line(text: str) -> str:
+    """The same with everything that is not printable as a blank: what a record says ends no header line."""
+    return "".join(letter if letter.isprintable() else " " for letter in text).strip()
+
+
+def ascii_line(text: str) -> bytes:
+    """The same in ASCII, for formats that name no encoding: letters without their accents, else a question mark."""
+    plain = "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return plain.encode("ascii", "replace")

@@ -1,0 +1,119 @@
+"""A surface in the files that other programs open: each whole under its name or not there, none over another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
+
+from host_sync.export.al3d import write_al3d
+from host_sync.export.csv_profile import LineUm, pixels_on_line, write_csv_profile
+from host_sync.export.float_tiff import write_float_tiff
+from host_sync.export.glb import write_glb
+from host_sync.export.gsf import write_gsf
+from host_sync.export.gwy import write_gwy
+from host_sync.export.mesh import Mesh, grid_mesh
+from host_sync.export.npz import write_npz
+from host_sync.export.obj import write_obj
+from host_sync.export.ply import write_ply
+from host_sync.export.png16 import write_png16, write_png_scale
+from host_sync.export.publishing import Writer, check_free, publish
+from host_sync.export.sdf import write_sdf
+from host_sync.export.source_surface import SourceSurface
+from host_sync.export.stl import write_stl
+from host_sync.export.sur import write_sur
+from host_sync.export.tmd import write_tmd
+from host_sync.export.x3p import write_x3p
+
+FieldFormat = Literal["gsf", "gwy", "x3p", "sur", "sdf", "al3d", "tmd", "tiff", "png", "npz"]
+MeshFormat = Literal["ply", "stl", "obj", "glb"]
+SurfaceFormat = Literal[FieldFormat, MeshFormat, "csv"]
+Rest = ParamSpec("Rest")
+
+LONGEST_NAME: Final = 120
+"""Bytes of a file's name before its suffix."""
+PERMITTED: Final = "-_.+ "
+DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
+
+_FIELDS: Final[dict[str, Callable[[BinaryIO, SourceSurface], None]]] = {
+    "gsf": write_gsf,
+    "gwy": write_gwy,
+    "x3p": write_x3p,
+    "sur": write_sur,
+    "sdf": write_sdf,
+    "al3d": write_al3d,
+    "tmd": write_tmd,
+    "tiff": write_float_tiff,
+    "png": write_png16,
+    "npz": write_npz,
+}
+_MESHES: Final[dict[str, Callable[[BinaryIO, Mesh, str], None]]] = {
+    "ply": write_ply,
+    "stl": write_stl,
+    "obj": write_obj,
+    "glb": write_glb,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportChoices:
+    """What a caller may choose.
+
+    mesh_step : meshes take every so many rows and columns; None takes all and refuses a field that has too many
+    line_um : of the CSV profile; None is the middle row
+    overwrite : files of the same name are replaced
+    """
+
+    mesh_step: int | None = None
+    line_um: LineUm | None = None
+    overwrite: bool = False
+
+
+def export_surface(
+    surface: SourceSurface, forms: Sequence[SurfaceFormat], folder: Path, choices: ExportChoices
+) -> tuple[Path, ...]:
+    """The files that were written into `folder`, named after the surface.
+
+    Raises
+    ------
+    ExportError
+        A format cannot hold the surface, a file is there already (nothing is written then), or the folder cannot be
+        written (what is there is whole).
+    """
+    stem = file_stem(surface.name)
+    files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
+    if not choices.overwrite:
+        check_free(files)
+    for path, write in files.items():
+        publish(path, write)
+    return tuple(files)
+
+
+def file_stem(name: str) -> str:
+    """A name for files that no system takes amiss: letters, digits and a few signs, nothing hidden, no folder."""
+    kept = "".join(letter if letter.isalnum() or letter in PERMITTED else "_" for letter in name)
+    kept = kept.encode()[:LONGEST_NAME].decode(errors="ignore").strip(". ") or "height"
+    return f"_{kept}" if kept.partition(".")[0].lower() in DEVICE_NAMES or kept.startswith("-") else kept
+
+
+def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: ExportChoices) -> dict[str, Writer]:
+    """Suffix and writer of every file, after the checks that choices and sizes need."""
+    writers: dict[str, Writer] = {}
+    mesh = grid_mesh(surface, choices.mesh_step) if set(forms) & set(get_args(MeshFormat)) else None
+    for form in dict.fromkeys(forms):
+        if form in _FIELDS:
+            writers[".tif" if form == "tiff" else f".{form}"] = _bound(_FIELDS[form], surface)
+        elif form == "csv":
+            pixels_on_line(surface, choices.line_um)
+            writers[".csv"] = _bound(write_csv_profile, surface, choices.line_um)
+        else:
+            writers[f".{form}"] = _bound(_MESHES[form], cast(Mesh, mesh), surface.name)
+        if form == "png":
+            writers[".png.json"] = _bound(write_png_scale, surface)
+    return writers
+
+
+def _bound(write: Callable[Concatenate[BinaryIO, Rest], None], *rest: Rest.args, **named: Rest.kwargs) -> Writer:
+    """The writer with all that follows its file given."""
+    return lambda file: write(file, *rest, **named)

@@ -1,0 +1,1 @@
+"""Measurement: form, filters, parameters and what their ± is."""

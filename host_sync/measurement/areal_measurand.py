@@ -1,0 +1,148 @@
+"""The areal parameters of the scale-limited surface, as a measurand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from device.surface import Float32Array, HeightMap, MaskArray
+from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, ParameterKind
+from host_sync.measurement.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
+from host_sync.measurement.geometry import Region
+from host_sync.measurement.height_parameters import height_parameters
+from host_sync.measurement.hybrid_parameters import hybrid_parameters
+from host_sync.measurement.material_ratio import MaterialRatioCurve, functional_parameters
+from host_sync.measurement.preparation import Preparation
+from host_sync.measurement.recipe import Recipe
+
+EDGE_SHARE: Final = 0.25
+MASKED_SHARE: Final = 0.1
+BEYOND_SHARE: Final = 0.005
+"""Shares of the area from which on filter ends, holes and slopes beyond the calibration's make numbers doubtful."""
+
+FEWEST_LENGTHS: Final = 5.0
+"""Autocorrelation lengths along the shorter side under which a field stands for few features."""
+
+FINEST_PX: Final = 2.0
+"""A nesting index of fewer pixels takes away nothing that the pixels can show."""
+
+
+class ArealMeasurand:
+    """Form, filters and parameters of a recipe over its region.
+
+    Parameters
+    ----------
+    recipe : what is done and asked for
+    height : the whole height map
+    extrapolated : where slopes lie beyond what the calibration taught, bool array of shape (H, W), if that is known
+    """
+
+    name = AREAL_SUBJECT
+
+    def __init__(self, recipe: Recipe, height: HeightMap, extrapolated: MaskArray | None) -> None:
+        self._recipe = recipe
+        self._pitch_um = height.pitch_um
+        shape = (height.z_um.shape[0], height.z_um.shape[1])
+        whole = (slice(0, shape[0]), slice(0, shape[1]))
+        self._window = Region(*recipe.region_um).pixels(shape, height.pitch_um) if recipe.region_um else whole
+        part = HeightMap(np.ascontiguousarray(height.z_um[self._window]), height.pitch_um)
+        self._preparation = Preparation(part, recipe)
+        self._wanted = _wanted(recipe)
+        self._correlation = Autocorrelation(self._preparation.valid) if self._asks("spatial") else None
+        self.masked_share = 1.0 - float(self._preparation.valid.mean())
+        self._beyond_share = 0.0 if extrapolated is None else float(extrapolated[self._window].mean())
+        self._decay: Decay | None = None
+
+    @property
+    def valid(self) -> MaskArray:
+        """Pixels of the region with a height: bool array."""
+        return self._preparation.valid
+
+    def surface(self, z_um: Float32Array) -> HeightMap:
+        """The scale-limited surface of a height map of shape (H, W)."""
+        part = np.ascontiguousarray(z_um[self._window])
+        return HeightMap(self._preparation.apply(part), self._pitch_um)
+
+    def kinds(self) -> Mapping[str, ParameterKind]:
+        """The parameters that the recipe asks for."""
+        return self._wanted
+
+    def values(self, z_um: Float32Array) -> Mapping[str, float]:
+        """The parameters of a height map of shape (H, W)."""
+        return self.parameters(self.surface(z_um).z_um)
+
+    def parameters(self, z_um: Float32Array) -> dict[str, float]:
+        """The parameters of a scale-limited surface."""
+        found: dict[str, float] = {}
+        if self._asks("height"):
+            found |= height_parameters(z_um)
+        if self._asks("hybrid"):
+            found |= hybrid_parameters(z_um, self._pitch_um)
+        if self._correlation is not None:
+            found |= self._spatial(self._correlation.of(z_um))
+        if self._asks("functional"):
+            found |= functional_parameters(z_um)
+        if self._recipe.smc_percent or self._recipe.smr_um:
+            curve = MaterialRatioCurve.of(z_um)
+            found |= {_smc(share): curve.height_um(share / 100.0) for share in self._recipe.smc_percent}
+            found |= {_smr(height): 100.0 * curve.share(height) for height in self._recipe.smr_um}
+        return found
+
+    def doubts(self) -> Mapping[str, tuple[str, ...]]:
+        """What the filters' ends, the mask, slopes and the size of the field put in doubt."""
+        every = []
+        edge = self._preparation.edge_share()
+        if edge > EDGE_SHARE:
+            every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
+        if self.masked_share > MASKED_SHARE:
+            every.append(f"{self.masked_share:.0%} of the area is masked: what is under the mask may differ")
+        if self._beyond_share > BEYOND_SHARE:
+            every.append(f"{self._beyond_share:.1%} of the area has slopes beyond what the calibration's balls taught")
+        return {"": tuple(every)} | self._spatial_doubts()
+
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say of the filters themselves."""
+        s_um = self._recipe.s_filter_um
+        if s_um is not None and s_um < FINEST_PX * self._pitch_um:
+            return (f"S-filter: {s_um:g} µm is less than {FINEST_PX:g} pixels of {self._pitch_um:g} µm: no effect",)
+        return ()
+
+    def _asks(self, group: str) -> bool:
+        return not self._wanted.keys().isdisjoint(GROUPS[group])
+
+    def _spatial(self, correlation: Float32Array) -> dict[str, float]:
+        fallen = decay(correlation)
+        if self._decay is None:
+            self._decay = fallen  # of the height map itself, which is measured first
+        return {
+            "Sal": fallen.shortest_px * self._pitch_um,
+            "Str": fallen.shortest_px / fallen.longest_px,
+            "Std": texture_direction_deg(correlation) if "Std" in self._wanted else float("nan"),
+        }
+
+    def _spatial_doubts(self) -> dict[str, tuple[str, ...]]:
+        if self._decay is None:
+            return {}
+        found: dict[str, tuple[str, ...]] = {}
+        if not self._decay.reached:
+            found["Str"] = ("at most this: the autocorrelation does not fall to 0.2 in every direction of the field",)
+        if min(self._preparation.valid.shape) < FEWEST_LENGTHS * self._decay.shortest_px:
+            found["Sal"] = (f"the field is less than {FEWEST_LENGTHS:g} of it wide: it holds few features",)
+        return found
+
+
+def _wanted(recipe: Recipe) -> dict[str, ParameterKind]:
+    names = [one for name in recipe.parameters for one in GROUPS.get(name, (name,))]
+    found = {name: AREAL[name] for name in dict.fromkeys(names)}
+    found |= {_smc(share): ParameterKind("µm") for share in recipe.smc_percent}
+    return found | {_smr(height): ParameterKind("%") for height in recipe.smr_um}
+
+
+def _smc(percent: float) -> str:
+    return f"Smc({percent:g} %)"
+
+
+def _smr(height_um: float) -> str:
+    return f"Smr({height_um:g} µm)"

@@ -1,0 +1,72 @@
+"""Height noise that is finer than the draws: what the reduced field of the draws cannot hold.
+
+Draws lie on cells of several pixels. What slopes are unsure of beyond the draws' own slopes is noise from pixel to
+pixel, which integration turns into heights that are correlated over a few pixels only. One periodic tile of such noise
+is made once: white slopes, integrated by least squares, less the part that the draws' cells can hold. It is laid over
+the field at a random place for each draw and scaled by what is missing there.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from device.surface import Float32Array
+
+TILE_PX: Final = 512
+SMOOTH_CELLS: Final = 4.0
+"""Standard deviation of the Gaussian that steadies the draws' slopes, which few draws tell badly."""
+
+
+class FineNoise:
+    """Noise between the pixel and the draws' cells.
+
+    Parameters
+    ----------
+    slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid
+    draws_um : float32 array of shape (K, h, w)
+    pitch_um : of the pixels, µm
+    """
+
+    def __init__(self, slope_sigma: Float32Array, draws_um: Float32Array, pitch_um: float) -> None:
+        rows, columns = slope_sigma.shape
+        cell_px = columns / draws_um.shape[2]
+        held = cv2.resize(_slope_square(draws_um, cell_px * pitch_um), (columns, rows), interpolation=cv2.INTER_LINEAR)
+        missing = np.sqrt(np.maximum(np.nan_to_num(slope_sigma) ** 2 - held, np.float32(0.0)))
+        self._scale_um = np.asarray(missing * np.float32(pitch_um), np.float32)
+        self._tile = _unit_tile(round(cell_px))
+
+    def draw_um(self, rng: np.random.Generator) -> Float32Array:
+        """One draw: float32 array of shape (H, W), µm."""
+        tile = np.roll(self._tile, rng.integers(0, TILE_PX, 2), (0, 1))
+        if rng.integers(2):
+            tile = tile.T
+        rows, columns = self._scale_um.shape
+        repeats = (-(-rows // TILE_PX), -(-columns // TILE_PX))
+        return np.asarray(np.tile(tile, repeats)[:rows, :columns] * self._scale_um, np.float32)
+
+
+def _slope_square(draws_um: Float32Array, cell_um: float) -> Float32Array:
+    """Mean square of either slope over the draws: float32 array of shape (h, w)."""
+    total = np.zeros(draws_um.shape[1:], np.float32)
+    for draw_um in draws_um:
+        q, p = np.gradient(draw_um / np.float32(cell_um))
+        total += (p * p + q * q) / np.float32(2 * len(draws_um))
+    return np.asarray(cv2.GaussianBlur(total, (0, 0), SMOOTH_CELLS), np.float32)
+
+
+def _unit_tile(cell_px: int) -> Float32Array:
+    """Periodic heights (pixels) whose central differences have standard deviation 1: float32 array (TILE, TILE)."""
+    rng = np.random.default_rng(0)
+    p, q = (np.fft.rfft2(rng.standard_normal((TILE_PX, TILE_PX))) for _ in range(2))
+    across = 2j * np.sin(np.pi * np.fft.rfftfreq(TILE_PX))
+    down = 2j * np.sin(np.pi * np.fft.fftfreq(TILE_PX))[:, None]
+    square = np.abs(across) ** 2 + np.abs(down) ** 2
+    square[0, 0] = 1.0
+    heights = np.fft.irfft2((np.conj(across) * p + np.conj(down) * q) / square, (TILE_PX, TILE_PX)).astype(np.float32)
+    coarse = cv2.resize(heights, (TILE_PX // cell_px,) * 2, interpolation=cv2.INTER_AREA)
+    fine = heights - cv2.resize(coarse, (TILE_PX, TILE_PX), interpolation=cv2.INTER_LINEAR)
+    slopes = [np.roll(fine, -1, axis) - np.roll(fine, 1, axis) for axis in (0, 1)]
+    return np.asarray(fine / (0.5 * np.sqrt(np.mean(np.square(slopes)))), np.float32)

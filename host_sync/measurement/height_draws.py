@@ -1,0 +1,109 @@
+"""Surfaces that the data allow: the height map plus one draw of its error at a time.
+
+A number's uncertainty is the spread of what it becomes on these surfaces, each levelled, filtered and measured as the
+height map itself is; no formula per pixel can give it, as errors are correlated over the field.
+
+Scale: what was measured of pixel pitch and ball radius is in the draws' heights already. Lengths along the skin get the
+pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the
+pitch, one of the radius) and to lengths alike, from one draw, so that a number that depends on both sees it as it is.
+
+Surfaces unlike the balls: a calibration knows its errors on balls, and a ball shows shallow slopes at its apex only. On
+a raised flat face shallow slopes are read with another gain. That error is the same all over a press, no draw of the
+reconstruction holds it, and it is larger than all of them: it is added here as a share of the heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import cv2
+import msgspec
+import numpy as np
+from scipy.stats import norm
+
+from device.surface import Float32Array, Float64Array
+from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
+from host_sync.measurement.fine_noise import FineNoise
+from host_sync.measurement.result_surface import ResultSurface
+
+SEED: Final = 25178
+
+UNLIKE_BALLS_SHARE: Final = 0.11
+"""Root mean square error of step heights and amplitudes of raised faces on the twin, whose lights are 25 mm away
+(`docs/accuracy/measured_coverage.py`); what an instrument of your own does, a step of known height tells."""
+
+Share = Annotated[float, msgspec.Meta(ge=0, lt=1)]
+
+
+class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Standard uncertainties, as shares, that the calibration did not measure; None leaves them out.
+
+    unlike_balls_share : of heights on surfaces that no ball is like; 0 for a ball
+    """
+
+    pixel_pitch_share: Share | None = None
+    ball_radius_share: Share | None = None
+    unlike_balls_share: Share = UNLIKE_BALLS_SHARE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnSurface:
+    """One surface that the data allow.
+
+    z_um : float32 array of shape (H, W)
+    stretch : by what factor lengths along the skin are longer than the nominal pitch makes them
+    """
+
+    z_um: Float32Array
+    stretch: float
+
+
+class HeightDraws:
+    """The draws of one result; each is made when it is asked for, and one alone is held.
+
+    Parameters
+    ----------
+    surface : the result
+    stated : what its calibration did not measure
+    """
+
+    def __init__(self, surface: ResultSurface, stated: StatedScale | None = None) -> None:
+        self._z_um = surface.height.z_um
+        draws_um = surface.draws_um
+        self._draws_um = draws_um if draws_um is not None else np.zeros((0, 1, 1), np.float32)
+        self._fine = None
+        if surface.slope_sigma is not None and draws_um is not None and draws_um.shape[2] < self._z_um.shape[1]:
+            self._fine = FineNoise(surface.slope_sigma, draws_um, surface.height.pitch_um)
+        known, stated = surface.record.height_scale, stated or StatedScale()
+        rng = np.random.default_rng(SEED)
+        pitch, radius, unlike = (_balanced(rng, len(self)) for _ in range(3))
+        self._height_factor = 1.0 + stated.unlike_balls_share * unlike
+        self._stretch = 1.0 + (known.pixel_pitch_share or stated.pixel_pitch_share or 0.0) * pitch
+        if known.pixel_pitch_share is None:
+            self._height_factor += HEIGHT_PER_PITCH * (stated.pixel_pitch_share or 0.0) * pitch
+        if known.ball_radius_share is None:
+            self._height_factor += (stated.ball_radius_share or 0.0) * radius
+
+    def __len__(self) -> int:
+        return len(self._draws_um)
+
+    def surfaces(self) -> Iterator[DrawnSurface]:
+        """Every surface, one after the other; the same ones at each call."""
+        size = (self._z_um.shape[1], self._z_um.shape[0])
+        rng = np.random.default_rng(SEED + 1)
+        for draw_um, factor, stretch in zip(self._draws_um, self._height_factor, self._stretch, strict=True):
+            z_um = self._z_um + np.asarray(cv2.resize(draw_um, size, interpolation=cv2.INTER_LINEAR), np.float32)
+            if self._fine is not None:
+                z_um += self._fine.draw_um(rng)
+            z_um *= np.float32(factor)
+            yield DrawnSurface(z_um, float(stretch))
+
+
+def _balanced(rng: np.random.Generator, count: int) -> Float64Array:
+    """Normal numbers in random order, of mean 0 and mean square 1 exactly: few draws then hold a share as stated."""
+    if count < 2:
+        return np.zeros(count)
+    quantiles = norm.ppf((np.arange(count) + 0.5) / count)
+    return rng.permutation(quantiles / quantiles.std())

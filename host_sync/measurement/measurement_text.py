@@ -1,0 +1,148 @@
+"""A measurement in words, as a record for JSON, and as rows for CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.recipe import Recipe
+
+SCHEMA: Final = "retrograph.measurement/1"
+
+CSV_COLUMNS: Final = (
+    "result",
+    "scan_id",
+    "subject",
+    "name",
+    "value",
+    "uncertainty",
+    "coverage_factor",
+    "unit",
+    "masked_percent",
+    "draws",
+    "offset",
+    "doubts",
+)
+
+
+def operations(recipe: Recipe) -> str:
+    """What was done to the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
+    parts = [f"form removed: {recipe.form}" + ("" if recipe.form == "none" else " (least squares)")]
+    for name, index_um in (("S", recipe.s_filter_um), ("L", recipe.l_filter_um)):
+        if index_um is None:
+            parts.append(f"{name}-filter: none")
+        else:
+            parts.append(f"{name}-filter: nesting index {index_um:g} µm (Gaussian, ISO 16610-61)")
+    region = recipe.region_um
+    place = "whole field" if region is None else "region {:g} {:g} {:g} {:g} µm".format(*region)
+    return "; ".join([place, *parts])
+
+
+def as_text(measurement: Measurement) -> str:
+    """A table for people: one line a number, doubts under it, what was done above and notes below."""
+    record = measurement.record
+    lines = [f"{record.name}  ({measurement.folder})", operations(measurement.recipe)]
+    for subject, quantities in groupby(measurement.quantities, key=lambda one: one.subject):
+        group = list(quantities)
+        factor = f"k = {group[0].coverage_factor}"
+        lines.append("")
+        lines.append(f"{subject}  ({factor}, {100.0 * group[0].masked_share:.2g} % masked)")
+        width = max(len(one.name) for one in group)
+        for one in group:
+            lines.append(f"  {one.name:<{width}}  {one.number}")
+            lines.extend(
+                f"  {'':<{width}}    doubtful: {doubt}" for doubt in one.doubts if doubt not in shared_doubts(group)
+            )
+        lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
+    lines += ["", *(f"- {note}" for note in measurement.notes)]
+    return "\n".join(lines)
+
+
+def as_record(measurement: Measurement) -> dict[str, Any]:
+    """What `--json` writes; lengths in the unit that each number names, arrays in µm."""
+    record = measurement.record
+    return {
+        "schema": SCHEMA,
+        "result": str(measurement.folder),
+        "name": record.name,
+        "scan_id": record.scan_id,
+        "calibration_id": record.calibration_id,
+        "program": record.program,
+        "recipe": measurement.recipe,
+        "operations": operations(measurement.recipe),
+        "quantities": [msgspec.to_builtins(one) | {"sentence": one.sentence} for one in measurement.quantities],
+        "notes": measurement.notes,
+        "profiles": [
+            {
+                "name": one.name,
+                "step_um": one.profile.step_um,
+                "z_um": _numbers(one.profile.z_um),
+                "sigma_um": None if one.sigma_um is None else _numbers(one.sigma_um),
+            }
+            for one in measurement.profiles
+        ],
+        "spectrum": _spectrum(measurement),
+    }
+
+
+def as_csv(measurements: Sequence[Measurement]) -> str:
+    """Rows of all numbers of several results, with a head."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for measurement in measurements:
+        for one in measurement.quantities:
+            writer.writerow(_row(measurement, one))
+    return stream.getvalue()
+
+
+def _row(measurement: Measurement, one: Quantity) -> list[object]:
+    record = measurement.record
+    return [
+        _harmless(str(measurement.folder)),
+        _harmless(record.scan_id or ""),
+        _harmless(one.subject),
+        _harmless(one.name),
+        "" if one.value is None else repr(one.value),
+        "" if one.uncertainty is None else repr(one.uncertainty),
+        one.coverage_factor,
+        one.unit,
+        f"{100.0 * one.masked_share:.4g}",
+        one.draws,
+        "" if one.offset is None else repr(one.offset),
+        _harmless("; ".join(one.doubts)),
+    ]
+
+
+def _harmless(text: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
+def shared_doubts(group: Sequence[Quantity]) -> tuple[str, ...]:
+    """What speaks against every number of a group alike."""
+    return tuple(doubt for doubt in group[0].doubts if all(doubt in one.doubts for one in group) and len(group) > 1)
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _spectrum(measurement: Measurement) -> dict[str, Any] | None:
+    found = measurement.spectrum
+    if found is None:
+        return None
+    return {
+        "frequency_per_um": _numbers(found.spectrum.per_um),
+        "width_per_um": _numbers(found.spectrum.width_per_um),
+        "density_um3": _numbers(found.spectrum.density_um3),
+        "sigma_um3": None if found.sigma_um3 is None else _numbers(found.sigma_um3),
+    }

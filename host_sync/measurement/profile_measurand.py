@@ -1,0 +1,98 @@
+"""Profile parameters along a line, as a measurand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from device.surface import Float32Array, Float64Array, HeightMap
+from host_sync.measurement.areal_catalogue import ParameterKind
+from host_sync.measurement.profile_filter import profile_mean
+from host_sync.measurement.profile_line import Line, Profile, profile_along
+from host_sync.measurement.profile_parameters import profile_parameters
+from host_sync.measurement.recipe import ProfileTable
+
+_UM: Final = ParameterKind("µm")
+_NUMBER: Final = ParameterKind("")
+_KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), _UM) | {
+    "sk": _NUMBER,
+    "ku": _NUMBER,
+    "dq": ParameterKind("µm/µm", -1.0),
+    "Sm": ParameterKind("µm", 1.0),
+}
+
+
+class ProfileMeasurand:
+    """A profile, levelled and filtered along itself; its ends, where the L-filter leans over, are left out.
+
+    Parameters
+    ----------
+    table : of the recipe
+    height : the whole height map
+    """
+
+    def __init__(self, table: ProfileTable, height: HeightMap) -> None:
+        self.name = table.name
+        self._table = table
+        self._pitch_um = height.pitch_um
+        self.line = Line(table.from_um, table.to_um, table.width_um)
+        whole = self.trace(height.z_um)
+        self.masked_share = whole.masked_share
+        self._letter = "P" if table.l_filter_um is None else "R"
+        self._sections, self._trim = self._evaluation(whole)
+
+    def trace(self, z_um: Float32Array) -> Profile:
+        """The profile of a surface of shape (H, W), levelled and filtered, over the whole line."""
+        table = self._table
+        raw = profile_along(z_um, self._pitch_um, self.line)
+        heights = raw.z_um - _polynomial(raw, table.form_degree)
+        if table.s_filter_um is not None:
+            heights = profile_mean(heights, table.s_filter_um / self._pitch_um)
+        if table.l_filter_um is not None:
+            heights = heights - profile_mean(heights, table.l_filter_um / self._pitch_um)
+        return Profile(heights, raw.step_um)
+
+    def kinds(self) -> Mapping[str, ParameterKind]:
+        """Parameters of ISO 21920-2 by name."""
+        return {self._letter + name: kind for name, kind in _KINDS.items()}
+
+    def values(self, z_um: Float32Array) -> Mapping[str, float]:
+        """The parameters over the evaluation length."""
+        whole = self.trace(z_um)
+        part = whole.z_um[self._trim : whole.z_um.size - self._trim]
+        return profile_parameters(Profile(part, whole.step_um), self._sections, self._letter)
+
+    def doubts(self) -> Mapping[str, tuple[str, ...]]:
+        """A line that is too short for its sections."""
+        table = self._table
+        if table.l_filter_um is None or (self._trim and self._sections == table.sections):
+            return {}
+        ends = "" if self._trim else " and the filter's ends are in it"
+        words = f"the line has room for {self._sections} of {table.sections} sections of {table.l_filter_um:g} µm{ends}"
+        return {"": (words,)}
+
+    def _evaluation(self, whole: Profile) -> tuple[int, int]:
+        """Number of sections, and samples that are left out at either end."""
+        index_um = self._table.l_filter_um
+        if index_um is None:
+            return 1, 0
+        length_um = whole.z_um.size * whole.step_um
+        sections = min(self._table.sections, int(np.floor((length_um - index_um) / index_um + 1e-9)))
+        if sections < 1:
+            return 1, 0
+        used = sections * index_um / whole.step_um
+        return sections, max(round((whole.z_um.size - used) / 2.0), 1)
+
+
+def _polynomial(profile: Profile, degree: int) -> Float64Array:
+    """The least-squares polynomial of the valid samples: float64 array of shape (N,)."""
+    valid = np.isfinite(profile.z_um)
+    degree = min(degree, max(int(valid.sum()) - 1, 0))
+    if not valid.any():
+        return np.zeros(profile.z_um.size)
+    place = np.linspace(-1.0, 1.0, profile.z_um.size)
+    design = place[:, None] ** np.arange(degree + 1)
+    solution = np.linalg.lstsq(design[valid], profile.z_um[valid], rcond=None)[0]
+    return np.asarray(design @ solution, np.float64)

@@ -1,0 +1,141 @@
+"""The sphere that fits a surface best: least squares of the distances from it (Gaussian associated sphere).
+
+The start is the algebraic fit, which is linear; Gauss-Newton takes it to the least squares of true distances. As the
+fit runs over every pixel of a large field, and over that of every draw, one step is a single compiled pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from device.surface import Float32Array, Float64Array, MaskArray
+from host_sync.errors import MeasurementError
+
+MOST_STEPS: Final = 40
+ENOUGH: Final = 1e-9
+"""A step smaller than this share of the radius ends the search."""
+
+LARGEST_SPHERE: Final = 1e4
+"""A radius of more than so many times the field's width is that of a plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A sphere over the field, lengths in µm, the centre's column and row from the middle of the first pixel.
+
+    radius_um : positive where the surface is the upper cap (it bulges out), negative for a hollow
+    residual_um : root mean square distance of the pixels from it
+    """
+
+    column_um: float
+    row_um: float
+    height_um: float
+    radius_um: float
+    residual_um: float
+
+
+class SphereForm:
+    """Takes the best sphere off a surface, along the height.
+
+    Parameters
+    ----------
+    pitch_um : pixel pitch, µm
+    """
+
+    def __init__(self, pitch_um: float) -> None:
+        self._pitch_um = pitch_um
+        self._last: Sphere | None = None
+        self._beside: MaskArray | None = None
+
+    def remove(self, z_um: Float32Array) -> Float32Array:
+        """Heights over the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
+
+        What lies beside the first surface's sphere is left out of every later one, so that a surface and its draws
+        are compared on the same pixels.
+        """
+        self._last = sphere = fit_sphere(z_um, self._pitch_um, self._last)
+        row, column = (np.arange(side) * self._pitch_um for side in z_um.shape)
+        reach = sphere.radius_um**2 - (column - sphere.column_um) ** 2 - (row[:, None] - sphere.row_um) ** 2
+        if self._beside is None:
+            self._beside = reach <= 0.0
+        cap = np.sqrt(np.maximum(reach, 0.0))
+        left = z_um - (sphere.height_um + np.sign(sphere.radius_um) * cap)
+        return np.where(self._beside, np.nan, left).astype(np.float32)
+
+
+def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None) -> Sphere:
+    """The sphere that fits the valid pixels of a surface best.
+
+    start : a sphere close to it, if one is known
+
+    Raises
+    ------
+    MeasurementError
+        There are fewer than four valid pixels, or they show no curvature.
+    """
+    valid = np.isfinite(z_um)
+    if valid.sum() < 4:
+        raise MeasurementError(f"a sphere needs four valid pixels, and there are {int(valid.sum())}: widen the region")
+    width_um = pitch_um * max(z_um.shape)
+    middle = start or _algebraic(z_um, valid, pitch_um)
+    state = np.array([middle.column_um, middle.row_um, middle.height_um, abs(middle.radius_um)])
+    for _ in range(MOST_STEPS):
+        normal, right, _ = _step(z_um, np.float64(pitch_um), state)
+        try:
+            change = np.linalg.solve(normal, right)
+        except np.linalg.LinAlgError:
+            break
+        state = state + change
+        if not np.isfinite(state).all() or state[3] > LARGEST_SPHERE * width_um:
+            break
+        if np.abs(change).max() < ENOUGH * state[3]:
+            _, _, square = _step(z_um, np.float64(pitch_um), state)
+            side = 1.0 if np.median(z_um[valid]) > state[2] else -1.0
+            column, row, height, radius = (float(value) for value in state)
+            return Sphere(column, row, height, side * radius, float(np.sqrt(square / valid.sum())))
+    raise MeasurementError("the surface shows no sphere: it is too flat, or the region holds something else")
+
+
+def _algebraic(z_um: Float32Array, valid: MaskArray, pitch_um: float) -> Sphere:
+    """The sphere of the linear fit x² + y² + z² = 2 a x + 2 b y + 2 c z + d."""
+    row, column = (index * pitch_um for index in np.nonzero(valid))
+    step = max(1, row.size // 200_000)
+    places: Float64Array = np.stack([column, row, z_um[valid].astype(np.float64), np.ones(row.size)], axis=-1)[::step]
+    middle = places.mean(axis=0)
+    middle[3] = 0.0
+    places = places - middle
+    scale = max(float(np.abs(places[:, :3]).max()), 1e-30)
+    places[:, :3] /= scale
+    square = (places[:, :3] ** 2).sum(axis=1)
+    a, b, c, d = np.linalg.lstsq(places, square, rcond=None)[0]
+    column_um, row_um, height_um = 0.5 * scale * np.array([a, b, c]) + middle[:3]
+    radius_um = scale * float(np.sqrt(max(d + 0.25 * (a * a + b * b + c * c), 1e-30)))
+    return Sphere(float(column_um), float(row_um), float(height_um), radius_um, 0.0)
+
+
+@njit(cache=True)
+def _step(z_um: Any, pitch_um: Any, state: Any) -> tuple[Float64Array, Float64Array, float]:
+    """Normal equations of one Gauss-Newton step, and the sum of squared distances."""
+    rows, columns = z_um.shape
+    normal, right, square = np.zeros((4, 4)), np.zeros(4), 0.0
+    gradient = np.empty(4)
+    gradient[3] = -1.0
+    for r in range(rows):
+        for c in range(columns):
+            z = z_um[r, c]
+            if not np.isfinite(z):
+                continue
+            x, y, h = c * pitch_um - state[0], r * pitch_um - state[1], z - state[2]
+            distance = np.sqrt(x * x + y * y + h * h)
+            gradient[0], gradient[1], gradient[2] = -x / distance, -y / distance, -h / distance
+            off = distance - state[3]
+            square += off * off
+            for i in range(4):
+                right[i] -= gradient[i] * off
+                for j in range(4):
+                    normal[i, j] += gradient[i] * gradient[j]
+    return normal, right, square

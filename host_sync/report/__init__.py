@@ -1,0 +1,1 @@
+"""Reports: one file for the screen and one for paper."""

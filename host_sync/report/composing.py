@@ -1,0 +1,123 @@
+"""Composes the report of a measurement: what was measured, how sure it is, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.measurement_text import operations, shared_doubts
+from host_sync.report.content import Report, Table
+from host_sync.report.pictures import pictures_of
+from host_sync.report.provenance import Origin, hashed_files, origin_of
+
+
+def compose(measurement: Measurement) -> Report:
+    """The report of a measurement.
+
+    Raises
+    ------
+    MeasurementError
+        A file of the result cannot be read.
+    RecordError
+        The scan's frame is damaged.
+    """
+    record = measurement.record
+    origin = origin_of(measurement.folder, record)
+    notes = list(measurement.notes)
+    if origin.scan is None:
+        notes.append("frame: not shown, as the result does not lie in a library beside its scan")
+    tables = (*_numbers(measurement), _calibration(measurement, origin), _hashes(measurement, origin))
+    return Report(
+        title=record.name,
+        operations=operations(measurement.recipe),
+        facts=tuple((label, value) for label, value in _facts(measurement, origin) if value),
+        warnings=tuple(_warnings(measurement)),
+        pictures=tuple(pictures_of(measurement, origin.scan)),
+        tables=tables,
+        notes=tuple(notes),
+    )
+
+
+def _facts(measurement: Measurement, origin: Origin) -> Iterator[tuple[str, str]]:
+    record = measurement.record
+    height = measurement.height
+    rows, columns = height.z_um.shape
+    yield "result", str(measurement.folder)
+    yield "recipe", measurement.recipe.name
+    if origin.scan is not None:
+        scan = origin.scan.record
+        yield "scan", scan.scan_id
+        yield "taken", f"{scan.wall_time:%Y-%m-%d %H:%M} by the device's clock"
+        yield "device", f"{scan.identity.device_id}, board {scan.board}"
+        notes = scan.annotations
+        for label, value in (
+            ("job", notes.job),
+            ("part", notes.part),
+            ("operator", notes.operator),
+            ("note", notes.note),
+        ):
+            yield label, value or ""
+        yield "verdict at the press", f"{scan.verdict.level}: {scan.verdict.reason}"
+    yield "frame set", record.frame_set or ""
+    yield "gel", record.gel_id or ""
+    yield "reconstructed", f"{record.written_utc} by {record.program}, method {record.method}"
+    pitch = height.pitch_um
+    yield (
+        "field",
+        f"{columns} x {rows} pixels of {pitch:g} µm, {columns * pitch / 1e3:.2f} x {rows * pitch / 1e3:.2f} mm",
+    )
+    if record.masked_share is not None:
+        yield "masked", f"{100.0 * record.masked_share:.2g} % of the field"
+
+
+def _warnings(measurement: Measurement) -> Iterator[str]:
+    record = measurement.record
+    yield from record.warnings
+    if record.calibration_passed is False:
+        yield "the calibration did not pass its own checks: " + "; ".join(record.calibration_notes)
+
+
+def _numbers(measurement: Measurement) -> Iterator[Table]:
+    """A table for each subject: number, uncertainty, doubts."""
+    for subject, group in groupby(measurement.quantities, key=lambda one: one.subject):
+        quantities = list(group)
+        first = quantities[0]
+        title = f"{subject}: k = {first.coverage_factor}, {100.0 * first.masked_share:.2g} % masked"
+        shared = shared_doubts(quantities)
+        own = ["; ".join(doubt for doubt in one.doubts if doubt not in shared) for one in quantities]
+        rows = tuple((one.name, one.number, doubts) for one, doubts in zip(quantities, own, strict=True))
+        remarks = tuple(f"doubtful: {doubt}" for doubt in shared)
+        yield Table(title, ("number", "value ± uncertainty", "doubtful because"), rows, remarks)
+
+
+def _calibration(measurement: Measurement, origin: Origin) -> Table:
+    record = measurement.record
+    rows = [("calibration", record.calibration_id), ("calibration bundle", record.calibration_bundle or "-")]
+    rows.append(("passed", {True: "yes", False: "NO", None: "not known"}[record.calibration_passed]))
+    rows.append(("reference", record.reference or "-"))
+    if record.held_out_error_deg is not None:
+        rows.append(("error of normals on balls kept out", f"{record.held_out_error_deg:.2f}°"))
+    steepest_deg = (origin.calibration or {}).get("steepest_slope_deg")
+    if isinstance(steepest_deg, float):
+        rows.append(("steepest slope that balls showed", f"{steepest_deg:.0f}°"))
+    scale = record.height_scale
+    for label, share in (("pixel pitch", scale.pixel_pitch_share), ("ball radius", scale.ball_radius_share)):
+        rows.append((f"± of the {label}", "not measured" if share is None else f"{100.0 * share:.2g} %"))
+    rows += [("note", note) for note in record.calibration_notes]
+    rows += [(f"check: {name}", text) for name, text in _checks(origin.calibration or {})]
+    return Table("Calibration", ("what", "value"), tuple(rows))
+
+
+def _checks(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """The checks of a calibration's report, as far as it holds any of the known form."""
+    checks = report.get("checks")
+    for check in checks if isinstance(checks, list) else []:
+        if isinstance(check, dict):
+            words = "passed" if check.get("passed") is True else "NOT passed"
+            yield str(check.get("name")), f"{check.get('value')} ({check.get('kind')} {check.get('limit')}): {words}"
+
+
+def _hashes(measurement: Measurement, origin: Origin) -> Table:
+    return Table("Provenance", ("file", "bytes", "SHA-256"), hashed_files(measurement.folder, origin))

@@ -1,0 +1,87 @@
+"""A report as one HTML file: pictures inside, no scripts, nothing from anywhere else; prints as it reads.
+
+Every text goes through `escape`, and a content policy forbids what a text might still smuggle in.
+"""
+
+from __future__ import annotations
+
+import base64
+from html import escape as escape_markup
+from typing import Final
+
+from host_sync.plain_text import printable
+from host_sync.report.content import Picture, Report, Table
+
+_POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+_STYLE: Final = """
+:root { color-scheme: light; }
+body { font: 10.5pt/1.4 "Noto Sans", "DejaVu Sans", Arial, sans-serif; color: #1c1c1c; background: #fff;
+  max-width: 52rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: anywhere; }
+h1 { font-size: 1.6rem; margin-bottom: 0.2rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 0.4rem; }
+table { border-collapse: collapse; width: 100%; font-size: 9.5pt; }
+th, td { text-align: left; vertical-align: top; padding: 0.15rem 0.6rem 0.15rem 0; border-bottom: 1px solid #ddd; }
+td:nth-child(2) { font-variant-numeric: tabular-nums; }
+.facts th { font-weight: normal; color: #555; width: 11rem; }
+.hashes td:last-child { font-family: "DejaVu Sans Mono", monospace; font-size: 7.5pt; }
+figure { margin: 1rem 0; break-inside: avoid; } img { max-width: 100%; height: auto; }
+figcaption { color: #555; font-size: 9pt; }
+.remark { font-size: 9pt; margin: 0.3rem 0; }
+.warning { border-left: 4px solid #b03020; padding: 0.3rem 0.8rem; background: #fbeeec; }
+tr { break-inside: avoid; } h2 { break-after: avoid; }
+@media print { body { margin: 0; max-width: none; } @page { size: A4; margin: 15mm; } }
+"""
+
+
+def html_page(report: Report) -> str:
+    """The page."""
+    body = [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
+    body += [f'<p class="warning">Warning: {escape(warning)}</p>' for warning in report.warnings]
+    body.append(_facts(report.facts))
+    body += [_figure(picture) for picture in report.pictures[:1]]
+    *numbers, calibration, hashes = report.tables
+    body += [_table(table) for table in numbers]
+    body.append(_list(report.notes))
+    body += [_figure(picture) for picture in report.pictures[1:]]
+    body += [_table(calibration), _table(hashes, "hashes")]
+    return "\n".join(
+        [
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{escape(_POLICY)}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(report.title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>",
+            *body,
+            "</body>\n</html>\n",
+        ]
+    )
+
+
+def escape(text: str) -> str:
+    """The text in which nothing is markup."""
+    return escape_markup(printable(text))
+
+
+def _facts(facts: tuple[tuple[str, str], ...]) -> str:
+    rows = "\n".join(f'<tr><th scope="row">{escape(label)}</th><td>{escape(value)}</td></tr>' for label, value in facts)
+    return f'<table class="facts">\n{rows}\n</table>'
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.png).decode("ascii")
+    words = escape(picture.caption)
+    columns, rows = picture.size
+    image = f'<img src="data:image/png;base64,{data}" width="{columns}" height="{rows}" alt="{words}">'
+    return f"<figure>\n{image}\n<figcaption>{words}</figcaption>\n</figure>"
+
+
+def _table(table: Table, kind: str = "") -> str:
+    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.head)
+    rows = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    name = f' class="{kind}"' if kind else ""
+    title = f"<h2>{escape(table.title)}</h2>\n<table{name}>\n<thead><tr>{head}</tr></thead>"
+    remarks = "".join(f'<p class="remark">{escape(remark)}</p>' for remark in table.remarks)
+    return f"{title}\n<tbody>\n{rows}\n</tbody>\n</table>{remarks}"
+
+
+def _list(notes: tuple[str, ...]) -> str:
+    return "<ul>\n" + "\n".join(f"<li>{escape(note)}</li>" for note in notes) + "\n</ul>"

@@ -1,0 +1,123 @@
+"""A report as PDF pages, A4, with the typeface that comes with matplotlib: µ, ±, × and most scripts are in it.
+
+Why reportlab: it sets tables and pictures over pages by itself, is one wheel for every machine, and is BSD.
+"""
+
+from __future__ import annotations
+
+import io
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib
+from reportlab.lib import colors
+from reportlab.lib.pagesizes import A4
+from reportlab.lib.styles import ParagraphStyle
+from reportlab.lib.units import mm
+from reportlab.pdfbase import pdfmetrics
+from reportlab.pdfbase.ttfonts import TTFont
+from reportlab.platypus import (
+    Flowable,
+    Image,
+    KeepTogether,
+    LongTable,
+    Paragraph,
+    SimpleDocTemplate,
+    Spacer,
+    TableStyle,
+)
+
+from host_sync.plain_text import printable
+from host_sync.report.content import Picture, Report, Table
+
+WIDTH: Final = A4[0] - 30.0 * mm - 12.0
+"""Between the margins and the padding of six points inside them."""
+MOST_HEIGHT: Final = 120.0 * mm
+_FACES: Final = {"Report": "DejaVuSans.ttf", "Report-Bold": "DejaVuSans-Bold.ttf", "Report-Mono": "DejaVuSansMono.ttf"}
+_SHARES: Final = {2: (0.34, 0.66), 3: (0.16, 0.30, 0.54)}
+_HASH_SHARES: Final = (0.30, 0.13, 0.57)
+
+_BODY: Final = ParagraphStyle("body", fontName="Report", fontSize=8.5, leading=11.5, wordWrap="CJK")
+_SMALL: Final = ParagraphStyle("small", parent=_BODY, fontSize=7.5, leading=10.0)
+_MONO: Final = ParagraphStyle("mono", parent=_BODY, fontName="Report-Mono", fontSize=5.6, leading=8.0)
+_GREY: Final = ParagraphStyle("grey", parent=_SMALL, textColor=colors.HexColor("#555555"))
+_TITLE: Final = ParagraphStyle("title", parent=_BODY, fontName="Report-Bold", fontSize=15, leading=19)
+_HEAD: Final = ParagraphStyle("head", parent=_BODY, fontName="Report-Bold", fontSize=10, leading=14, spaceBefore=8)
+_WARNING: Final = ParagraphStyle("warning", parent=_BODY, textColor=colors.HexColor("#b03020"))
+
+
+def pdf_pages(report: Report) -> bytes:
+    """The file's bytes; the same report gives the same bytes."""
+    for name, file in _FACES.items():
+        if name not in pdfmetrics.getRegisteredFontNames():
+            pdfmetrics.registerFont(TTFont(name, str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / file)))
+    stream = io.BytesIO()
+    document = SimpleDocTemplate(
+        stream,
+        pagesize=A4,
+        leftMargin=15.0 * mm,
+        rightMargin=15.0 * mm,
+        topMargin=14.0 * mm,
+        bottomMargin=16.0 * mm,
+        title=report.title,
+        creator="Retrograph",
+        invariant=1,
+    )
+    document.build(_story(report), onFirstPage=_foot(report.title), onLaterPages=_foot(report.title))
+    return stream.getvalue()
+
+
+def _story(report: Report) -> list[Flowable]:
+    *numbers, calibration, hashes = report.tables
+    story: list[Flowable] = [_words(report.title, _TITLE), _words(report.operations, _GREY)]
+    story += [_words(f"Warning: {warning}", _WARNING) for warning in report.warnings]
+    story += [Spacer(0, 2.0 * mm), _grid([[_words(a, _GREY), _words(b, _BODY)] for a, b in report.facts], (0.24, 0.76))]
+    story += [_figure(picture) for picture in report.pictures[:1]]
+    for table in numbers:
+        story += _table(table)
+    story += [Spacer(0, 2.0 * mm), *(_words(f"– {note}", _SMALL) for note in report.notes)]
+    story += [_figure(picture) for picture in report.pictures[1:]]
+    return [*story, *_table(calibration), *_table(hashes, _HASH_SHARES, _MONO)]
+
+
+def _words(text: str, style: ParagraphStyle) -> Paragraph:
+    """A paragraph in which nothing is markup."""
+    return Paragraph(escape(printable(text), quote=False), style)
+
+
+def _table(table: Table, shares: tuple[float, ...] | None = None, style: ParagraphStyle = _SMALL) -> list[Flowable]:
+    head = [[_words(cell, _GREY) for cell in table.head]]
+    rows = [[_words(cell, style) for cell in row] for row in table.rows]
+    grid = _grid(head + rows, shares or _SHARES[len(table.head)], repeated=1)
+    return [_words(table.title, _HEAD), grid, *(_words(remark, _SMALL) for remark in table.remarks)]
+
+
+def _grid(rows: list[list[Paragraph]], shares: tuple[float, ...], repeated: int = 0) -> LongTable:
+    lines: list[Any] = [
+        ("LINEBELOW", (0, 0), (-1, -1), 0.3, colors.HexColor("#dddddd")),
+        ("VALIGN", (0, 0), (-1, -1), "TOP"),
+        ("TOPPADDING", (0, 0), (-1, -1), 1.2),
+        ("BOTTOMPADDING", (0, 0), (-1, -1), 1.8),
+        ("LEFTPADDING", (0, 0), (-1, -1), 0.0),
+    ]
+    return LongTable(rows, [share * WIDTH for share in shares], repeatRows=repeated, style=TableStyle(lines))
+
+
+def _figure(picture: Picture) -> Flowable:
+    columns, rows = picture.size
+    scale = min(WIDTH / columns, MOST_HEIGHT / rows)
+    image = Image(io.BytesIO(picture.png), columns * scale, rows * scale)
+    return KeepTogether([Spacer(0, 3.0 * mm), image, _words(picture.caption, _GREY)])
+
+
+def _foot(title: str) -> Any:
+    """What is drawn under each page: the beginning of the title and the page's number."""
+
+    def draw(canvas: Any, document: Any) -> None:
+        canvas.setFont("Report", 7)
+        canvas.setFillColor(colors.HexColor("#555555"))
+        canvas.drawString(15.0 * mm, 9.0 * mm, printable(title)[:90])
+        canvas.drawRightString(A4[0] - 15.0 * mm, 9.0 * mm, f"page {document.page}")
+
+    return draw

@@ -1,0 +1,159 @@
+"""The report's pictures, each a PNG in memory."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from typing import Final
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from device.photometry import demosaic
+from device.scan_bundle import ScanBundle
+from device.surface import Float32Array, HeightMap
+from host_sync.measurement.material_ratio import MaterialRatioCurve
+from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
+from host_sync.plain_text import printable
+from host_sync.render.relief_axes import draw_relief
+from host_sync.render.relief_sheet import WIDEST_PX
+from host_sync.render.shading import reduced
+from host_sync.report.content import Picture
+
+DPI: Final = 130
+FRAME_PX: Final = 900
+GAMMA: Final = 1.0 / 2.2
+BRIGHT_PERCENTILE: Final = 99.5
+_RED: Final = "#b03020"
+_BLUE: Final = "#24527a"
+
+
+def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[Picture]:
+    """Every picture of a measurement, the whole relief first."""
+    yield relief_picture(measurement)
+    if scan is not None:
+        yield frame_picture(scan)
+    if measurement.sigma_um is not None:
+        yield sigma_picture(measurement.sigma_um, measurement.height.pitch_um)
+    yield surface_picture(measurement)
+    for one in measurement.profiles:
+        yield profile_picture(one, measurement.recipe.coverage_factor)
+    yield ratio_picture(measurement)
+    if measurement.spectrum is not None:
+        yield spectrum_picture(measurement.spectrum, measurement.recipe.coverage_factor)
+
+
+def relief_picture(measurement: Measurement) -> Picture:
+    """The whole height map, with the region and the lines that were measured."""
+    figure, axes = _figure(7.0, 5.2, grid=False)
+    draw_relief(axes, measurement.height, "")
+    if measurement.recipe.region_um is not None:
+        left, top, right, bottom = (value / 1000.0 for value in measurement.recipe.region_um)
+        axes.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, color=_RED, linewidth=1.2))
+    recipe = measurement.recipe
+    lines = [(one.name, one.line.start_um, one.line.end_um) for one in measurement.profiles]
+    lines += [(step.name, step.from_um, step.to_um) for step in recipe.step]
+    lines += [(distance.name, distance.from_um, distance.to_um) for distance in recipe.distance]
+    for name, start, end in lines:
+        axes.plot(*([a / 1000.0, b / 1000.0] for a, b in zip(start, end, strict=True)), color=_RED, linewidth=1.2)
+        axes.annotate(_plain(name), (end[0] / 1000.0, end[1] / 1000.0), color=_RED, fontsize=8)
+    return _picture(figure, "Height map with the region and the lines that were measured; white is masked")
+
+
+def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
+    """The standard uncertainty of the height, pixel by pixel."""
+    small = reduced(HeightMap(sigma_um, pitch_um), WIDEST_PX)
+    rows, columns = small.z_um.shape
+    mm = small.pitch_um / 1000.0
+    figure, axes = _figure(7.0, 4.6, grid=False)
+    shown = axes.imshow(small.z_um, extent=(0.0, columns * mm, rows * mm, 0.0), cmap="cividis", vmin=0.0)
+    axes.set_xlabel("column, mm")
+    axes.set_ylabel("row, mm")
+    figure.colorbar(shown, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label="standard uncertainty, µm")
+    return _picture(figure, "Standard uncertainty of the height above untouched skin (k = 1)")
+
+
+def surface_picture(measurement: Measurement) -> Picture:
+    """The scale-limited surface."""
+    figure, axes = _figure(7.0, 4.6, grid=False)
+    draw_relief(axes, measurement.surface, "")
+    return _picture(figure, "Scale-limited surface of the region, from which the areal parameters are taken")
+
+
+def frame_picture(scan: ScanBundle) -> Picture:
+    """The frame as the camera took it, brightened for the eye."""
+    rgb = demosaic(scan.raw_frame()).rgb
+    factor = max(1, int(np.ceil(rgb.shape[1] / FRAME_PX)))
+    small = cv2.resize(rgb, (rgb.shape[1] // factor, rgb.shape[0] // factor), interpolation=cv2.INTER_AREA)
+    white = max(float(np.percentile(small, BRIGHT_PERCENTILE)), 1e-6)
+    shown = (255.0 * np.clip(small / white, 0.0, 1.0) ** GAMMA).astype(np.uint8)
+    _, data = cv2.imencode(".png", shown[..., ::-1])
+    return Picture(
+        "Frame: one exposure in the light of all three lights", data.tobytes(), (shown.shape[1], shown.shape[0])
+    )
+
+
+def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
+    """A profile with its uncertainty as a band."""
+    figure, axes = _figure(7.0, 2.6)
+    along_mm = one.profile.along_um / 1000.0
+    if one.sigma_um is not None:
+        low, high = (one.profile.z_um + side * factor * one.sigma_um for side in (-1.0, 1.0))
+        axes.fill_between(along_mm, low, high, color=_BLUE, alpha=0.25, linewidth=0.0)
+    axes.plot(along_mm, one.profile.z_um, color=_BLUE, linewidth=0.9)
+    axes.set_xlabel("along the line, mm")
+    axes.set_ylabel("height, µm")
+    band = f"; band: ± at k = {factor}" if one.sigma_um is not None else ""
+    return _picture(figure, f"Profile {one.name}, levelled and filtered along itself{band}")
+
+
+def ratio_picture(measurement: Measurement) -> Picture:
+    """The areal material ratio curve."""
+    curve = MaterialRatioCurve.of(measurement.surface.z_um)
+    share = np.linspace(0.0, 1.0, 400)
+    figure, axes = _figure(7.0, 2.6)
+    axes.plot(100.0 * share, [curve.height_um(float(one)) for one in share], color=_BLUE, linewidth=1.1)
+    axes.set_xlabel("areal material ratio, %")
+    axes.set_ylabel("height, µm")
+    axes.set_xlim(0.0, 100.0)
+    return _picture(figure, "Material ratio curve of the scale-limited surface")
+
+
+def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:
+    """The power spectral density with its uncertainty."""
+    figure, axes = _figure(7.0, 2.8)
+    per_mm, density = 1000.0 * found.spectrum.per_um, found.spectrum.density_um3
+    if found.sigma_um3 is not None:
+        low = np.maximum(density - factor * found.sigma_um3, 1e-3 * density)
+        axes.fill_between(per_mm, low, density + factor * found.sigma_um3, color=_BLUE, alpha=0.25, linewidth=0.0)
+    axes.loglog(per_mm, density, color=_BLUE, linewidth=1.1)
+    axes.set_xlabel("spatial frequency, 1/mm")
+    axes.set_ylabel("density, µm³")
+    return _picture(figure, "Power spectral density, averaged over directions")
+
+
+def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.add_subplot()
+    if grid:
+        axes.grid(visible=True, linewidth=0.3, alpha=0.5)
+    return figure, axes
+
+
+def _plain(text: str) -> str:
+    """A text that matplotlib takes for no formula."""
+    return printable(text).replace("$", r"\$")
+
+
+def _picture(figure: Figure, caption: str) -> Picture:
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        # A name in a script that the typeface lacks is drawn as boxes; the report's text has it.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+    size = figure.get_size_inches() * DPI
+    return Picture(caption, stream.getvalue(), (round(float(size[0])), round(float(size[1]))))

@@ -1,0 +1,90 @@
+"""Where a result comes from: its scan, its calibration, and the hash of every file that the report speaks of."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from device.errors import DeviceError
+from device.records import describe_file
+from device.scan_bundle import SCAN_MANIFEST, ScanBundle, read_scan
+from host_sync.errors import MeasurementError
+from host_sync.measurement.result_surface import ResultRecord
+
+CALIBRATION_REPORT: Final = "report.json"
+MOST_BYTES: Final = 64 << 20
+
+_BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The files around a result.
+
+    scan : the scan bundle, of a result in a library
+    calibration : the calibration's report, if it is there
+    calibration_file : its place
+    """
+
+    scan: ScanBundle | None
+    calibration: dict[str, Any] | None
+    calibration_file: Path | None
+
+
+def origin_of(folder: Path, record: ResultRecord) -> Origin:
+    """What lies around a result: a scan bundle above its folder, its calibration's report near it."""
+    above = folder.absolute().parent.parent
+    scan = None
+    if (above / SCAN_MANIFEST).is_file():
+        try:
+            scan = read_scan(above)
+        except DeviceError:
+            scan = None  # a damaged bundle is for `verify`; the report says that there is none
+    places = [folder.absolute().parent / "calibration" / CALIBRATION_REPORT]
+    if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
+        bundle = above.parent.parent / "calibrations" / record.calibration_bundle / "results"
+        places += sorted(bundle.glob(f"*/{CALIBRATION_REPORT}"))
+    for place in places:
+        report = _report(place)
+        if report is not None and report.get("calibration_id") == record.calibration_id:
+            return Origin(scan, report, place)
+    return Origin(scan, None, None)
+
+
+def hashed_files(folder: Path, origin: Origin) -> tuple[tuple[str, str, str], ...]:
+    """Name, bytes and SHA-256 of the result's files, the scan's manifest and frame, the calibration's report.
+
+    Raises
+    ------
+    MeasurementError
+        A file cannot be read.
+    """
+    files = [(f"result/{path.name}", path) for path in sorted(folder.iterdir()) if path.is_file()]
+    if origin.scan is not None:
+        record = origin.scan.record
+        files += [(f"scan/{name}", origin.scan.directory / name) for name in (SCAN_MANIFEST, record.raw_file)]
+    if origin.calibration_file is not None:
+        files.append((f"calibration/{CALIBRATION_REPORT}", origin.calibration_file))
+    found = []
+    for name, path in files:
+        try:
+            entry = describe_file(path)
+        except OSError as error:
+            raise MeasurementError(
+                f"{path}: cannot be read ({error.strerror}): fetch or reconstruct it again"
+            ) from error
+        found.append((name, str(entry.size), entry.sha256))
+    return tuple(found)
+
+
+def _report(place: Path) -> dict[str, Any] | None:
+    try:
+        if place.stat().st_size > MOST_BYTES:
+            return None
+        return msgspec.json.decode(place.read_bytes(), type=dict[str, Any])
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None

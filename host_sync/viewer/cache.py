@@ -1,0 +1,146 @@
+"""The viewer's cache: pyramids, thumbnails and differences in a folder of its own, which may be deleted at any time.
+
+Nothing in it is true of a library; the oldest goes when it is larger than agreed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from tempfile import mkdtemp
+from threading import Lock
+from typing import Final
+
+import numpy as np
+
+from host_sync.errors import ViewError
+from host_sync.viewer.entry import Entry
+from host_sync.viewer.heights import Heights
+from host_sync.viewer.pyramid import Level, coarse_levels, finest_rows, level_count, padded_shape
+
+FORM: Final = 1
+"""Of what is stored: a program that computes or stores otherwise gets another number."""
+
+MOST_BYTES: Final = 4_000_000_000
+_UNFINISHED: Final = ".unfinished-"
+_OWN: Final = re.compile(r"[0-9]+-[0-9a-f]{32}")
+
+
+def default_cache() -> Path:
+    """Where the cache lies when nobody says otherwise."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "retrograph" / "viewer"
+
+
+class Cache:
+    """Levels and thumbnails of entries, made when they are first asked for, one at a time.
+
+    Parameters
+    ----------
+    folder : is made when something is first put into it
+    most_bytes : beyond this the folders that were used longest ago are deleted
+    """
+
+    def __init__(self, folder: Path, heights: Heights, most_bytes: int = MOST_BYTES) -> None:
+        self._folder = folder
+        self._heights = heights
+        self._most_bytes = most_bytes
+        self._making = Lock()
+
+    def level(self, entry: Entry, page: int, level: int, first: int, last: int) -> Level:
+        """Rows `first` to `last` of a level; level 0 is never stored.
+
+        Raises
+        ------
+        ViewError
+            There are no such rows, or the heights cannot be read.
+        """
+        rows = padded_shape(entry.shape)[0] >> level if 0 <= level < level_count(entry.shape) else 0
+        if not 0 <= first < last <= rows or (level == 0 and (first % 2 or last % 2) and level_count(entry.shape) > 1):
+            raise ViewError(f"{entry.title}: has no such rows at level {level}: load the page again")
+        if level == 0:
+            z_um = self._heights.read(entry, page)
+            above = self._stored(entry, page, 1) if level_count(entry.shape) > 1 else None
+            return finest_rows(z_um, entry.pitch_um, above, first, last)
+        found = self._stored(entry, page, level)
+        return Level(found.surface[first:last], found.valid[first:last])
+
+    def file(self, entry: Entry, name: str, make: Callable[[], bytes]) -> bytes:
+        """A small file of an entry, made when it is not there."""
+        folder = self.folder(entry.stamp())
+        path = folder / name
+        try:
+            return path.read_bytes()
+        except OSError:
+            data = make()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            partial = Path(mkdtemp(prefix=_UNFINISHED, dir=folder)) / name
+            partial.write_bytes(data)
+            partial.replace(path)
+            partial.parent.rmdir()
+        except OSError:
+            return data  # a cache that cannot be written costs time only
+        return data
+
+    def folder(self, stamp: str) -> Path:
+        """Where the files of one height map lie."""
+        return self._folder / f"{FORM}-{stamp}"
+
+    def _stored(self, entry: Entry, page: int, level: int) -> Level:
+        stamp = entry.stamp()
+        folder = self.folder(stamp) / f"levels-{page}"
+        with self._making:
+            found = _open(folder, entry, level)
+            if found is None:
+                levels = coarse_levels(self._heights.read(entry, page), entry.pitch_um)
+                if entry.kind == "video" or not self._store(folder, levels):
+                    return levels[level - 1]
+                found = _open(folder, entry, level) or levels[level - 1]
+        return found
+
+    def _store(self, folder: Path, levels: list[Level]) -> bool:
+        """Put levels into a folder; False when the disk refuses."""
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            partial = Path(mkdtemp(prefix=_UNFINISHED, dir=folder.parent))
+            for number, level in enumerate(levels, start=1):
+                (partial / f"surface-{number}.f16").write_bytes(level.surface.tobytes())
+                (partial / f"valid-{number}.u8").write_bytes(level.valid.tobytes())
+            shutil.rmtree(folder, ignore_errors=True)
+            partial.rename(folder)
+            self._prune(keep=folder.parent)
+        except OSError:
+            return False
+        return True
+
+    def _prune(self, keep: Path) -> None:
+        """Delete what was used longest ago until the rest is small enough; never `keep`, and nothing but its own."""
+        folders = [one for one in self._folder.iterdir() if _OWN.fullmatch(one.name) and one.is_dir()]
+        sizes = {one: sum(file.stat().st_size for file in one.rglob("*") if file.is_file()) for one in folders}
+        used = {one: one.stat().st_mtime_ns for one in folders}
+        total = sum(sizes.values())
+        for one in sorted(folders, key=used.__getitem__):
+            if total <= self._most_bytes:
+                break
+            if one != keep:
+                shutil.rmtree(one, ignore_errors=True)
+                total -= sizes[one]
+
+
+def _open(folder: Path, entry: Entry, level: int) -> Level | None:
+    """A stored level as arrays that stay on disk, or None when it is not there or not whole."""
+    rows, columns = (size >> level for size in padded_shape(entry.shape))
+    try:
+        surface = np.memmap(folder / f"surface-{level}.f16", np.float16, "r")
+        valid = np.memmap(folder / f"valid-{level}.u8", np.uint8, "r")
+        found = Level(surface.reshape(rows, columns, 4), valid.reshape(rows, columns))
+    except (OSError, ValueError):
+        return None
+    with suppress(OSError):
+        os.utime(folder.parent)  # it was used just now
+    return found

@@ -1,0 +1,50 @@
+// What the page asks the viewer for. A refusal becomes an Error with the sentence that was given.
+
+async function ask(path, options = {}) {
+  let answer;
+  try {
+    answer = await fetch(path, options);
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Error("The viewer no longer answers: start retrosync view again.");
+  }
+  if (answer.ok) return answer;
+  const kind = answer.headers.get("Content-Type") ?? "";
+  if (kind.startsWith("application/json")) throw new Error((await answer.json()).error);
+  if (answer.status >= 500) throw new Error("The viewer failed at this: its terminal says how.");
+  throw new Error("The viewer was started anew: open the address that it printed.");
+}
+
+const json = async (path, options) => (await ask(path, options)).json();
+
+export const list = (filters) => json(`/api/list?${new URLSearchParams(filters)}`);
+export const facts = (key) => json(`/api/scan/${key}`);
+export const palettes = () => json("/api/palettes");
+export const thumbnail = (entry) => `/api/scan/${entry.key}/thumbnail?${entry.stamp}`;
+export const height = (key, page, row, column) =>
+  json(`/api/scan/${key}/height?${new URLSearchParams({ page, row, column })}`);
+export const compare = (first, second) =>
+  json(`/api/compare?${new URLSearchParams({ first, second })}`, { method: "POST" });
+
+/** Address of a profile; a line is { row_0, column_0, row_1, column_1 }. */
+export const profileAddress = (key, page, line, form = "json") =>
+  `/api/scan/${key}/profile?${new URLSearchParams({ ...line, page, form })}`;
+export const profile = (key, page, line) => json(profileAddress(key, page, line));
+
+/** Some rows of a level: half floats (4 a pixel) and bytes (1 a pixel). */
+export async function levelRows(key, page, level, first, last, signal) {
+  const words = new URLSearchParams({ page, first, last });
+  const answer = await ask(`/api/scan/${key}/level/${level}?${words}`, { signal });
+  const pixels = Number(answer.headers.get("X-Rows")) * Number(answer.headers.get("X-Columns"));
+  const data = await answer.arrayBuffer();
+  return { surface: new Uint16Array(data, 0, 4 * pixels), valid: new Uint8Array(data, 8 * pixels, pixels) };
+}
+
+/** The map of ±, reduced: { rows, columns, values }. */
+export async function sigma(key) {
+  const answer = await ask(`/api/scan/${key}/sigma`);
+  const [rows, columns] = ["X-Rows", "X-Columns"].map((name) => Number(answer.headers.get(name)));
+  return { rows, columns, values: new Float32Array(await answer.arrayBuffer()) };
+}
+
+export const frame = async (key) => createImageBitmap(await (await ask(`/api/scan/${key}/frame`)).blob());

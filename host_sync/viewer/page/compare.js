@@ -1,0 +1,115 @@
+// Two scans side by side under one light, moving together, or their difference after registration.
+
+import * as api from "./api.js";
+import { announce, h } from "./dom.js";
+import { length, micrometres, percent } from "./format.js";
+import { firstLook, LookPanel } from "./look.js";
+import { Stage } from "./stage.js";
+import { nameOf } from "./scan.js";
+
+export async function comparePage(first, second, palettes) {
+  const both = await Promise.all([api.facts(first), api.facts(second)]);
+  return new ComparePage(both, palettes);
+}
+
+class ComparePage {
+  constructor(both, palettes) {
+    this.both = both;
+    this.palettes = palettes;
+    this.title = `${both[0].title} and ${both[1].title}`;
+    this.look = this.commonLook();
+    this.stages = both.map((facts, index) => new Stage(facts, this.look, palettes, {
+      label: facts.title, onlight: () => this.panel.changed(), onview: (eye) => this.follow(index, eye),
+    }));
+    this.panel = new LookPanel({ ...both[0], low_um: this.look.low, high_um: this.look.high }, this.look,
+      { onchange: () => this.apply() });
+    this.words = h("p", { class: "found", role: "status" }, "Looking for the shift …");
+    this.views = ["Side by side", "Difference"].map((name, index) => h("button", {
+      type: "button", "aria-pressed": String(index === 0), onclick: () => this.choose(index) }, name));
+    this.views[1].disabled = true;
+    this.side = h("div", { class: "side" }, this.stages.map((stage, index) => h("figure", {}, h("figcaption", {},
+      nameOf(both[index])), stage.element)));
+    this.alone = h("div", { class: "alone", hidden: true });
+    this.panelBox = h("aside", { class: "panel", "aria-label": "How it is shown" }, this.panel.element);
+    this.element = h("div", { class: "scan compare" }, h("div", { class: "view" }, h("h1", { class: "unseen" }, this.title),
+      h("div", { class: "head" }, h("div", { class: "set", role: "group", "aria-label": "What is shown" }, ...this.views), this.words),
+      this.side, this.alone), this.panelBox);
+  }
+
+  commonLook() {
+    const looks = this.both.map(firstLook);
+    const low = Math.min(...looks.map((look) => look.low));
+    const high = Math.max(...looks.map((look) => look.high));
+    return { ...looks[0], low, high, exaggeration: Math.min(...looks.map((look) => look.exaggeration)) };
+  }
+
+  start() {
+    for (const stage of this.stages) stage.start(this.palettes);
+    this.register().catch((error) => (this.words.textContent = error.message));
+  }
+
+  async register() {
+    const found = await api.compare(this.both[0].key, this.both[1].key);
+    if (this.gone) return;
+    this.difference = await api.facts(found.key);
+    const { record } = found;
+    const [down, right] = record.shift_um;
+    const way = (um, more, less) => `${length(Math.abs(um))} ${um >= 0 ? more : less}`;
+    this.shift = { row: down / this.both[1].pitch_um, column: right / this.both[1].pitch_um };
+    this.words.textContent = `The second lies ${way(down, "down", "up")}, ${way(right, "right", "left")}, turned by ` +
+      `${record.turn_deg.toFixed(2)}°. After levelling ${micrometres(record.residual_um)} rms remain ` +
+      `(median ${micrometres(record.median_um)}) over ${percent(record.overlap_share)} of the first.`;
+    this.views[1].disabled = false;
+    this.follow(0, this.stages[0].relief.eye);
+  }
+
+  apply() {
+    for (const stage of this.stages) if (stage.relief) stage.apply();
+  }
+
+  /** Let the other view see the same place of the thing. */
+  follow(moved, eye) {
+    const other = this.stages[1 - moved].relief;
+    if (!other) return;
+    const factor = this.both[moved].pitch_um / this.both[1 - moved].pitch_um;
+    const middle = (facts) => ({ row: (facts.rows - 1) / 2, column: (facts.columns - 1) / 2 });
+    const [here, there] = [middle(this.both[moved]), middle(this.both[1 - moved])];
+    const sign = moved === 0 ? 1 : -1;
+    const shift = this.shift ?? { row: 0, column: 0 };
+    const scaled = moved === 0 ? 1 : factor;
+    for (const side of ["row", "column"]) {
+      other.eye.centre[side] = there[side] + (eye.centre[side] - here[side]) * factor + sign * shift[side] * scaled;
+    }
+    other.eye.zoom = eye.zoom / factor;
+    other.eye.distance = eye.distance * factor;
+    Object.assign(other.eye, { azimuth: eye.azimuth, elevation: eye.elevation });
+    if (other.eye.space !== eye.space) {
+      other.eye.space = eye.space;
+      this.stages[1 - moved].spaceButton.setAttribute("aria-pressed", String(eye.space));
+    }
+    other.draw();
+  }
+
+  choose(index) {
+    this.views.forEach((button, at) => button.setAttribute("aria-pressed", String(at === index)));
+    this.side.hidden = index === 1;
+    this.alone.hidden = index === 0;
+    if (index === 1 && !this.single) this.openDifference();
+    this.panelBox.replaceChildren((index === 1 ? this.singlePanel : this.panel).element);
+    announce(index === 1 ? "The difference, second minus first" : "Side by side");
+  }
+
+  openDifference() {
+    const look = firstLook(this.difference);
+    this.single = new Stage(this.difference, look, this.palettes, {
+      label: "Difference", onlight: () => this.singlePanel.changed() });
+    this.singlePanel = new LookPanel(this.difference, look, { onchange: () => this.single.relief && this.single.apply() });
+    this.alone.append(this.single.element);
+    this.single.start(this.palettes);
+  }
+
+  dispose() {
+    this.gone = true;
+    for (const stage of [...this.stages, this.single]) stage?.dispose();
+  }
+}

@@ -1,0 +1,45 @@
+// Elements from words: text is always set as text, so that no name or note of a scan can become markup.
+
+/** An element with attributes, listeners (keys that begin with "on") and children; null children are left out. */
+export function h(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  assign(element, attributes);
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** The same for drawings. */
+export function svg(tag, attributes = {}, ...children) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  assign(element, attributes);
+  element.append(...children);
+  return element;
+}
+
+function assign(element, attributes) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else element.setAttribute(name, value === true ? "" : String(value));
+  }
+}
+
+let counter = 0;
+
+/** A label and its control, joined. */
+export function field(label, control, { hidden = false, unit = null } = {}) {
+  control.id ||= `control-${(counter += 1)}`;
+  const words = h("label", { for: control.id, class: hidden ? "unseen" : null }, label);
+  return h("div", { class: "field" }, words, control, unit && h("span", { class: "unit" }, unit));
+}
+
+/** A switch that says whether it is on. */
+export function check(label, checked, onchange) {
+  const box = h("input", { type: "checkbox", checked, onchange: () => onchange(box.checked) });
+  return { box, element: h("label", { class: "check" }, box, h("span", {}, label)) };
+}
+
+/** Says something to those who listen rather than look. */
+export function announce(words) {
+  document.getElementById("live").textContent = words;
+}

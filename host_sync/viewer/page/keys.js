@@ -1,0 +1,29 @@
+// The list of keys.
+
+import { h } from "./dom.js";
+
+const KEYS = [
+  ["← → ↑ ↓", "move the map, or turn in space"],
+  ["Shift + ← → ↑ ↓", "move the light"],
+  ["+  −", "zoom"],
+  ["0", "show everything"],
+  ["1", "a screen pixel for each pixel"],
+  ["3", "map or space"],
+  ["M  L  P", "drag to move, to light, to draw a profile"],
+  ["right button", "drag the light (map) or the view (space)"],
+  ["?", "this list"],
+];
+
+export function setUpKeys(button) {
+  const dialog = h("dialog", { class: "keys", "aria-label": "Keys" },
+    h("h2", {}, "Keys"),
+    h("p", {}, "They work while the relief has the focus; profile ends and light can also be typed in the panel."),
+    h("dl", {}, KEYS.flatMap(([key, words]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, words)])),
+    h("button", { type: "button", onclick: () => dialog.close() }, "Close"));
+  document.body.append(dialog);
+  button.addEventListener("click", () => dialog.showModal());
+  document.addEventListener("keydown", (event) => {
+    const typing = event.target.matches("input, select, textarea");
+    if (event.key === "?" && !typing && !dialog.open) dialog.showModal();
+  });
+}

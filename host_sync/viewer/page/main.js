@@ -1,0 +1,65 @@
+// The page: which of its parts is shown for an address.
+
+import * as api from "./api.js";
+import { comparePage } from "./compare.js";
+import { h } from "./dom.js";
+import { setUpKeys } from "./keys.js";
+import { libraryPage } from "./library.js";
+import { scanPage } from "./scan.js";
+import { setUpTheme } from "./theme.js";
+
+const main = document.getElementById("main");
+const where = document.getElementById("where");
+let shown = null;
+let turn = 0;
+let palettes = null;
+
+async function open(address) {
+  palettes ??= await api.palettes();
+  const [, place, first, second] = address.split("/");
+  if (place === "scan" && first) return scanPage(first, palettes);
+  if (place === "compare" && first && second) return comparePage(first, second, palettes);
+  return libraryPage();
+}
+
+async function show() {
+  turn += 1;
+  const mine = turn;
+  let page = null;
+  let problem = null;
+  try {
+    page = await open(location.hash.slice(1));
+  } catch (error) {
+    problem = error;
+  }
+  if (mine !== turn) return;
+  shown?.dispose();
+  shown = page;
+  where.textContent = page?.title ?? "";
+  document.title = page?.title ? `${page.title} – Retrograph` : "Retrograph";
+  main.replaceChildren(page ? page.element : h("div", { class: "library" }, h("h1", {}, "Not shown"),
+    h("p", { class: "problem", role: "alert" }, problem.message), h("p", {}, h("a", { href: "#/" }, "Back to the list"))));
+  try {
+    page?.start();
+  } catch (error) {
+    const words = error.message.includes("WebGL")
+      ? "This browser cannot draw in three dimensions (WebGL 2): switch hardware acceleration on, or use another browser."
+      : error.message;
+    main.prepend(h("p", { class: "problem", role: "alert" }, words));
+  }
+  main.scrollTop = 0;
+  if (mine > 1) main.focus({ preventScroll: true });
+}
+
+async function begin() {
+  setUpTheme(document.getElementById("theme-button"));
+  setUpKeys(document.getElementById("keys-button"));
+  addEventListener("hashchange", show);
+  if (!location.hash) {
+    const { only } = await api.list({}).catch(() => ({ only: null }));
+    if (only) history.replaceState(null, "", `#/scan/${only}`);
+  }
+  await show();
+}
+
+begin();

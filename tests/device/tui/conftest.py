@@ -1,0 +1,151 @@
+"""The screens over a twin in virtual time: tests step the instrument, press keys, and read what is shown."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import os
+import shutil
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from textual.pilot import Pilot
+
+from device.bundle_store import BundleStore
+from device.pairing.opening import PairingSetup
+from device.session.instrument import Instrument
+from device.tui.app import RetroscanApp
+from device.tui.sheets import ProgramFacts
+from device.tui.terminal import ColourDepth
+from hal.board_profile import BoardProfile
+from hal.clock import VirtualClock
+from hal.interfaces import ButtonPress
+from hal.twin.bench import Bench, build
+from hal.twin.hardware import twin_hardware
+
+PROGRAM = ProgramFacts("0.1.0", Path("/var/lib/retroscan"))
+
+
+@dataclass
+class Stage:
+    """The running app, and the world behind it."""
+
+    app: RetroscanApp
+    pilot: Pilot[str]
+    instrument: Instrument
+    bench: Bench
+    store: BundleStore
+
+    async def live(self, steps: int = 1) -> None:
+        """Let the instrument take some steps (about 17 ms each) and show what became of them."""
+        for _ in range(steps):
+            self.instrument.step()
+        await self.show()
+
+    async def show(self) -> None:
+        """Show the present state."""
+        await self.app.look()
+        self.app.look_live()
+        await self.settle()
+
+    async def settle(self) -> None:
+        """Wait for workers and messages."""
+        await self.pilot.pause()
+        while list(self.app.workers):
+            await self.app.workers.wait_for_complete()
+            await self.pilot.pause()
+
+    async def press(self, *keys: str) -> None:
+        """Press keys, and show what became of it."""
+        await self.pilot.press(*keys)
+        await self.settle()
+        await self.show()
+
+    async def push(self, held_s: float = 0.1) -> None:
+        """Push the instrument's button for so long, and let it be seen."""
+        self.bench.schedule_button(ButtonPress(self.bench.clock.monotonic_ns(), held_s))
+        self.bench.clock.sleep(held_s + 0.01)
+        await self.live(2)
+
+    async def object_pressed(self) -> None:
+        """Have the twin's operator press its next object and push the button, until the scan is shown."""
+        await self.press("d")
+        await self.live()
+        self.bench.clock.sleep(1.0)
+        await self.live(3)
+
+    def lines(self) -> list[str]:
+        """What the screen shows, row by row."""
+        strips = self.app.screen._compositor.render_strips()
+        return ["".join(segment.text for segment in strip).rstrip() for strip in strips]
+
+    def text(self) -> str:
+        """The same as one text, runs of blanks shortened."""
+        return " ".join(" ".join(self.lines()).split())
+
+
+Scenario = Callable[[Stage], Awaitable[None]]
+
+
+@pytest.fixture
+def bench(small_twin: BoardProfile) -> Bench:
+    return build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=2_000.0))
+
+
+@pytest.fixture
+def empty_root(tmp_path: Path) -> Path:
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def root(calibrated_root: Path, empty_root: Path) -> Path:
+    shutil.copytree(calibrated_root, empty_root)
+    return empty_root
+
+
+@pytest.fixture
+def host_key(tmp_path: Path) -> Path:
+    """The public key of an SSH server."""
+    path = tmp_path / "ssh_host_ed25519_key.pub"
+    key = b"\0\0\0\x0bssh-ed25519\0\0\0 " + bytes(range(32))
+    path.write_text(f"ssh-ed25519 {base64.b64encode(key).decode()} root@retroscan\n")
+    return path
+
+
+@pytest.fixture
+def no_ambient_colour_wishes() -> Iterator[None]:
+    """Whatever the terminal of the person who tests says about colours."""
+    kept = {name: value for name, value in os.environ.items() if name not in {"NO_COLOR", "TEXTUAL_COLOR_SYSTEM"}}
+    with mock.patch.dict(os.environ, kept, clear=True):
+        yield
+
+
+@pytest.fixture
+def play(bench: Bench, no_ambient_colour_wishes: None) -> Callable[..., None]:
+    """Plays a scenario on a store: `play(scenario, root, size=(80, 24), depth="full")`."""
+
+    def run(
+        scenario: Scenario,
+        root: Path,
+        size: tuple[int, int] = (80, 24),
+        depth: ColourDepth = "full",
+        host_key: Path = Path("absent.pub"),
+    ) -> None:
+        async def on_stage() -> None:
+            store = BundleStore(root, bench.clock, boot_id="b0075e1f")
+            pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
+            with Instrument(twin_hardware(bench), store, pairing=pairing) as instrument:
+                app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, looks_per_s=None)
+                async with app.run_test(size=size) as pilot:
+                    stage = Stage(app, pilot, instrument, bench, store)
+                    await stage.live(5)
+                    await scenario(stage)
+
+        wishes = {"NO_COLOR": "1"} if depth == "mono" else {}
+        with mock.patch.dict(os.environ, wishes):
+            asyncio.run(on_stage())
+
+    return run

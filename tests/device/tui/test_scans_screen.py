@@ -1,0 +1,150 @@
+"""The history by key presses: choose, mark, note, profile; scans that are offloaded, damaged, or not there."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from device.durable import replace_file
+from device.receipts import RECEIPTS, Receipt, receipt_name
+from device.records import encode_record, sha256_bytes
+
+Stage = Any
+
+
+async def _scan(stage: Stage, times: int) -> None:
+    for _ in range(times):
+        stage.instrument.press()
+        await stage.live(2)
+
+
+def test_scans_are_listed_newest_first_and_chosen_by_keys_touch_and_button(
+    play: Callable[..., None], root: Path
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 3)
+        await stage.press("3")
+        rows = [line for line in stage.lines()[2:20] if " doubtful" in line[:20] or " good " in line[:20]]
+        assert [row.split()[1 if row.strip().startswith(">") else 0] for row in rows] == ["4", "3", "2"]
+        assert rows[0].lstrip().startswith(">")
+        await stage.press("down")
+        assert stage.lines()[3].lstrip().startswith("> ")
+        await stage.push()
+        assert stage.lines()[4].lstrip().startswith("> ")
+        await stage.push()
+        assert stage.lines()[2].lstrip().startswith("> ")
+        await stage.pilot.click("#history", offset=(3, 1))
+        await stage.show()
+        assert stage.lines()[3].lstrip().startswith("> ")
+        assert "only here" in stage.text()
+
+    play(scenario, root)
+
+
+def test_marks_and_notes_are_kept(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        await stage.press("3", "b")
+        assert " bad " in stage.lines()[2]
+        await stage.press("n")
+        await stage.press(*"hair on it", "enter")
+        assert "Note: hair on it" in stage.text()
+        await stage.press("g")
+        (entry,) = stage.instrument.history().scans
+        assert (entry.mark.opinion, entry.mark.note) == ("good", "hair on it")
+        await stage.press("u")
+        (entry,) = stage.instrument.history().scans
+        assert (entry.mark.opinion, entry.mark.note) == (None, "hair on it")
+
+    play(scenario, root)
+
+
+def test_an_offloaded_scan_says_so(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        (scan,) = stage.store.scans().bundles
+        manifest = (scan.directory / "scan.json").read_bytes()
+        receipt = Receipt(
+            kind="scans",
+            bundle_id=scan.scan_id,
+            manifest_sha256=sha256_bytes(manifest),
+            host="desk",
+            verified=stage.store.wall_time(),
+        )
+        replace_file(root / RECEIPTS / receipt_name(scan.scan_id), encode_record(receipt))
+        await stage.press("3")
+        assert " yes" in stage.lines()[2]
+        assert "verified on a workstation" in stage.text()
+
+    play(scenario, root)
+
+
+def test_no_scans_yet(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("3")
+        assert "There are no scans yet." in stage.text()
+        await stage.press("g", "n", "p", "down")
+        assert stage.app.current_mode == "scans"
+
+    play(scenario, root)
+
+
+def test_a_damaged_scan_is_named_and_the_others_are_shown(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 2)
+        broken = sorted((root / "scans").iterdir())[0]
+        (broken / "scan.json").write_text("{")
+        await stage.press("3")
+        assert "! " in stage.text()
+        assert broken.name in stage.text().replace(" ", "")
+        assert "> 3 " in stage.text()
+
+    play(scenario, root)
+
+
+def test_a_quick_look_that_is_gone_is_explained(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        (scan,) = (root / "scans").iterdir()
+        (scan / "quick-look-um.tif").write_bytes(b"no picture")
+        await stage.press("3")
+        assert "cannot be read" in stage.text()
+
+    play(scenario, root)
+
+
+def test_a_mark_that_cannot_be_stored_is_not_shown(
+    play: Callable[..., None], root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        await stage.press("3")
+        (root / "marks").write_text("in the way")
+        await stage.press("g")
+        assert "! " in stage.text()
+        assert "the mark cannot be stored" in stage.text()
+
+    play(scenario, root)
+
+
+def test_the_profile_takes_the_arrow_keys_and_gives_them_back(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 2)
+        await stage.press("3", "p", "down")
+        assert "▲" in stage.text()
+        assert stage.lines()[2].lstrip().startswith("> ")
+        await stage.press("p", "down")
+        assert "▲" not in stage.text()
+        assert stage.lines()[3].lstrip().startswith("> ")
+
+    play(scenario, root)
+
+
+def test_where_no_picture_can_be_drawn_that_is_said(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 1)
+        await stage.press("3", "v")
+        assert "! This terminal draws no pictures" in stage.text()
+
+    play(scenario, root)

@@ -1,0 +1,161 @@
+"""Set-up by key presses: facts, pairing, self-test, zero check, gels, calibrations, power off."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Stage = Any
+
+ERRANDS = ("back", "facts", "pair", "test", "zero", "gel", "calibrations", "off")
+
+
+async def _choose(stage: Stage, errand: str) -> None:
+    await stage.press("4", *["down"] * ERRANDS.index(errand))
+
+
+def test_facts_name_device_network_key_gel_lights_and_storage(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "facts")
+        shown = stage.text()
+        for word in ("Device", "Name", "Address", "Key", "Gel", "Calibration", "Lights", "Storage", "0.1.0"):
+            assert word in shown
+
+    play(scenario, root, size=(100, 30))
+
+
+def test_pairing_without_an_ssh_server_says_what_to_install(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "pair")
+        assert "Enter shows a code for two minutes." in stage.text()
+        await stage.press("enter")
+        await stage.live()
+        assert "openssh-server" in stage.text()
+
+    play(scenario, root)
+
+
+def test_pairing_shows_a_code_to_type(play: Callable[..., None], root: Path, host_key: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "pair")
+        await stage.press("enter")
+        await stage.live()
+        code = stage.instrument.state.pairing.code
+        assert f"Code {' '.join(code[:4])} {' '.join(code[4:])}" in stage.text()
+        assert "retrosync pair" in stage.text()
+        assert "SHA256:" in stage.text()
+
+    play(scenario, root, host_key=host_key)
+
+
+def test_the_self_test_lists_findings_and_blames_the_right_part(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        stage.bench.faults.open_lights.add("green")
+        await _choose(stage, "test")
+        await stage.press("enter")
+        await stage.live(2)
+        shown = stage.text()
+        assert "ok power: the supply is good" in shown
+        assert "FAIL light green: is not seen by the camera" in shown
+        assert "1 of 9 failed." in shown
+        stage.bench.faults.open_lights.clear()
+        await stage.press("enter")
+        await stage.live(2)
+        assert "All is well." in stage.text()
+        assert "FAIL" not in stage.text()
+
+    play(scenario, root)
+
+
+def test_the_zero_check_is_reported(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "zero")
+        await stage.press("enter")
+        await stage.live(2)
+        assert stage.instrument.state.health.flat_residual_um is not None
+        assert "µm" in stage.text()
+
+    play(scenario, root)
+
+
+def test_an_unknown_gel_is_refused_scans_until_it_is_calibrated_and_the_old_one_comes_back(
+    play: Callable[..., None], root: Path
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "gel")
+        await stage.press("enter")
+        assert "Which gel is mounted?" in stage.text()
+        await stage.press("down", "enter")
+        assert "A gel that is new here" in stage.text()
+        await stage.press(*"gel-2", "enter", "enter")
+        await stage.live(2)
+        assert "! " in stage.text()
+        assert stage.instrument.state.gel.gel_id == "gel-2"
+        await stage.press("1", "space")
+        await stage.live()
+        assert "! Nothing was scanned:" in stage.text()
+        await stage.press("4", "enter")
+        await stage.press("down", "enter")
+        await stage.live(2)
+        assert stage.instrument.state.gel.gel_id == "twin-gel"
+        assert stage.instrument.state.calibration.calibration_id is not None
+
+    play(scenario, root)
+
+
+def test_a_thickness_that_is_no_number_is_refused(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "gel")
+        await stage.press("enter")
+        await stage.press("down", "enter")
+        await stage.press(*"gel-2", "enter", "end", *"thick", "enter")
+        assert "is no thickness in mm" in stage.text()
+        assert stage.instrument.state.gel.gel_id == "twin-gel"
+
+    play(scenario, root)
+
+
+def test_calibrations_are_listed_with_the_one_in_force(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "calibrations")
+        await stage.press("enter")
+        assert "in force" in stage.text()
+        assert "twin-gel user v1" in stage.text()
+        await stage.press("escape")
+        assert stage.instrument.state.calibration.calibration_id is not None
+
+    play(scenario, root)
+
+
+def test_powering_off_asks_and_then_ends_the_screens(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "off")
+        await stage.press("enter")
+        assert "Power off?" in stage.text()
+        await stage.press("enter")  # the focus is on No
+        assert stage.instrument.state.activity == "ready"
+        await stage.press("enter")
+        await stage.press("y")
+        stage.instrument.step()
+        await stage.app.look()
+        assert stage.instrument.state.activity == "off"
+        assert stage.app.return_value == "off"
+        assert stage.bench.currents_ma == {}
+
+    play(scenario, root)
+
+
+def test_one_button_walks_through_the_list_and_does_what_is_chosen(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("4")
+        for _ in range(ERRANDS.index("off")):
+            await stage.push()
+        await stage.push(held_s=2.5)
+        assert "Power off?" in stage.text()
+        await stage.push(held_s=2.5)  # the focus is on No
+        assert "Power off?" not in stage.text()
+        await stage.push()
+        assert "> Back to Scan" in stage.text()
+        await stage.push(held_s=2.5)
+        assert stage.app.current_mode == "scan"
+
+    play(scenario, root)

@@ -1,0 +1,118 @@
+"""What every screen looks like, at both panel sizes and without colour, against what was agreed on.
+
+A snapshot is the text of the cells, so that it survives a new textual or another terminal's colours. After a change
+that is meant: `UPDATE_SNAPSHOTS=1 pytest tests/device/tui/test_snapshots.py`, then read the difference.
+"""
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+Stage = Any
+
+SNAPSHOTS = Path(__file__).parent / "snapshots"
+CONSOLE = set(" ▀▄█▌▐░▒▓─│┌┐└┘├┤┼■·•○▲▼←↑→↓…±µ°×") | {chr(code) for code in range(32, 127)}
+
+
+async def walk(stage: Stage) -> dict[str, list[str]]:
+    """Every screen by key presses: its rows by the screen's name."""
+    seen = {}
+    await stage.object_pressed()
+    seen["scan"] = stage.lines()
+    await stage.press("p")
+    seen["profile"] = stage.lines()
+    await stage.press("p", "j")
+    seen["sticky"] = stage.lines()
+    await stage.press("escape", "3", "g")
+    seen["scans"] = stage.lines()
+    await stage.press("4", "down", "down")
+    seen["set-up"] = stage.lines()
+    await stage.press(*["down"] * 5, "enter")
+    seen["power-off"] = stage.lines()
+    await stage.press("n", "2")
+    seen["calibrate"] = stage.lines()
+    for _ in range(3):
+        await stage.press("space")
+        await stage.live(2)
+    seen["first-press"] = stage.lines()
+    return seen
+
+
+def steady(lines: list[str]) -> str:
+    """The screen's text without what differs from run to run: the device's id, free room, and the picture's shades."""
+    text = "\n".join(lines)
+    text = re.sub(r"rg[0-9a-f]{8}", "rg........", text)
+    text = re.sub(r"\d+ scans left", "N scans left", text)
+    return re.sub(r"[▀▁▂▃▄▅▆▇█░▒▓]", "#", text) + "\n"
+
+
+@pytest.mark.parametrize(("size", "depth"), [((80, 24), "full"), ((100, 30), "full"), ((80, 24), "mono")])
+def test_screens(play: Callable[..., None], root: Path, size: tuple[int, int], depth: str) -> None:
+    seen: dict[str, list[str]] = {}
+
+    async def scenario(stage: Stage) -> None:
+        seen.update(await walk(stage))
+
+    play(scenario, root, size=size, depth=depth)
+    changed = []
+    for name, lines in seen.items():
+        assert len(lines) == size[1]
+        assert all(len(line) <= size[0] for line in lines)
+        path = SNAPSHOTS / f"{name}-{size[0]}x{size[1]}-{depth}.txt"
+        if os.environ.get("UPDATE_SNAPSHOTS"):
+            path.write_text(steady(lines), encoding="utf-8")
+        if steady(lines) != path.read_text(encoding="utf-8"):
+            changed.append(f"{path.name} differs; it is now:\n{steady(lines)}")
+    assert "\n".join(changed) == ""
+
+
+def test_a_picture_of_the_screen_can_be_exported_in_colour(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        svg = ElementTree.fromstring(stage.app.export_screenshot())  # noqa: S314 (our own)
+        fills = {element.get("fill") for element in svg.iter() if element.get("fill")}
+        assert len(fills) > 100
+        assert "GOOD" in " ".join(svg.itertext())
+
+    play(scenario, root)
+
+
+def test_a_plain_console_gets_only_glyphs_that_its_font_has(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        for lines in (await walk(stage)).values():
+            assert set("".join(lines)) <= CONSOLE
+
+    play(scenario, root, depth="sixteen")
+
+
+def test_no_colour_reaches_a_terminal_without(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        for strip in stage.app.screen._compositor.render_strips():
+            for line_filter in stage.app._filters:
+                if line_filter.enabled:
+                    strip = strip.apply_filter(line_filter, stage.app.screen.background_colors[1])
+            for segment in strip:
+                colours = (segment.style.color, segment.style.bgcolor) if segment.style else ()
+                assert all(colour is None or colour.is_default for colour in colours)
+
+    play(scenario, root, depth="mono")
+
+
+def test_a_resized_terminal_is_filled_again(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        for size in ((100, 30), (60, 20), (30, 10), (12, 5), (160, 50), (80, 24)):
+            await stage.pilot.resize_terminal(*size)
+            await stage.live()
+            assert len(stage.lines()) == size[1]
+            assert stage.lines()[0].startswith(" 1 Scan")
+        assert "GOOD #2" in stage.text()
+        assert "q quit" in stage.text()
+
+    play(scenario, root)

@@ -1,0 +1,105 @@
+"""The few words that a screen has room for."""
+
+from dataclasses import replace
+
+import pytest
+
+from device.calibration_checks import Check
+from device.session.state import CalibrationState, GelState, HealthState, InstrumentState
+from device.tui.coverage_text import check_lines, coverage_lines
+from device.tui.state_line import state_text
+from device.tui.terminal import colour_depth
+from device.tui.words import age_text, gauge_text, shortened
+from hal.interfaces import PowerReading
+
+
+def state(**what: object) -> InstrumentState:
+    usual = InstrumentState(
+        activity="ready",
+        board="twin",
+        device_id="rg12345678",
+        calibration=CalibrationState("cal", "gel", age_s=30.0),
+        gel=GelState("gel", 2.5, 3),
+        health=HealthState({}),
+    )
+    return replace(usual, **what)
+
+
+@pytest.mark.parametrize(
+    ("environment", "depth"),
+    [
+        ({"TERM": "xterm-256color"}, "full"),
+        ({"TERM": "foot", "COLORTERM": "truecolor"}, "full"),
+        ({"TERM": "xterm-kitty"}, "full"),
+        ({"TERM": "linux"}, "sixteen"),
+        ({"TERM": "screen"}, "sixteen"),
+        ({"TERM": "xterm-256color", "NO_COLOR": "1"}, "mono"),
+        ({"TERM": "xterm-256color", "NO_COLOR": ""}, "full"),
+        ({"TERM": "vt220"}, "mono"),
+        ({}, "mono"),
+    ],
+)
+def test_colours_are_those_that_the_terminal_promises(environment: dict[str, str], depth: str) -> None:
+    assert colour_depth(environment) == depth
+
+
+def test_ages() -> None:
+    assert [age_text(age_s) for age_s in (5.0, 90.0, 3 * 3600.0, 5 * 86400.0)] == [
+        "just now",
+        "1 min ago",
+        "3 h ago",
+        "5 days ago",
+    ]
+
+
+@pytest.mark.parametrize("share", [None, -1.0, 0.0, 0.5, 1.0, 7.0])
+@pytest.mark.parametrize("columns", [0, 5, 17, 18, 40])
+def test_a_gauge_fills_its_columns_whatever_it_shows(share: float | None, columns: int) -> None:
+    assert len(gauge_text("contact", share, columns)) == columns
+
+
+def test_a_gauge_shows_what_was_not_measured_as_a_dash() -> None:
+    assert gauge_text("depth", None, 24).endswith("-")
+    assert "■" not in gauge_text("depth", None, 24)
+
+
+def test_the_state_line_says_first_what_matters_most() -> None:
+    warned = HealthState({}, level="doubtful", sentence="light red is 3% weaker")
+    text = state_text(state(health=warned, scans_left=12, processing=1, power=PowerReading(battery_share=0.4)), 200)
+    assert text == "! light red is 3% weaker · 12 scans left · 1 in work · battery 40% · calibrated just now · gel gel"
+
+
+@pytest.mark.parametrize(
+    ("calibration", "words"),
+    [
+        (CalibrationState(), "not calibrated"),
+        (CalibrationState("cal"), "calibrated, age unknown"),
+        (CalibrationState("cal", age_s=60 * 86400.0), "calibrated 60 days ago, check it"),
+    ],
+)
+def test_the_calibrations_age(calibration: CalibrationState, words: str) -> None:
+    assert words in state_text(state(calibration=calibration), 200)
+
+
+def test_a_low_supply_is_named_and_an_unmeasured_one_is_not() -> None:
+    assert "! supply too low" in state_text(state(power=PowerReading(under_voltage=True)), 200)
+    assert "battery" not in state_text(state(), 200)
+
+
+def test_numbers_that_decide_are_told_with_their_limits() -> None:
+    checks = (
+        Check("balls used", 3.0, 4.0, "at least"),
+        Check("share of balls rejected", 0.08, 0.35, "at most"),
+    )
+    assert check_lines(checks) == [
+        "FAIL  balls used: 3 (at least 4)",
+        "pass  share of balls rejected: 8% (at most 35%)",
+    ]
+
+
+def test_before_the_first_ball_nothing_is_covered() -> None:
+    assert "■" not in "".join(coverage_lines(None))
+
+
+def test_what_does_not_fit_ends_in_an_ellipsis() -> None:
+    assert [shortened("sphere", columns) for columns in (6, 4, 1)] == ["sphere", "sph…", "…"]

@@ -1,0 +1,244 @@
+"""`retrosync measure`, `gage` and `report` as a user meets them: good input, bad input, hostile names."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from device.bundle_store import BundleStore
+from device.scan_bundle import Annotations, ScanBundle
+from host_sync.__main__ import main
+
+Write = Callable[..., Path]
+HOSTILE = "<script>alert('ö')</script> & \"quoted\" ../../etc $x$ =1+1"
+
+
+def recipe(tmp_path: Path, text: str = "l_filter_um = 300\n") -> Path:
+    path = tmp_path / "recipe.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_numbers_are_printed_with_unit_uncertainty_and_what_was_done(
+    write_result: Write, wave: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(wave)
+    assert main(["measure", str(folder), "--l-filter-um", "300", "--parameters", "Sa", "hybrid", "-k", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "form removed: plane (least squares); S-filter: none; L-filter: nesting index 300 µm" in out
+    assert "surface  (k = 2, 0 % masked)" in out
+    for name in ("Sa", "Sdq", "Sdr"):
+        assert any(line.split()[:1] == [name] and "±" in line for line in out.splitlines())
+    assert "Ssk" not in out
+
+
+def test_a_name_moves_no_cursor_and_starts_no_formula(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(wave, "bell", scan_id="=cmd()", warnings=["\x1b[2J\x07"])
+    table = tmp_path / "numbers.csv"
+    assert main(["measure", str(folder), "--parameters", "Ssk", "--csv", str(table)]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+    row = next(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8"))))
+    assert row["scan_id"] == "'=cmd()"
+    assert np.isfinite(float(row["value"]))
+
+
+def test_json_and_csv_hold_every_number(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [str(write_result(wave, name)) for name in ("one", "=two")]
+    table = tmp_path / "numbers.csv"
+    assert main(["measure", *folders, "--json", "-", "--csv", str(table), "--spectrum"]) == 0
+    records = json.loads(capsys.readouterr().out)
+    assert [record["name"] for record in records] == ["one", "=two"]
+    assert records[0]["spectrum"]["density_um3"]
+    rows = list(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8"))))
+    assert len(rows) == sum(len(record["quantities"]) for record in records)
+    assert float(rows[0]["value"]) == records[0]["quantities"][0]["value"]
+    assert {row["unit"] for row in rows if row["name"] == "Sdq"} == {"µm/µm"}
+
+
+def test_what_cannot_be_measured_is_named_and_the_rest_is_done(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, cut = write_result(wave), write_result(wave, "cut")
+    data = (cut / "height_um.tif").read_bytes()
+    (cut / "height_um.tif").write_bytes(data[: len(data) // 3])
+    assert main(["measure", str(good), str(cut), str(tmp_path / "none"), "--parameters", "Sa"]) == 1
+    said = capsys.readouterr()
+    assert "height_um.tif: is truncated or damaged" in said.err
+    assert "holds no result.json" in said.err
+    assert "Traceback" not in said.err
+    assert said.out.count("Sa ") == 1
+    assert main(["measure", str(cut)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        ({"schema": "retrograph.result/9"}, "retrograph.result/9"),
+        ({"rows": 7}, "the record says"),
+        ({"pixel_pitch_um": 0.0}, "is no length"),
+        ({"rows": "many"}, "rows: Expected `int`"),
+    ],
+)
+def test_a_record_that_does_not_fit_is_refused(
+    write_result: Write, wave: np.ndarray, capsys: pytest.CaptureFixture[str], facts: dict[str, object], words: str
+) -> None:
+    assert main(["measure", str(write_result(wave, **facts))]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--form", "cone"], "accepted are none, mean, plane"),
+        (["--region-um", "0", "0", "2", "2"], "holds no two pixels"),
+        (["--s-filter-um", "50", "--l-filter-um", "40"], "s_filter_um"),
+        (["--recipe", "nowhere.toml"], "nowhere.toml: cannot be read"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_by_name(
+    write_result: Write, wave: np.ndarray, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    assert main(["measure", str(write_result(wave)), *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_gage_study_from_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    random = np.random.default_rng(0)
+    rows = ["part,operator,value"]
+    rows += [f"p{p},{o},{p + 0.01 * random.standard_normal()}" for p in range(5) for o in "ab" for _ in range(3)]
+    table = tmp_path / "study.csv"
+    table.write_text("\n".join(rows), encoding="utf-8")
+    assert main(["gage", "--table", str(table), "--tolerance", "0.5", "--json", str(tmp_path / "gage.json")]) == 0
+    out = capsys.readouterr().out
+    assert "5 parts, 2 operators, 3 repeats" in out
+    assert "good (up to 10 % good" in out
+    record = json.loads((tmp_path / "gage.json").read_text(encoding="utf-8"))
+    assert record["repeatability"]["low"] < 0.01 < record["repeatability"]["high"]
+    table.write_text("\n".join(rows[:-1]), encoding="utf-8")
+    assert main(["gage", "--table", str(table)]) == 2
+    assert "part p4 was measured 2 times by operator b" in capsys.readouterr().err
+    table.write_text("part,value\n1,2", encoding="utf-8")
+    assert main(["gage", "--table", str(table)]) == 2
+    assert "has no column operator" in capsys.readouterr().err
+
+
+def annotated(store: BundleStore, scan: ScanBundle, notes: Annotations, result: Path) -> None:
+    """Publish the same scan once more with notes, and lay a result beside it."""
+    record = msgspec.structs.replace(scan.record, identity=store.next_identity("scans"), annotations=notes, files={})
+
+    def copy(directory: Path) -> None:
+        for name in scan.record.files:
+            shutil.copy(scan.path(name), directory / name)
+
+    bundle = store.publish_scan(record, copy)
+    shutil.copytree(result, bundle.directory / "results" / "0.1.0-abc")
+
+
+def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
+    write_result: Write,
+    wave: np.ndarray,
+    tmp_path: Path,
+    store: BundleStore,
+    publish_scan: Callable[..., ScanBundle],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    first = publish_scan(store)
+    for part in range(2):
+        for operator in ("ada", "<b>bob</b>"):
+            for repeat in range(2):
+                result = write_result((1.0 + part) * wave + 0.01 * repeat, f"r{part}{operator[0]}{repeat}", draws=2)
+                notes = Annotations(part=f"part {part}", operator=operator, note=HOSTILE)
+                annotated(store, first, notes, result)
+    chosen = recipe(tmp_path, 'parameters = ["Sa"]\n')
+    library = ["--library", str(store.root), "--recipe", str(chosen)]
+    assert main(["measure", *library]) == 1
+    said = capsys.readouterr()
+    assert said.out.count("Sa ") == 8
+    assert f"{first.scan_id}: has no results" in said.err
+    shutil.rmtree(first.directory)
+    assert main(["gage", *library]) == 2
+    assert "repeats do not differ" in capsys.readouterr().err
+    assert main(["gage", *library, "--number", "surface/Sx"]) == 2
+    assert "accepted are surface/Sa" in capsys.readouterr().err
+    out = tmp_path / "reports"
+    scans = [path.name for path in sorted((store.root / "scans").iterdir())][-2:]
+    assert main(["report", *scans, *library, "--out", str(out)]) == 0
+    stems = [{path.stem for path in out.glob(f"*{ending}")} for ending in (".html", ".pdf")]
+    assert stems[0] == stems[1]
+    assert len(stems[0]) == 2
+    page = next(iter(out.glob("*.html"))).read_text(encoding="utf-8")
+    assert "<b>bob" not in page
+    assert "Frame: one exposure" in page
+    assert "scan/scan.json" in page
+
+
+class Tags(HTMLParser):
+    """Collects what a browser would act on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: list[tuple[str, str | None]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes += attrs
+
+
+def test_a_report_stands_alone_and_hostile_names_do_nothing(
+    write_result: Write, wave: np.ndarray, tmp_path: Path
+) -> None:
+    wave[20:40, 50:90] = np.nan
+    facts = {"warnings": [HOSTILE], "gel_id": HOSTILE, "scan_id": HOSTILE, "frame_set": "x\x00\x1b[31m"}
+    folder = write_result(wave, HOSTILE, **facts)
+    lines = 'name = "<img src=x> $\\\\frac$"\nfrom_um = [10, 400]\nto_um = [1100, 400]\nl_filter_um = 200\n'
+    chosen = recipe(tmp_path, f"spectrum = true\n[[profile]]\n{lines}")
+    out = tmp_path / "out"
+    arguments = ["report", str(folder), "--out", str(out), "--recipe", str(chosen)]
+    assert main(arguments) == 0
+    page, sheet = next(out.glob("*.html")), next(out.glob("*.pdf"))
+    assert page.parent == out
+    assert page.name.startswith("script_alert")
+    text = page.read_text(encoding="utf-8")
+    found = Tags()
+    found.feed(text)
+    assert found.tags.isdisjoint({"script", "iframe", "object", "link", "form", "a", "b"})
+    known = {"src", "width", "height", "alt", "class", "scope", "lang", "charset", "content", "name", "http-equiv"}
+    assert {name for name, _ in found.attributes} <= known
+    pictures = [value or "" for name, value in found.attributes if name == "src"]
+    assert all(value.startswith("data:image/png;base64,") for value in pictures)
+    assert len(pictures) >= 4
+    assert "default-src 'none'" in next(value for name, value in found.attributes if name == "content" and value)
+    for wanted in ("result/result.json", "calibration", "± 0", "masked", "k = 1"):
+        assert wanted in text
+    before = sheet.read_bytes()
+    assert before.startswith(b"%PDF")
+    assert main(arguments) == 2  # they are there already
+    assert main([*arguments, "--force"]) == 0
+    assert sheet.read_bytes() == before
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed (Debian: poppler-utils)")
+def test_the_pdf_says_what_the_page_says(write_result: Write, wave: np.ndarray, tmp_path: Path) -> None:
+    folder = write_result(wave, HOSTILE)
+    assert main(["report", str(folder), "--out", str(tmp_path / "out")]) == 0
+    sheet = next((tmp_path / "out").glob("*.pdf"))
+    text = subprocess.run(["pdftotext", "-layout", sheet, "-"], capture_output=True, text=True, check=True).stdout
+    assert "<script>alert('ö')</script>" in text
+    for wanted in ("Sa", "±", "µm", "Provenance", "SHA-256", "height_um.tif", "page 1"):
+        assert wanted in text

@@ -1,0 +1,225 @@
+"""Numbers with their ±: intervals hold a known truth, scale and holes count as they should, nothing is made up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from device.surface import HeightMap
+from host_sync.errors import MeasurementError
+from host_sync.measurement.fine_noise import FineNoise
+from host_sync.measurement.height_draws import HeightDraws, StatedScale
+from host_sync.measurement.measure import measure, measure_result
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty
+from host_sync.measurement.recipe import DistanceTable, ProfileTable, RadiusTable, Recipe, StepTable
+from host_sync.measurement.result_surface import read_result
+
+Write = Callable[..., Path]
+Draw = Callable[[np.random.Generator, float], np.ndarray]
+PITCH_UM = 5.0
+SHAPE = (180, 240)
+LIKE_BALLS = StatedScale(unlike_balls_share=0.0)
+
+
+def number(found: Measurement, name: str, subject: str = "surface") -> Quantity:
+    return next(one for one in found.quantities if (one.subject, one.name) == (subject, name))
+
+
+def test_a_sentence_says_it_all(write_result: Write, wave: np.ndarray) -> None:
+    torn = wave.copy()
+    torn[:, :10] = np.nan
+    found = measure_result(write_result(torn), Recipe())
+    sa = number(found, "Sa")
+    assert sa.value == pytest.approx(4.0 / np.pi, rel=0.02)
+    assert sa.draws == 16
+    assert sa.sentence.startswith("Sa 1.2")
+    assert sa.sentence.endswith(" µm (k = 1), 4.2 % masked")
+    assert uncertainty_of_uncertainty(16) == pytest.approx(0.177, abs=1e-3)
+    assert any("16 draws" in note and "18%" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "words"),
+    [
+        (1.8349, 0.0612, "1.835 ± 0.061 µm"),
+        (10_276_514.0, 1_279_768.0, "10300000 ± 1300000 µm"),
+        (-96.4, 12.3, "-96 ± 12 µm"),
+        (0.00012, 0.0000034, "0.0001200 ± 0.0000034 µm"),
+        (3.0, None, "3 µm, ± not known"),
+        (None, None, "not defined"),
+    ],
+)
+def test_two_figures_of_the_uncertainty_are_shown(value: float | None, uncertainty: float | None, words: str) -> None:
+    shown = Quantity(
+        subject="s",
+        name="n",
+        unit="µm",
+        value=value,
+        uncertainty=uncertainty,
+        coverage_factor=1,
+        offset=None,
+        draws=16,
+        masked_share=0.0,
+    )
+    assert shown.number == words
+
+
+def test_k_2_doubles_the_uncertainty_and_says_so(write_result: Write, wave: np.ndarray) -> None:
+    folder = write_result(wave)
+    once, twice = (number(measure_result(folder, Recipe(coverage_factor=k)), "Sq") for k in (1, 2))
+    assert once.uncertainty is not None
+    assert twice.uncertainty == pytest.approx(2.0 * once.uncertainty)
+    assert "(k = 2)" in twice.sentence
+
+
+@pytest.mark.parametrize("name", ["Sa", "Sq"])
+def test_stated_intervals_hold_the_truth_two_times_of_three(
+    write_result: Write, wave: np.ndarray, smooth_error: Draw, name: str
+) -> None:
+    """Errors of the kind that the draws are drawn from are put into the surface itself."""
+    recipe = Recipe(parameters=(name,), scale=LIKE_BALLS)
+    draws = read_result(write_result(wave, error_um=0.5))
+    truth = number(measure(replace(draws, draws_um=None), recipe), name).value
+    assert truth is not None
+    held = []
+    for seed in range(40):
+        random = np.random.default_rng(1000 + seed)
+        measured = (wave + smooth_error(random, 0.5)).astype(np.float32)
+        errors = np.stack([smooth_error(random, 0.5) for _ in range(16)]).astype(np.float32)
+        found = number(measure(replace(draws, height=HeightMap(measured, PITCH_UM), draws_um=errors), recipe), name)
+        assert found.value is not None
+        assert found.uncertainty is not None
+        held.append(abs(found.value - truth) <= found.uncertainty)
+    assert 0.5 <= np.mean(held) <= 0.88
+
+
+def test_the_filter_takes_what_it_removes_out_of_the_uncertainty_too(write_result: Write, wave: np.ndarray) -> None:
+    folder = write_result(wave, error_um=0.5)
+    recipes = (Recipe(scale=LIKE_BALLS), Recipe(l_filter_um=160.0, scale=LIKE_BALLS))
+    plain, filtered = (number(measure_result(folder, one), "Sa") for one in recipes)
+    assert plain.uncertainty is not None
+    assert filtered.uncertainty is not None
+    assert filtered.uncertainty < 0.6 * plain.uncertainty
+
+
+def test_a_result_without_draws_has_no_uncertainty_and_says_so(write_result: Write, wave: np.ndarray) -> None:
+    found = measure_result(write_result(wave, draws=0), Recipe())
+    assert number(found, "Sa").uncertainty is None
+    assert "± not known" in number(found, "Sa").sentence
+    assert any("no height_draws_um.tif" in note for note in found.notes)
+
+
+def test_scale_that_is_stated_moves_heights_and_lengths_as_it_should(write_result: Write, wave: np.ndarray) -> None:
+    """Heights go with the square of the pitch; a sphere's radius, length² over height, does not feel it at all."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    ball = np.sqrt(20_000.0**2 - (column - 600.0) ** 2 - (row - 450.0) ** 2) - 20_000.0
+    recipe = Recipe(
+        form="none",
+        scale=StatedScale(pixel_pitch_share=0.01, unlike_balls_share=0.0),
+        radius=(RadiusTable(name="ball", region_um=(0.0, 0.0, 1100.0, 850.0)),),
+        distance=(DistanceTable(name="d", from_um=(0.0, 450.0), to_um=(1000.0, 450.0)),),
+    )
+    found = measure_result(write_result(ball, error_um=0.0), recipe)
+    share = np.std([one.stretch for one in HeightDraws(read_result(found.folder), recipe.scale).surfaces()])
+    sq, length, radius = number(found, "Sq"), number(found, "along the skin", "d"), number(found, "radius", "ball")
+    assert sq.uncertainty / sq.value == pytest.approx(2.0 * share, rel=0.15)
+    assert length.uncertainty / length.value == pytest.approx(share, rel=0.15)
+    assert radius.uncertainty / radius.value < 0.1 * share
+    measured = {"pixel_pitch_share": 0.01, "ball_radius_share": 0.002}
+    folder = write_result(ball, "measured", error_um=0.0, height_scale=measured)
+    # What the calibration measured is in the draws' heights already, which are zero here.
+    assert number(measure_result(folder, recipe), "Sq").uncertainty is None
+    assert number(measure_result(folder, recipe), "along the skin", "d").uncertainty is not None
+
+
+def test_a_surface_unlike_the_balls_is_less_sure_by_the_share_that_is_said(
+    write_result: Write, wave: np.ndarray
+) -> None:
+    folder = write_result(wave - 0.01 * np.arange(SHAPE[0])[:, None], error_um=0.0)
+    found = measure_result(folder, Recipe(parameters=("Sq", "Ssk"), scale=StatedScale(unlike_balls_share=0.05)))
+    sq = number(found, "Sq")
+    assert sq.uncertainty / sq.value == pytest.approx(0.05, rel=1e-3)
+    assert any("5.0% is in, for surfaces unlike the balls" in note for note in found.notes)
+
+
+def test_an_unknown_pitch_leaves_a_length_without_uncertainty(write_result: Write, wave: np.ndarray) -> None:
+    recipe = Recipe(distance=(DistanceTable(name="d", from_um=(0.0, 450.0), to_um=(1000.0, 450.0)),))
+    found = measure_result(write_result(wave), recipe)
+    assert number(found, "along the skin", "d").uncertainty is None
+    assert any("pixel pitch is not known" in note for note in found.notes)
+
+
+def test_noise_finer_than_the_draws_counts_in_the_slopes() -> None:
+    """Draws on cells of four pixels say nothing of a slope noise of 0.05 between them; the noise says it."""
+    sigma = np.full((400, 640), 0.05, np.float32)
+    sigma[:, :100] = np.nan
+    noise = FineNoise(sigma, np.zeros((16, 100, 160), np.float32), PITCH_UM)
+    drawn = noise.draw_um(np.random.default_rng(0))
+    slope = (drawn[:, 102:] - drawn[:, 100:-2]) / (2.0 * PITCH_UM)
+    assert slope.std() == pytest.approx(0.05, rel=0.1)
+    assert np.abs(drawn[:, :100]).max() == 0.0
+    cells = drawn[:, 100:].reshape(100, 4, 135, 4).mean(axis=(1, 3))
+    assert cells.std() < 0.5 * drawn[:, 100:].std()
+
+
+def test_doubts_are_said(write_result: Write, wave: np.ndarray) -> None:
+    torn = wave.copy()
+    torn[:60, :60] = np.nan
+    folder = write_result(torn)
+    beyond = np.zeros(SHAPE, np.uint8)
+    beyond[:, 120:] = 255
+    cv2.imwrite(str(folder / "extrapolated.png"), beyond)
+    found = measure_result(folder, Recipe(l_filter_um=600.0))
+    doubts = " ".join(number(found, "Sa").doubts)
+    assert "within half the L-filter's nesting index" in doubts
+    assert "50.0% of the area has slopes beyond what the calibration's balls taught" in doubts
+    assert "at most this" in " ".join(number(found, "Str").doubts)
+
+
+def test_lines_and_steps_carry_their_own_uncertainty(write_result: Write, wave: np.ndarray) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    z_um = 12.0 * (column > 119.5) + 0.0 * row
+    ends = {"from_um": (50.0, 400.0), "to_um": (1150.0, 400.0)}
+    recipe = Recipe(
+        profile=(ProfileTable(name="line", l_filter_um=200.0, **ends), ProfileTable(name="raw", **ends)),
+        step=(StepTable(name="edge", width_um=100.0, **ends),),
+    )
+    found = measure_result(write_result(z_um, error_um=0.3), recipe)
+    edge = number(found, "height", "edge")
+    assert edge.value == pytest.approx(12.0, abs=0.05)
+    assert edge.uncertainty is not None
+    assert 0.02 < edge.uncertainty < 2.0
+    assert number(found, "Ra", "line").uncertainty is not None
+    assert number(found, "Pt", "raw").value == pytest.approx(12.0, rel=0.6)
+    assert found.profiles[0].sigma_um is not None
+    assert "room for 4 of 5 sections" in number(found, "Ra", "line").doubts[0]
+
+
+def test_a_wholly_masked_region_is_refused(write_result: Write, wave: np.ndarray) -> None:
+    wave[:, :100] = np.nan
+    with pytest.raises(MeasurementError, match="masked"):
+        measure_result(write_result(wave), Recipe(region_um=(0.0, 0.0, 400.0, 400.0)))
+
+
+def test_a_sphere_under_a_texture_comes_off_for_every_draw(write_result: Write, wave: np.ndarray) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    ball = np.sqrt(3_000.0**2 - (column - 600.0) ** 2 - (row - 450.0) ** 2)
+    found = measure_result(write_result(ball + wave), Recipe(form="sphere"))
+    assert number(found, "Sq").value == pytest.approx(np.sqrt(2.0), rel=0.03)
+    assert number(found, "Sq").draws == 16
+
+
+def test_what_is_nothing_but_noise_has_an_uncertainty_as_large_as_itself() -> None:
+    flat, noisy, noisier = 0.0, 1.0, np.sqrt(2.0)
+    standard, raised, _ = uncertainty_of(noisy, np.full(16, noisier))
+    assert raised == pytest.approx(noisy - flat)
+    assert standard == pytest.approx(1.0)
+    assert uncertainty_of(10.0, np.full(16, np.hypot(10.0, 1.0)))[1] == pytest.approx(10.0 - np.sqrt(99.0), rel=1e-6)
+    assert uncertainty_of(-3.0, np.full(16, -2.5))[1] == pytest.approx(0.5)
+    assert uncertainty_of(1.0, np.full(3, 1.0)) is None

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from device.surface import HeightMap
+from host_sync.errors import ViewError
+from host_sync.viewer.registration import difference
+
+SHAPE = (300, 400)
+PITCH_UM = 12.0
+
+
+def scene(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    hills = 40.0 * np.exp(-((row - 140.0) ** 2 + (column - 190.0) ** 2) / 50.0**2)
+    marks = 12.0 * np.exp(-((row - 90.0) ** 2 + (column - 110.0) ** 2) / 12.0**2)
+    return hills + marks + 6.0 * np.sin(column / 13.0 + np.sin(row / 25.0)) + 4.0 * np.cos(row / 17.0)
+
+
+def seen(down: float = 0.0, right: float = 0.0, turn_deg: float = 0.0, noise_um: float = 0.0) -> HeightMap:
+    """The scene shifted (px) and turned clockwise on the screen about the middle."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    middle = [(size - 1) / 2 for size in SHAPE]
+    u, v = row - middle[0] - down, column - middle[1] - right
+    turn = np.radians(turn_deg)
+    z = scene(middle[0] + np.cos(turn) * u - np.sin(turn) * v, middle[1] + np.sin(turn) * u + np.cos(turn) * v)
+    noise = np.random.default_rng(5).normal(0.0, 1.0, SHAPE) * noise_um
+    return HeightMap((z + noise).astype(np.float32), PITCH_UM)
+
+
+@pytest.mark.parametrize(("down", "right", "turn_deg"), [(0.0, 0.0, 0.0), (13.4, -22.7, 0.0), (-6.2, 9.9, 0.8)])
+def test_shift_and_turn_are_found_to_a_part_of_a_pixel(down: float, right: float, turn_deg: float) -> None:
+    found = difference(seen(), seen(down, right, turn_deg, noise_um=0.05))
+    assert found.shift_um == pytest.approx((down * PITCH_UM, right * PITCH_UM), abs=0.03 * PITCH_UM)
+    assert found.turn_deg == pytest.approx(turn_deg, abs=0.02)
+    assert found.median_um < 0.1
+
+
+def test_another_level_is_taken_off_and_said() -> None:
+    column = np.arange(SHAPE[1], dtype=np.float32)
+    other = seen(3.0, 5.0)
+    tilted = HeightMap(other.z_um + np.float32(0.02) * column + np.float32(7.0), PITCH_UM)
+    found = difference(seen(), tilted)
+    assert found.tilt == pytest.approx((0.0, 0.02 / PITCH_UM), abs=2e-4)
+    assert found.shift_um == pytest.approx((36.0, 60.0), abs=1.0)
+    assert found.residual_um < 0.5
+
+
+def test_what_really_differs_remains() -> None:
+    second = seen(2.0, -3.0)
+    second.z_um[200:220, 100:130] += 15.0
+    found = difference(seen(), second)
+    assert np.nanmedian(found.z_um[201:216, 106:130]) == pytest.approx(15.0, abs=0.5)
+    assert found.median_um < 0.2
+
+
+def test_a_round_thing_is_not_turned() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    hill = 50.0 * np.exp(-((row - 149.5) ** 2 + (column - 199.5) ** 2) / 40.0**2)
+    rng = np.random.default_rng(2)
+    both = [HeightMap((hill + rng.normal(0.0, 0.3, SHAPE)).astype(np.float32), PITCH_UM) for _ in range(2)]
+    assert difference(*both).turn_deg == 0.0
+
+
+def test_invalid_pixels_of_either_are_invalid_in_the_difference() -> None:
+    first, second = seen(), seen()
+    first.z_um[50:60, 50:60] = np.nan
+    second.z_um[150:160, 150:160] = np.nan
+    found = difference(first, second)
+    assert np.isnan(found.z_um[50:60, 50:60]).all()
+    assert np.isnan(found.z_um[152:158, 152:158]).all()
+    assert 0.9 < found.overlap_share < 1.0
+
+
+def test_another_pitch_is_brought_to_the_first() -> None:
+    fine = seen(4.0, 6.0)
+    coarse = HeightMap(fine.z_um.reshape(150, 2, 200, 2).mean(axis=(1, 3)), 2 * PITCH_UM)
+    found = difference(seen(), coarse)
+    assert found.z_um.shape == SHAPE
+    assert found.shift_um == pytest.approx((48.0, 72.0), abs=6.0)
+    assert found.median_um < 0.5
+
+
+def test_nothing_in_common_is_refused() -> None:
+    with pytest.raises(ViewError, match="no valid pixel"):
+        difference(seen(), HeightMap(np.full(SHAPE, np.nan, np.float32), PITCH_UM))
