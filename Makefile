@@ -4,6 +4,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 UV_VERSION := 0.13.8
+# What `make system-test` boots: Debian root, kernel and disk, kept between runs; about 6 GB, some of it only while building.
+SYSTEM_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-system
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -19,7 +21,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz bench format board release lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board release lock clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -46,6 +48,15 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 	else
 	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
 	fi
+
+system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
+
+system-test: system-cache ## the whole handheld on a virtual board: install, scan, pull, hang, update, power cuts (QEMU)
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
+
+system-cache: set-up
+	@bash tests/system/build "$(SYSTEM_CACHE)" "$(VENV)/bin/python"
 
 test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (asks for root)
 	@bash .ci/test-deps all

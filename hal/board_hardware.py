@@ -15,7 +15,7 @@ from hal.errors import BoardProfileError, LightError, PowerError
 from hal.gpio_lines import GpiodInput, GpiodOutput, OpenInput
 from hal.hardware import Hardware
 from hal.i2c_bus import I2cChip, OpenBus, open_smbus
-from hal.interfaces import Clock, Indicator, Operator
+from hal.interfaces import Camera, Clock, Indicator, Operator
 from hal.lights_pca9955b import Pca9955b
 from hal.lights_tlc59116 import Tlc59116
 from hal.person import Person
@@ -40,9 +40,15 @@ class Machine:
 
 
 def board_hardware(
-    profile: BoardProfile, clock: Clock, machine: Machine | None = None, operator: Operator | None = None
+    profile: BoardProfile,
+    clock: Clock,
+    machine: Machine | None = None,
+    operator: Operator | None = None,
+    camera: Camera | None = None,
 ) -> Hardware:
     """The hardware of a real board; nothing is touched before it is entered.
+
+    camera : the one to use where the profile has no [libcamera] table
 
     Raises
     ------
@@ -50,7 +56,9 @@ def board_hardware(
         The profile lacks a table that a real board needs.
     """
     machine = machine or Machine()
-    camera, light_driver, button = profile.libcamera, profile.light_driver, profile.button
+    light_driver, button = profile.light_driver, profile.button
+    if profile.libcamera is not None:
+        camera = PicameraCamera(profile.sensor, profile.libcamera, profile.camera.settings, machine.load_cameras, clock)
     if camera is None or light_driver is None or button is None:
         raise BoardProfileError(
             f"board {profile.name!r} lacks one of the tables [libcamera], [light_driver], [button]: complete it"
@@ -59,7 +67,7 @@ def board_hardware(
     open_line = machine.open_input(button.chip_label, button.line, button.active_low)
     return Hardware(
         profile=profile,
-        camera=PicameraCamera(profile.sensor, camera, profile.camera.settings, machine.load_cameras, clock),
+        camera=camera,
         lights=lights,
         button=DebouncedButton(open_line, clock),
         indicator=_indicator(profile, button.chip_label, lights, machine, clock),

@@ -109,11 +109,15 @@ class TwinFacts(Table, frozen=True):
 
 
 class BoardProfile(Table, frozen=True):
-    """One board: everything that is a fact about hardware and nothing that is a choice of the user."""
+    """One board: everything that is a fact about hardware and nothing that is a choice of the user.
+
+    driver : "picamera2" for a real board, "twin" for a simulated one, "twin-camera" for this machine's bus and lines
+        under the twin's camera
+    """
 
     schema: Literal["retrograph.board/1"]
     name: str
-    driver: Literal["twin", "picamera2"]
+    driver: Literal["twin", "twin-camera", "picamera2"]
     sensor: SensorFacts
     camera: CameraFacts
     lights: tuple[LightFacts, LightFacts, LightFacts]
@@ -208,17 +212,16 @@ def _complaints(profile: BoardProfile) -> Iterator[str]:
             yield f"lights: position_mm of {light.name} is not above the skin; accepted is z > 0"
     if profile.sensor.white_level_dn <= profile.sensor.black_level_dn:
         yield "sensor.white_level_dn: accepted is more than black_level_dn"
-    if profile.driver == "twin":
-        if profile.twin is None:
-            yield "twin: the driver 'twin' needs a [twin] table; an empty one is accepted"
-    else:
+    if profile.driver != "picamera2" and profile.twin is None:
+        yield f"twin: the driver {profile.driver!r} needs a [twin] table; an empty one is accepted"
+    if profile.driver != "twin":
         yield from _complaints_of_wiring(profile)
 
 
 def _complaints_of_wiring(profile: BoardProfile) -> Iterator[str]:
     """What a real board's profile lacks or contradicts."""
     for name in ("libcamera", "light_driver", "button"):
-        if getattr(profile, name) is None:
+        if getattr(profile, name) is None and (name, profile.driver) != ("libcamera", "twin-camera"):
             yield f"{name}: the driver {profile.driver!r} needs a [{name}] table"
     for light in profile.lights:
         if not light.channels:

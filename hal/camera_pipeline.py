@@ -17,7 +17,7 @@ from hal.board_profile import SensorFacts
 from hal.errors import CameraError
 from hal.frame import CameraSettings
 from hal.picamera_stack import CameraStack, Job, OpenCamera, Request
-from hal.raw_format import RawStream, asked_format
+from hal.raw_format import NO_RAW, RawStream, asked_format
 
 CLOSING_S: Final = 5.0
 LATE_S: Final = 1.0
@@ -68,6 +68,8 @@ class CameraPipeline:
         try:
             self._camera = stack(number)
         except (RuntimeError, OSError, IndexError) as error:
+            if isinstance(error.__cause__, AttributeError):  # picamera2 stumbles over a camera without raw modes
+                raise CameraError(f"camera {self.camera_id} grants {NO_RAW}") from error
             raise CameraError(
                 f"camera {self.camera_id} cannot be opened ({error}): check its cable, "
                 "and that no other program uses it"

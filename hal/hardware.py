@@ -73,10 +73,14 @@ def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int |
     BoardProfileError
         The profile lacks a table that its driver needs.
     """
-    if profile.driver != "twin":
+    if profile.driver == "picamera2":
         from hal.board_hardware import board_hardware
 
         return board_hardware(profile, clock or SystemClock())
+    if profile.driver == "twin-camera":
+        from hal.twin.wired.followed_board import followed_board
+
+        return followed_board(profile, clock or SystemClock(), seed)
     from hal.twin.bench import build
     from hal.twin.hardware import twin_hardware
 

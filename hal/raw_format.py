@@ -20,6 +20,9 @@ _METADATA_BITS: Final = 16
 """libcamera states black levels as if every sensor had this many bits."""
 
 
+NO_RAW: Final = "no raw stream, as a USB or virtual camera: use a sensor on the board's own connector"
+
+
 def asked_format(sensor: SensorFacts, facts: LibcameraFacts) -> str:
     """libcamera's name of the unpacked format that the profile states, such as "SRGGB12"."""
     return f"S{sensor.bayer_order}{facts.raw_bits}"
@@ -45,9 +48,7 @@ class RawStream:
             It is compressed or packed, or differs from the profile in size, bits or Bayer order.
         """
         if not stream:
-            raise CameraError(
-                "the camera grants no raw stream, as a USB or virtual camera: use a sensor on the board's own connector"
-            )
+            raise CameraError(f"the camera grants {NO_RAW}")
         name = str(stream["format"])
         if "PISP_COMP" in name:
             raise CameraError(

@@ -4,7 +4,7 @@
 install_packages() {
     local wanted=(python3-venv openssh-server avahi-daemon systemd-timesyncd) missing=() package
     [ -z "$(boot_folder)" ] || wanted+=(device-tree-compiler)
-    is_twin || wanted+=(python3-picamera2)
+    ! grep -q '^driver = "picamera2"' "$(profile_file)" || wanted+=(python3-picamera2)
     [ "$read_only" = no ] || wanted+=(overlayroot)
     if ! live; then
         say "  (packages are not installed into --root: ${wanted[*]})"
@@ -153,5 +153,7 @@ start_now() {
     done
     systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
+    # Bus and lines that are there already get the groups that the rules name.
     udevadm control --reload 2>/dev/null || true
+    udevadm trigger --subsystem-match=i2c-dev --subsystem-match=gpio 2>/dev/null || true
 }

@@ -75,8 +75,9 @@ def test_another_raw_format_is_refused_and_the_camera_given_back(wired: Wired, g
         hardware.camera.next_frame(1.0)
 
 
-def test_a_camera_without_raw_such_as_the_virtual_one_is_refused_by_name(wired: Wired) -> None:
-    wired.cameras.faults.no_raw = True
+@pytest.mark.parametrize("fault", ["no_raw", "no_raw_granted"])
+def test_a_camera_without_raw_such_as_the_virtual_one_is_refused_by_name(wired: Wired, fault: str) -> None:
+    setattr(wired.cameras.faults, fault, True)
     with pytest.raises(CameraError, match="grants no raw stream, as a USB or virtual camera"), wired.hardware:
         pass
     assert wired.cameras.opened == 0

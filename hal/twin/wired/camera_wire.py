@@ -59,6 +59,8 @@ class CameraWire:
 
     def __call__(self, camera_num: int) -> WiredCamera:
         """The opened camera."""
+        if self.faults.no_raw:
+            raise RuntimeError("Camera __init__ sequence did not complete.") from AttributeError("at")
         if self.faults.in_use or self.opened:
             raise RuntimeError("Camera __init__ sequence did not complete.")
         self.opened += 1
@@ -98,7 +100,7 @@ class WiredCamera:
 
     def camera_configuration(self) -> dict[str, Any]:
         """What was granted."""
-        return {**self.configuration, "raw": None} if self.wire.faults.no_raw else self.configuration
+        return {**self.configuration, "raw": None} if self.wire.faults.no_raw_granted else self.configuration
 
     def set_controls(self, controls: Mapping[str, Any]) -> None:
         """Ask for controls; exposure and gain arrive frames later."""

@@ -87,8 +87,8 @@ def wired_profile(profile: BoardProfile, chip: Chip) -> BoardProfile:
 def wired_hardware(bench: Bench, chip: Chip) -> Wired:
     """The board over a world like that bench's, with its clock and seed."""
     world = build(wired_profile(bench.profile, chip), bench.clock, bench.seed)
-    leds: LedDriverModel = Pca9955bModel() if chip == "PCA9955B" else Tlc59116Model()
-    leds.changed = _lighting(world, leds)
+    leds = led_model(chip)
+    leds.changed = lighting(world, leds)
     gauge = Max17048Model()
     wire = I2cWire({LIGHTS_AT: leds, GAUGE_AT: gauge}, world.clock)
     cameras, line, firmware = CameraWire(world, CAMERA_ID), ButtonLine(world), Firmware()
@@ -102,7 +102,12 @@ def wired_hardware(bench: Bench, chip: Chip) -> Wired:
     return Wired(world, hardware, leds, gauge, wire, cameras, line, firmware)
 
 
-def _lighting(world: Bench, leds: LedDriverModel) -> Callable[[], None]:
+def led_model(chip: Chip) -> LedDriverModel:
+    """The register model of that chip, as after power-on."""
+    return Pca9955bModel() if chip == "PCA9955B" else Tlc59116Model()
+
+
+def lighting(world: Bench, leds: LedDriverModel) -> Callable[[], None]:
     """What follows from the chip's registers: each light shines with the mean current of its LEDs."""
 
     def follow() -> None:

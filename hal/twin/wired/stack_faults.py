@@ -14,7 +14,8 @@ class StackFaults:
     no_memory : the kernel has no contiguous memory when the camera is configured
     in_use : another program holds the camera
     raw_format : the format that is granted whatever is asked for
-    no_raw : the camera has no raw stream, as libcamera's virtual one
+    no_raw : the camera has no raw modes, as libcamera's virtual one: picamera2 stumbles over that as it opens it
+    no_raw_granted : no raw stream is granted
     rows_lost : rows that are missing at the end of every raw buffer
     stalled_openings : times that the opened camera delivers nothing until it is opened again
     unmappable : buffers cannot be mapped
@@ -29,6 +30,7 @@ class StackFaults:
     in_use: bool = False
     raw_format: str = ""
     no_raw: bool = False
+    no_raw_granted: bool = False
     rows_lost: int = 0
     stalled_openings: int = 0
     unmappable: bool = False

@@ -1,0 +1,41 @@
+"""A release like another but for its version and one defect, for trying out updates."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import zipfile
+from pathlib import Path
+
+ENTRY = "device/__main__.py"
+
+
+def release_with(good: Path, folder: Path, version: str, function: str, first_line: str) -> Path:
+    """A release folder at `folder` whose wheel has another version, and a function of the program a new first line.
+
+    function : how its definition begins, such as "def _watch("
+    """
+    shutil.copytree(good, folder, ignore=shutil.ignore_patterns("retrograph-*.whl"))
+    wheel = next(good.glob("retrograph-*.whl"))
+    old = wheel.name.split("-")[1]
+    with (
+        zipfile.ZipFile(wheel) as source,
+        zipfile.ZipFile(folder / wheel.name.replace(old, version), "w", zipfile.ZIP_DEFLATED) as target,
+    ):
+        for name in source.namelist():
+            content = source.read(name)
+            if name == ENTRY:
+                content = _spoiled(content.decode(), function, first_line).encode()
+            elif name.endswith(".dist-info/METADATA"):
+                content = content.replace(f"\nVersion: {old}\n".encode(), f"\nVersion: {version}\n".encode())
+            elif name.endswith(".dist-info/RECORD"):
+                content = content.replace(f"-{old}.dist-info".encode(), f"-{version}.dist-info".encode())
+            target.writestr(name.replace(f"-{old}.dist-info", f"-{version}.dist-info"), content)
+    return folder
+
+
+def _spoiled(text: str, function: str, first_line: str) -> str:
+    definition = re.search(rf"^{re.escape(function)}.*:\n", text, re.MULTILINE)
+    if definition is None:
+        raise ValueError(f"{ENTRY} has no {function!r}")
+    return text[: definition.end()] + first_line + text[definition.end() :]
