@@ -27,10 +27,14 @@ def export_command(
 
     Parameters
     ----------
-    scan: Its id, or the beginning or end of it.
-    to: dng for raw converters, tiff (deflated) for ImageJ.
-    out: Folder for the files.
-    library: Which; ~/Retrograph when not given.
+    scan
+        Its id, or the beginning or end of it.
+    to
+        dng for raw converters, tiff (deflated) for ImageJ.
+    out
+        Folder for the files.
+    library
+        Which; ~/Retrograph when not given.
     """
     bundle = Library(library or default_library()).find(scan)
     for form in dict.fromkeys(to):
