@@ -18,6 +18,7 @@ import pytest
 from device.bundle_store import BundleStore
 from device.scan_bundle import Annotations, ScanBundle
 from host_sync.__main__ import main
+from host_sync.report import composing
 
 Write = Callable[..., Path]
 HOSTILE = "<script>alert('ö')</script> & \"quoted\" ../../etc $x$ =1+1"
@@ -242,3 +243,9 @@ def test_the_pdf_says_what_the_page_says(write_result: Write, wave: np.ndarray, 
     assert "<script>alert('ö')</script>" in text
     for wanted in ("Sa", "±", "µm", "Provenance", "SHA-256", "height_um.tif", "page 1"):
         assert wanted in text
+
+
+def test_checks_of_a_calibration_are_told_to_four_digits() -> None:
+    check = {"name": "held-out error, degrees", "value": 1.6883128948182646, "limit": 5.0, "kind": "at most"}
+    told = composing.check_lines({"checks": [check | {"passed": True}, check | {"value": "?", "passed": None}, 7]})
+    assert [words for _, words in told] == ["1.688 (at most 5): passed", "? (at most 5): NOT passed"]
