@@ -161,7 +161,8 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, draws: bool = Tru
             try:
                 yield measure_result(folder, recipe, tell, draws=draws)
             except (DeviceError, HostError) as error:
-                yield str(error)
+                words = str(error)
+                yield words if words.startswith(str(folder)) else f"{folder}: {words}"
 
 
 def _write_files(done: Sequence[Measurement], json: Path | None, csv: Path | None) -> None:

@@ -47,6 +47,7 @@ def report_command(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultError(f"{out} cannot be written ({error.strerror}): choose another place") from error
+    _check_free([out / NUMBERS_FILE], replace=force)
     done = []
     failed = False
     taken: set[str] = set()
