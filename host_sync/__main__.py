@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 app = App(
     name="retrosync",
     version=lambda: f"retrograph {version('retrograph')}",
-    help="Fetch scans from a handheld, prove them, reconstruct their surfaces.",
+    help="Fetch scans from a handheld, prove them, reconstruct, measure and show their surfaces.",
+    help_format="plaintext",
+    default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,
 )
 
@@ -90,12 +92,18 @@ def reconstruct(
 
     Parameters
     ----------
-    names: The frame set's file and, after it, names of scans; or scans of the library. All scans when none is named.
-    out: Folder for the results of a frame set.
-    library: Folder of pulled scans; results go to <scan>/results/.
-    s_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
-    l_filter_um: Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
-    force: Reconstruct scans too that were not made as their calibration was; result.json keeps the warning.
+    names
+        The frame set's file and, after it, names of scans; or scans of the library. All scans when none is named.
+    out
+        Folder for the results of a frame set.
+    library
+        Folder of pulled scans; results go to SCAN/results/.
+    s_filter_um
+        Also write the detail: nesting index of the Gaussian filter that takes away what is shorter.
+    l_filter_um
+        Also write the detail: nesting index of the Gaussian filter that takes away what is longer.
+    force
+        Reconstruct scans too that were not made as their calibration was; result.json keeps the warning.
     """
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
@@ -196,10 +204,14 @@ def figures(
 
     Parameters
     ----------
-    name: The frame set's file; or, with --library, a calibration of it, the latest when none is named.
-    out: Folder for the pictures.
-    library: Folder of pulled calibrations.
-    formats: Any of png, pdf, svg.
+    name
+        The frame set's file; or, with --library, a calibration of it, the latest when none is named.
+    out
+        Folder for the pictures.
+    library
+        Folder of pulled calibrations.
+    formats
+        Any of png, pdf, svg.
     """
     with telling() as tell:
         tell("loading compiled code")

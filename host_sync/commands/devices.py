@@ -34,7 +34,8 @@ def discover_command(*, seconds: float = 3.0) -> int:
 
     Parameters
     ----------
-    seconds: How long to listen.
+    seconds
+        How long to listen.
     """
     from host_sync.offload.discovery import discover
 
@@ -58,11 +59,16 @@ def pair_command(
 
     Parameters
     ----------
-    host: Where the device is reached.
-    code: What its screen shows; asked for when not given.
-    card: Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
-    port: Where its window listens.
-    replace: Accept that a known device has a new key, because you set it up anew.
+    host
+        Where the device is reached.
+    code
+        What its screen shows; asked for when not given.
+    card
+        Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
+    port
+        Where its window listens.
+    replace
+        Accept that a known device has a new key, because you set it up anew.
     """
     from host_sync.offload import pairing
 

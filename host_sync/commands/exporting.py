@@ -42,16 +42,23 @@ def export_command(
 
     Parameters
     ----------
-    source: Folder that reconstruct wrote, or a GelSight TMD file; or a scan's id, its beginning or end, which stands
+    source
+        Folder that reconstruct wrote, or a GelSight TMD file; or a scan's id, its beginning or end, which stands
         for its newest result.
-    to: gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
+    to
+        gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
         are its raw frame, the counts as the sensor gave them.
-    out: Folder for the files.
-    library: Which; ~/Retrograph when not given.
-    mesh_step: Meshes take every so many rows and columns.
-    line_um: Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
+    out
+        Folder for the files.
+    library
+        Which; ~/Retrograph when not given.
+    mesh_step
+        Meshes take every so many rows and columns.
+    line_um
+        Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
         middle row when not given.
-    overwrite: Replace files of the same name.
+    overwrite
+        Replace files of the same name.
     """
     forms = tuple(dict.fromkeys(to))
     place, scan = Path(source), None

@@ -38,14 +38,22 @@ def gage_command(
 
     Parameters
     ----------
-    scans: Of the library; all when none is named. Parts and operators are what the scans were annotated with.
-    table: CSV file of numbers measured already, with the columns part, operator, value.
-    plan: CSV file of results, with the columns part, operator, result.
-    library: Folder of pulled scans, each with its newest results.
-    recipe: TOML file with what to do and to measure.
-    number: Which number of the recipe: what it is measured on, a slash, its name.
-    tolerance: Width of the tolerance, in the number's unit.
-    json: Write the study to this file too; - writes it alone, to the output.
+    scans
+        Of the library; all when none is named. Parts and operators are what the scans were annotated with.
+    table
+        CSV file of numbers measured already, with the columns part, operator, value.
+    plan
+        CSV file of results, with the columns part, operator, result.
+    library
+        Folder of pulled scans, each with its newest results.
+    recipe
+        TOML file with what to do and to measure.
+    number
+        Which number of the recipe: what it is measured on, a slash, its name.
+    tolerance
+        Width of the tolerance, in the number's unit.
+    json
+        Write the study to this file too; - writes it alone, to the output.
     """
     if sum(one is not None for one in (table, plan, library)) != 1:
         raise MeasurementError("name one source: --table FILE, --plan FILE or --library LIB")

@@ -38,15 +38,24 @@ def search_command(
 
     Parameters
     ----------
-    library: Where; ~/Retrograph when not given.
-    job: As it was annotated.
-    part: As it was annotated.
-    operator: As it was annotated.
-    verdict: Of the quick look.
-    gel: Identity of the gel.
-    device: Id of the device.
-    since: First day, by the device's clock.
-    until: Last day, by the device's clock.
+    library
+        Where; ~/Retrograph when not given.
+    job
+        As it was annotated.
+    part
+        As it was annotated.
+    operator
+        As it was annotated.
+    verdict
+        Of the quick look.
+    gel
+        Identity of the gel.
+    device
+        Id of the device.
+    since
+        First day, by the device's clock.
+    until
+        Last day, by the device's clock.
     """
     query = Query(job, part, operator, verdict, gel, device, since, until)
     for hit in search(Library(library or default_library()), query):
@@ -59,7 +68,8 @@ def verify_command(*, library: Folder | None = None) -> int:
 
     Parameters
     ----------
-    library: Which; ~/Retrograph when not given.
+    library
+        Which; ~/Retrograph when not given.
     """
     with telling() as tell:
         found = verify_library(Library(library or default_library()), tell)
@@ -80,8 +90,10 @@ def reprocess_command(*names: str, library: Folder | None = None) -> int:
 
     Parameters
     ----------
-    names: Scans of the library; all that have results when none is named.
-    library: Which; ~/Retrograph when not given.
+    names
+        Scans of the library; all that have results when none is named.
+    library
+        Which; ~/Retrograph when not given.
     """
     from host_sync.reconstruction.library_job import LibraryJob
     from host_sync.reconstruction.reprocess import reprocess

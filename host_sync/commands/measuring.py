@@ -49,18 +49,30 @@ def measure_command(
 
     Parameters
     ----------
-    results: Folders that reconstruct wrote. With --library, scans of it; all when none is named.
-    recipe: TOML file with what to do and to measure; the options below change it.
-    library: Folder of pulled scans, each with its newest results.
-    form: none, mean, plane, sphere, polynomial-2 … polynomial-10.
-    s_filter_um: Nesting index of the Gaussian filter that takes away what is shorter.
-    l_filter_um: Nesting index of the Gaussian filter that takes away what is longer.
-    region_um: Left, top, right, bottom, from the middle of the first pixel.
-    parameters: Groups (height, hybrid, spatial, functional) or single names.
-    spectrum: Measure the power spectral density too.
-    coverage_factor: 1 for standard uncertainties, 2 for about 95 %.
-    json: Write everything to this file too; - writes it alone, to the output.
-    csv: Write all numbers to this file too; - writes them alone, to the output.
+    results
+        Folders that reconstruct wrote. With --library, scans of it; all when none is named.
+    recipe
+        TOML file with what to do and to measure; the options below change it.
+    library
+        Folder of pulled scans, each with its newest results.
+    form
+        none, mean, plane, sphere, polynomial-2 … polynomial-10.
+    s_filter_um
+        Nesting index of the Gaussian filter that takes away what is shorter.
+    l_filter_um
+        Nesting index of the Gaussian filter that takes away what is longer.
+    region_um
+        Left, top, right, bottom, from the middle of the first pixel.
+    parameters
+        Groups (height, hybrid, spatial, functional) or single names.
+    spectrum
+        Measure the power spectral density too.
+    coverage_factor
+        1 for standard uncertainties, 2 for about 95 %.
+    json
+        Write everything to this file too; - writes it alone, to the output.
+    csv
+        Write all numbers to this file too; - writes them alone, to the output.
     """
     given = {
         "form": form,
@@ -149,7 +161,8 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, draws: bool = Tru
             try:
                 yield measure_result(folder, recipe, tell, draws=draws)
             except (DeviceError, HostError) as error:
-                yield str(error)
+                words = str(error)
+                yield words if words.startswith(str(folder)) else f"{folder}: {words}"
 
 
 def _write_files(done: Sequence[Measurement], json: Path | None, csv: Path | None) -> None:

@@ -45,9 +45,12 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
 
     Parameters
     ----------
-    source: A paired device, or a card, mount or folder that holds a device's store.
-    library: Where to; ~/Retrograph when not given.
-    at: Where the device is now, HOST or HOST:PORT, when it is not where it was paired.
+    source
+        A paired device, or a card, mount or folder that holds a device's store.
+    library
+        Where to; ~/Retrograph when not given.
+    at
+        Where the device is now, HOST or HOST:PORT, when it is not where it was paired.
     """
     target = Library(library or default_library())
     devices = known_devices()
@@ -74,8 +77,10 @@ def sync_command(*names: str, library: Folder | None = None) -> int:
 
     Parameters
     ----------
-    names: Paired devices; all when none is named.
-    library: Where to; ~/Retrograph when not given.
+    names
+        Paired devices; all when none is named.
+    library
+        Where to; ~/Retrograph when not given.
     """
     target, devices = Library(library or default_library()), known_devices()
     wanted = [devices.find(name) for name in names] or devices.all()
@@ -103,10 +108,14 @@ def push_command(source: str, calibration: str, *, library: Folder | None = None
 
     Parameters
     ----------
-    source: A paired device, or the folder of a store.
-    calibration: Its id, or the beginning or end of it.
-    library: Where from; ~/Retrograph when not given.
-    at: Where the device is now, HOST or HOST:PORT.
+    source
+        A paired device, or the folder of a store.
+    calibration
+        Its id, or the beginning or end of it.
+    library
+        Where from; ~/Retrograph when not given.
+    at
+        Where the device is now, HOST or HOST:PORT.
     """
     from host_sync.offload.push import push_calibration
 

@@ -67,8 +67,8 @@ class Look:
         from host_sync.render.still import Still
         from host_sync.render.viewpoint import Viewpoint
 
-        looked = self.azimuth is not None or self.elevation is not None or turning
-        usual = Viewpoint()
+        aslant = self.azimuth is not None or self.elevation is not None or turning
+        usual = Viewpoint() if aslant else Viewpoint(azimuth_deg=270.0, elevation_deg=90.0)
         view = Viewpoint(
             usual.azimuth_deg if self.azimuth is None else self.azimuth,
             usual.elevation_deg if self.elevation is None else self.elevation,
@@ -76,7 +76,7 @@ class Look:
         )
         return Still(
             columns=self.width,
-            viewpoint=view if looked else None,
+            viewpoint=view if aslant or self.field != 0.0 else None,
             light_azimuth_deg=self.light_azimuth,
             light_elevation_deg=self.light_elevation,
             exaggeration=self.exaggeration,

@@ -30,11 +30,16 @@ def report_command(
 
     Parameters
     ----------
-    results: Folders that reconstruct wrote. With --library, scans of it; all when none is named.
-    out: Folder for the files: NAME.html and NAME.pdf a result, and numbers.csv with all numbers.
-    recipe: TOML file with what to do and to measure.
-    library: Folder of pulled scans, each with its newest results.
-    force: Replace reports that are there.
+    results
+        Folders that reconstruct wrote. With --library, scans of it; all when none is named.
+    out
+        Folder for the files: NAME.html and NAME.pdf a result, and numbers.csv with all numbers.
+    recipe
+        TOML file with what to do and to measure.
+    library
+        Folder of pulled scans, each with its newest results.
+    force
+        Replace reports that are there.
     """
     chosen = chosen_recipe(recipe, {})
     folders = result_folders(results, library)
@@ -42,6 +47,7 @@ def report_command(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultError(f"{out} cannot be written ({error.strerror}): choose another place") from error
+    _check_free([out / NUMBERS_FILE], replace=force)
     done = []
     failed = False
     taken: set[str] = set()

@@ -88,7 +88,8 @@ class PairedDevices:
         found = exact or some
         if len(found) != 1:
             known = ", ".join(device.device_id for device in devices) or "none yet, `retrosync pair` makes one known"
-            raise NoSource(f"{name!r}: is no folder and names {len(found)} paired devices; paired are: {known}")
+            many = len(found) or "none"
+            raise NoSource(f"{name!r}: is no folder and names {many} of the paired devices; paired are: {known}")
         return found[0]
 
     def save(self, device: PairedDevice) -> None:

@@ -106,17 +106,23 @@ def _calibration(measurement: Measurement, origin: Origin) -> Table:
     for label, share in (("pixel pitch", scale.pixel_pitch_share), ("ball radius", scale.ball_radius_share)):
         rows.append((f"± of the {label}", "not measured" if share is None else f"{100.0 * share:.2g} %"))
     rows += [("note", note) for note in record.calibration_notes]
-    rows += [(f"check: {name}", text) for name, text in _checks(origin.calibration or {})]
+    rows += [(f"check: {name}", text) for name, text in check_lines(origin.calibration or {})]
     return Table("Calibration", ("what", "value"), tuple(rows))
 
 
-def _checks(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def check_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """The checks of a calibration's report, as far as it holds any of the known form."""
     checks = report.get("checks")
     for check in checks if isinstance(checks, list) else []:
         if isinstance(check, dict):
             words = "passed" if check.get("passed") is True else "NOT passed"
-            yield str(check.get("name")), f"{check.get('value')} ({check.get('kind')} {check.get('limit')}): {words}"
+            value, limit = _short(check.get("value")), _short(check.get("limit"))
+            yield str(check.get("name")), f"{value} ({check.get('kind')} {limit}): {words}"
+
+
+def _short(value: object) -> str:
+    """A figure to four digits, anything else as it is."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _hashes(measurement: Measurement, origin: Origin) -> Table:

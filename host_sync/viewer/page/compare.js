@@ -57,7 +57,7 @@ class ComparePage {
     const way = (um, more, less) => `${length(Math.abs(um))} ${um >= 0 ? more : less}`;
     this.shift = { row: down / this.both[1].pitch_um, column: right / this.both[1].pitch_um };
     this.words.textContent = `The second lies ${way(down, "down", "up")}, ${way(right, "right", "left")}, turned by ` +
-      `${record.turn_deg.toFixed(2)}°. After levelling ${micrometres(record.residual_um)} rms remain ` +
+      `${record.turn_deg.toFixed(2).replace("-", "−")}°. After levelling ${micrometres(record.residual_um)} rms remain ` +
       `(median ${micrometres(record.median_um)}) over ${percent(record.overlap_share)} of the first.`;
     this.views[1].disabled = false;
     this.follow(0, this.stages[0].relief.eye);

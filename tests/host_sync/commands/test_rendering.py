@@ -32,6 +32,17 @@ def test_one_result_becomes_one_picture(tmp_path: Path, capsys: pytest.CaptureFi
     assert [path.name for path in out.parent.iterdir()] == ["one.png"]
 
 
+def test_a_field_of_view_from_straight_above_is_in_perspective(tmp_path: Path) -> None:
+    folder = result(tmp_path / "r", "one")
+    pictures = []
+    for field in ("0", "60"):
+        out = tmp_path / f"{field}.png"
+        assert main(["render", str(folder), "--out", str(out), "--width", "200", "--field", field]) == 0
+        pictures.append(cv2.imread(str(out)))
+    assert (pictures[0] == 255).all(axis=2).mean() < 0.01  # orthographic: the surface fills the picture
+    assert 0.02 < (pictures[1] == 255).all(axis=2).mean() < 0.3  # what is nearer is larger: with a margin
+
+
 def test_several_become_a_folder_whose_names_are_safe(tmp_path: Path) -> None:
     for number, name in enumerate(("../../evil", "../../evil", "a/b\x00c", "…")):
         result(tmp_path / "results" / str(number), name)
@@ -63,6 +74,8 @@ def test_a_contact_sheet_and_a_turntable(tmp_path: Path) -> None:
         (["{result}", "--out", "{tmp}/x.png", "--turntable"], ".mp4 or .gif"),
         (["{result}", "--out", "{tmp}/x.png", "--width", "3"], "px wide"),
         (["{result}", "--out", "{tmp}/x.png", "--contact-sheet", "--turntable"], "does not turn"),
+        (["{result}", "--out", "{tmp}/x.png", "--field", "400"], "a field of at most 120"),
+        (["{result}", "--out", "{tmp}/x.png", "--field", "nan"], "a field of at most 120"),
         (["{result}", "--out", "/dev/null/x.png", "--width", "60"], "choose another place"),
     ],
 )

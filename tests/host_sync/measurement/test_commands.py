@@ -18,6 +18,7 @@ import pytest
 from device.bundle_store import BundleStore
 from device.scan_bundle import Annotations, ScanBundle
 from host_sync.__main__ import main
+from host_sync.report import composing
 
 Write = Callable[..., Path]
 HOSTILE = "<script>alert('ö')</script> & \"quoted\" ../../etc $x$ =1+1"
@@ -227,6 +228,9 @@ def test_a_report_stands_alone_and_hostile_names_do_nothing(
         assert wanted in text
     before = sheet.read_bytes()
     assert before.startswith(b"%PDF")
+    numbers = (out / "numbers.csv").read_bytes()
+    assert main(["report", str(write_result(wave, "another")), "--out", str(out)]) == 2
+    assert (out / "numbers.csv").read_bytes() == numbers  # a second report does not take the first one's numbers away
     assert main(arguments) == 2  # they are there already
     assert main([*arguments, "--force"]) == 0
     assert sheet.read_bytes() == before
@@ -242,3 +246,17 @@ def test_the_pdf_says_what_the_page_says(write_result: Write, wave: np.ndarray, 
     assert "<script>alert('ö')</script>" in text
     for wanted in ("Sa", "±", "µm", "Provenance", "SHA-256", "height_um.tif", "page 1"):
         assert wanted in text
+
+
+def test_checks_of_a_calibration_are_told_to_four_digits() -> None:
+    check = {"name": "held-out error, degrees", "value": 1.6883128948182646, "limit": 5.0, "kind": "at most"}
+    told = composing.check_lines({"checks": [check | {"passed": True}, check | {"value": "?", "passed": None}, 7]})
+    assert [words for _, words in told] == ["1.688 (at most 5): passed", "? (at most 5): NOT passed"]
+
+
+def test_a_result_that_cannot_be_measured_is_named(
+    write_result: Write, wave: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = write_result(np.full_like(wave, np.nan), "empty")
+    assert main(["measure", str(empty)]) == 2
+    assert capsys.readouterr().err.startswith(f"retrosync: {empty}: every pixel")

@@ -84,7 +84,7 @@ def test_others_are_refused_by_key(tmp_path: Path, text: str, words: tuple[str, 
 
 def test_the_recipe_of_the_documents_is_whole() -> None:
     recipe = read_recipe(Path(__file__).parents[3] / "docs" / "measurement" / "recipe.toml")
-    tables = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.volume)
+    tables = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume)
     assert all(len(table) == 1 for table in tables)
 
 

@@ -273,7 +273,7 @@ def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
     said = capsys.readouterr().err
     assert "no code was typed" in said
     assert "99999: is no port" in said
-    assert "names 0 paired devices" in said
+    assert "names none of the paired devices" in said
 
 
 def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:

@@ -138,3 +138,14 @@ def test_what_no_picture_can_be_is_refused(change: dict[str, object]) -> None:
 def test_a_map_without_a_valid_pixel_is_refused() -> None:
     with pytest.raises(RenderError, match="no valid pixel"):
         render(HeightMap(np.full((20, 20), np.nan, np.float32), 1.0), Still())
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 30.0, 45.0, 90.0, 135.0, 200.0, 315.0])
+def test_a_tilted_plane_is_not_in_its_own_shadow_before_the_light_grazes_it(azimuth_deg: float) -> None:
+    """It rises towards the light by 34 of the light's 40 degrees, so that the whole light reaches it."""
+    row, column = np.mgrid[:40, :50].astype(np.float32)
+    turn = np.radians(azimuth_deg)
+    towards = column * np.cos(turn) - row * np.sin(turn)
+    height = HeightMap((np.tan(np.radians(34.0)) * 10.0 * towards).astype(np.float32), 10.0)
+    np.testing.assert_array_equal(light_share(height, 1.0, azimuth_deg, 40.0), 1.0)
+    assert (light_share(height, 1.0, azimuth_deg, 28.0)[15:25, 20:30] == 0.0).all()
