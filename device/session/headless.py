@@ -23,6 +23,8 @@ def run_headless(
     """Serve the button for as long as `go_on` says; what fails is complained of, and the next push is heard."""
     state = instrument.state
     room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
+    if state.calibration.fault:
+        complain(f"no scans yet: {state.calibration.fault}")
     tell(f"Ready:{room} Push the button to scan, hold it to pair, Ctrl-C to stop.")
     while go_on():
         instrument.step()
