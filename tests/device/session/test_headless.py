@@ -101,6 +101,18 @@ def test_without_a_calibration_it_serves_and_refuses_every_push_with_its_cue(ben
     assert [line for line in watched.said if "retroscan calibrate" in line] == [watched.said[0], watched.said[-1]]
 
 
+def test_it_calls_itself_ready_once_every_part_answers(bench: Bench, calibrated: BundleStore) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    mend = _lights_unplugged(wired)
+    watched = Watched(wired, calibrated)
+    with watched.instrument:
+        watched.run(3.0)
+        assert [line[:13] for line in watched.said] == ["no chip answe"]
+        mend()
+        watched.run(3.0)
+        assert [line[:5] for line in watched.said[1:]] == ["Ready"]
+
+
 def test_a_long_push_tells_the_state_and_does_not_scan(watched: Watched) -> None:
     watched.push(1.0, held_s=2.5)
     watched.push(5.0)
