@@ -74,7 +74,7 @@ class InForce:
 
     def follow(self) -> None:
         """Put in force what another program, such as `retroscan gel`, has mounted or activated in this store."""
-        if self._choice == choice_of(self._store, self._hardware):
+        if self._choice is None or self._choice == choice_of(self._store, self._hardware):
             return
         self.prepare()
         state = self._board.state
