@@ -75,7 +75,8 @@ def _parser() -> argparse.ArgumentParser:
     add_screen_command(commands)
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
-    guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM")
+    radius = f"radius of the ball, {DEFAULT_BALL_RADIUS_MM:g} mm when not given"
+    guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM", help=radius)
     guided.add_argument("--balance", action="store_true", help="first set exposure and currents for gel and lights")
     guided.set_defaults(command=_calibrate)
 
@@ -166,7 +167,7 @@ def _watch(options: argparse.Namespace) -> int:
     with sole_owner(profile):
         # Somebody is waited for: the twin's time passes like everybody's.
         hardware = open_hardware(profile, SystemClock())
-        store = _calibrated_store(options, hardware)
+        store = _store(options, hardware)
         take_inbox(store, _say)
         with Instrument(hardware, store) as instrument:
             instrument.set_sticky(_annotations(options))

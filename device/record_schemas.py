@@ -1,4 +1,7 @@
-"""JSON Schema of every record, for other programs: `docs/schemas/` holds what this module says."""
+"""JSON Schema of every record, for other programs: `docs/schemas/` holds what this module says.
+
+After a change: python -c "import pathlib, device.record_schemas as s; s.write_schemas(pathlib.Path('docs/schemas'))"
+"""
 
 from __future__ import annotations
 

@@ -65,6 +65,14 @@ def test_the_camera_has_one_owner() -> None:
         assert (said["RuntimeDirectory"], said["RuntimeDirectoryPreserve"]) == (["retroscan"], ["yes"])
 
 
+def test_who_opens_the_pairing_window_can_be_reached() -> None:
+    """By a held button, on the screen, or by its own unit: in a network of its own nobody would ever call."""
+    for unit in (*INSTRUMENTS, "retrograph-pairing.service"):
+        said = settings(unit)
+        assert {"PrivateNetwork", "IPAddressDeny"} & said.keys() == set()
+        assert "AF_INET" in said["RestrictAddressFamilies"][0].split()
+
+
 def test_what_runs_after_the_stop_works_on_the_twin() -> None:
     for unit in INSTRUMENTS:
         command = settings(unit)["ExecStopPost"][0].replace("${RETROSCAN_BOARD}", "twin")

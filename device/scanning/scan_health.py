@@ -11,7 +11,7 @@ from device.drift_watch import DriftWatch
 from device.errors import DeviceError
 from device.gel_defects import gel_defects
 from device.gel_log import count_gel_press
-from device.health_limits import STALE_EVIDENCE_SCANS
+from device.health_limits import FLAT_RESIDUAL_UM, STALE_EVIDENCE_SCANS
 from device.photometry import IntensityImage, bin_bayer, divide
 from device.quick_look import QuickLook, QuickLookModel, quick_look
 from device.rest_sight import RestModel
@@ -83,7 +83,8 @@ class ScanHealth:
         return True
 
     def check_zero(self, frame: RawFrame) -> ZeroCheck:
-        """What a frame says that somebody vouches for as untouched.
+        """What a frame says that somebody vouches for as untouched. One that is neither flat nor looks at rest is
+        touched all the same: lights and skin are not judged by it.
 
         Raises
         ------
@@ -92,11 +93,13 @@ class ScanHealth:
         """
         binned = bin_bayer(frame, self._model.binning)
         look = quick_look(binned, self._model)
-        sight = self._rest.trust(look.intensity)
-        self._watch.see(sight)
-        self.defects = gel_defects(binned)
+        sight, at_rest = self._rest.trust(look.intensity), self._rest.see(look.intensity)
+        flat_um, defects = flatness_um(look.height.z_um), gel_defects(binned)
+        if flat_um <= FLAT_RESIDUAL_UM or (at_rest is not None and at_rest.is_whole):
+            self._watch.see(sight)
+            self.defects = defects
         red, green, blue = (level - 1.0 for level in sight.levels)
-        return ZeroCheck(flatness_um(look.height.z_um), (red, green, blue), sight.pattern, self.defect_share)
+        return ZeroCheck(flat_um, (red, green, blue), sight.pattern, float(defects.mean()))
 
     def circumstances(
         self, intensity: IntensityImage | None, look: QuickLook | None, motion: float | None

@@ -81,7 +81,10 @@ def _gel(say: Say, options: argparse.Namespace) -> int:
 
 def _list(say: Say, options: argparse.Namespace) -> int:
     store = _store(options)
-    for shelved in _shelf(options, store).shelved():
+    found = _shelf(options, store).shelved()
+    if not found:
+        say(f"no calibrations in {store.root}: run `retroscan calibrate`, or `retroscan shelf import FOLDER`")
+    for shelved in found:
         record, entry = shelved.bundle.record, shelved.entry
         here = "  (in force)" if shelved.in_force else ""
         error = record.figures.get("held_out_error_deg")

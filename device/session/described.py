@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
+from device.active_calibration import ACTIVE_FILE
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.calibration_shelf import CalibrationShelf
@@ -12,20 +14,36 @@ from device.gel_log import mounted_gel
 from device.session.state import CalibrationState, GelState
 from hal.hardware import Hardware
 
+Choice = tuple[str, float, bytes]
+"""Gel that is mounted, its slab in mm, and the store's word on which calibration is in force."""
+
+
+def choice_of(store: BundleStore, hardware: Hardware) -> Choice:
+    """What the store says is mounted and in force, as it stands on the disk now."""
+    gel, word = gel_state(store.root, hardware), b""
+    with suppress(OSError):
+        word = (store.root / ACTIVE_FILE).read_bytes()
+    return gel.gel_id, gel.slab_thickness_mm, word
+
 
 def calibration_state(calibration: CalibrationBundle, shelf: CalibrationShelf, store: BundleStore) -> CalibrationState:
     """The calibration in force. Errors as for `CalibrationShelf.entry_in_force`."""
     record = calibration.record
     entry = shelf.entry_in_force()
-    age_s = (store.wall_time() - record.created).total_seconds()
     return CalibrationState(
         calibration_id=record.calibration_id,
         gel_id=record.gel_id,
         version=entry.version if entry else None,
         slot=entry.slot if entry else None,
-        age_s=age_s if age_s >= 0.0 else None,
+        age_s=calibration_age_s(calibration, store),
         held_out_deg=record.figures.get("held_out_error_deg"),
     )
+
+
+def calibration_age_s(calibration: CalibrationBundle, store: BundleStore) -> float | None:
+    """How old a calibration is by the wall clock; None when that clock says something impossible."""
+    age_s = (store.wall_time() - calibration.record.created).total_seconds()
+    return age_s if age_s >= 0.0 else None
 
 
 def gel_state(root: Path, hardware: Hardware) -> GelState:

@@ -15,19 +15,28 @@ from device.session.events import (
     ZeroChecked,
 )
 from device.session.instrument import Instrument
+from device.session.state import InstrumentState
 
 
 def run_headless(
     instrument: Instrument, tell: Callable[[str], None], complain: Callable[[object], None], go_on: Callable[[], bool]
 ) -> None:
     """Serve the button for as long as `go_on` says; what fails is complained of, and the next push is heard."""
-    state = instrument.state
-    room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
-    tell(f"Ready:{room} Push the button to scan, hold it to pair, Ctrl-C to stop.")
+    is_announced = False
     while go_on():
+        if not is_announced and instrument.state.activity != "out of order":
+            is_announced = True
+            _announce(instrument.state, tell, complain)
         instrument.step()
         for event in instrument.take_events():
             say(event, tell, complain)
+
+
+def _announce(state: InstrumentState, tell: Callable[[str], None], complain: Callable[[object], None]) -> None:
+    room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
+    if state.calibration.fault:
+        complain(f"no scans yet: {state.calibration.fault}")
+    tell(f"Ready:{room} Push the button to scan, hold it to pair, Ctrl-C to stop.")
 
 
 def say(event: Event, tell: Callable[[str], None], complain: Callable[[object], None]) -> None:

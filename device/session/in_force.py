@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from dataclasses import replace
 
 from device.bundle_store import BundleStore
 from device.calibration_shelf import CalibrationShelf
@@ -15,7 +16,7 @@ from device.scanning.mounting import with_mounted_gel
 from device.scanning.scan_health import ZeroCheck
 from device.scanning.scanner import Scanner
 from device.session.cues import show
-from device.session.described import calibration_state, gel_state
+from device.session.described import Choice, calibration_age_s, calibration_state, choice_of, gel_state
 from device.session.events import Failed, Told, ZeroChecked
 from device.session.health_report import health_state, zero_sentence
 from device.session.live_loop import LiveFrame, LiveLoop
@@ -41,6 +42,7 @@ class InForce:
         self._fault: DeviceError | HalError | None = None
         self._looks: RestLooks | None = None
         self._zero: ZeroCheck | None = None
+        self._choice: Choice | None = None
 
     def fitted(self) -> Hardware:
         """The hardware with the gel that is mounted. Errors as for `with_mounted_gel`."""
@@ -65,9 +67,30 @@ class InForce:
         except (DeviceError, HalError):
             return None
 
+    def scanner_for_press(self) -> Scanner:
+        """The scanner of a press that begins now, whatever another program chose meanwhile. Errors as for `scanner`."""
+        self.follow()
+        return self.scanner()
+
+    def follow(self) -> None:
+        """Put in force what another program, such as `retroscan gel`, has mounted or activated in this store."""
+        if self._choice is None or self._choice == choice_of(self._store, self._hardware):
+            return
+        self.prepare()
+        state = self._board.state
+        told = f"Changed by another program: calibration {state.calibration.calibration_id}, gel {state.gel.gel_id}."
+        self._board.tell(Failed(state.calibration.fault) if state.calibration.fault else Told(told))
+
+    def report_age(self) -> None:
+        """Bring the age of the calibration in force up to date."""
+        if self._scanner:
+            age_s = calibration_age_s(self._scanner.calibration, self._store)
+            self._board.change(calibration=replace(self._board.state.calibration, age_s=age_s))
+
     def prepare(self) -> None:
         """Put the store's active calibration in force for the mounted gel, or say why there is none."""
         self._scanner = self._looks = self._zero = None
+        self._choice = choice_of(self._store, self._hardware)
         self._board.change(gel=gel_state(self._store.root, self._hardware))
         try:
             fitted = self.fitted()

@@ -50,7 +50,7 @@ class InstrumentLoop:
         self._in_force = InForce(hardware, store, board, self._live, executor)
         self._pairing = pairing
         self._presses = PressCycle(
-            hardware, board, executor, self._in_force.scanner, self._live.motion, self._long_push
+            hardware, board, executor, self._in_force.scanner_for_press, self._live.motion, self._long_push
         )
         self._run: CalibrationRun | None = None
         self._is_open = False
@@ -243,7 +243,7 @@ class InstrumentLoop:
             self.hardware.__exit__(None, None, None)
 
     def _keep_house(self) -> None:
-        """Read room and supply again from time to time."""
+        """Read room, supply and the calibration's age again from time to time."""
         now_ns = self.hardware.clock.monotonic_ns()
         if self._house_ns is not None and now_ns - self._house_ns < HOUSEKEEPING_S * 1e9:
             return
@@ -251,3 +251,6 @@ class InstrumentLoop:
         with suppress(HalError):
             self.board.change(power=self.hardware.power.read())
         self.board.change(scans_left=self._in_force.scans_left())
+        self._in_force.report_age()
+        if self._is_open and not self._run:
+            self._in_force.follow()

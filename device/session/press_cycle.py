@@ -36,6 +36,8 @@ LATEST_CUE_MS: Final = 100.0
 
 Source = Literal["button", "screen", "auto-shutter"]
 Work = Future[tuple[ScanOutcome, float]]
+Taken = tuple[Scanner, TakenPress]
+"""A press in memory with the scanner that took it: it is judged and recorded by no other."""
 
 
 class PressCycle:
@@ -64,15 +66,10 @@ class PressCycle:
         self._motion = motion
         self._long_push = long_push
         self._works: deque[Work] = deque()
-        self._held: TakenPress | None = None
+        self._held: Taken | None = None
         self._began_ns: int | None = None
         self._waiting_ns: int | None = None
         self._busy_until_ns = 0
-
-    @property
-    def in_work(self) -> int:
-        """Scans that are not on the disk yet."""
-        return len(self._works)
 
     def watch_button(self, wait_s: float) -> bool:
         """Listen to the button for so long, see to what it did, and say whether it did anything.
@@ -101,7 +98,7 @@ class PressCycle:
         if taken:
             self.submit(taken)
 
-    def take(self, source: Source, began_ns: int) -> TakenPress | None:
+    def take(self, source: Source, began_ns: int) -> Taken | None:
         """The frame of a press in memory, or None when it was refused and that was shown."""
         now_ns = self._hardware.clock.monotonic_ns()
         if not (scanner := self._admitted()):
@@ -120,11 +117,11 @@ class PressCycle:
         self._board.tell(MayLift(self._busy_until_ns))
         motion = self._motion(taken.shot.frame)
         show(self._hardware, "may lift")
-        return replace(taken, motion=motion)
+        return scanner, replace(taken, motion=motion)
 
-    def submit(self, taken: TakenPress) -> None:
+    def submit(self, press: Taken) -> None:
         """Hand a frame over to be judged and published."""
-        scanner, annotations = self._scanner(), self._board.state.sticky
+        (scanner, taken), annotations = press, self._board.state.sticky
 
         def work() -> tuple[ScanOutcome, float]:
             began_s = time.thread_time()

@@ -71,7 +71,7 @@ def pairing_sheet(pairing: PairingState, network: NetworkFacts | None, now_ns: i
     code = "   ".join(" ".join(part) for part in (pairing.code[:half], pairing.code[half:]))
     left_s = max(round((pairing.open_until_ns - now_ns) * 1e-9), 0)
     host = network.host_name if network else "this-instrument"
-    lines = ["On the workstation:", f"  retrosync pair {host}", "", f"  Code    {code}", "", f"{left_s} s left."]
+    lines = ["On the workstation:", f"  retrosync pair {host}.local", "", f"  Code    {code}", "", f"{left_s} s left."]
     return "\n".join([*lines, "", _labelled(_network_lines(network, columns), columns)])
 
 

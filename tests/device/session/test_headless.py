@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -85,6 +86,31 @@ def test_cue_and_frame_follow_the_push_and_not_the_release(watched: Watched, hel
     assert 0 < shown["busy"] - pushed_ns <= 0.1 * SECOND
     assert shown["may lift"] - pushed_ns <= 0.5 * SECOND
     assert watched.scans == 1
+
+
+def test_without_a_calibration_it_serves_and_refuses_every_push_with_its_cue(bench: Bench, tmp_path: Path) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    watched = Watched(wired, BundleStore(tmp_path / "new", bench.clock))
+    shown: list[str] = []
+    with watched.instrument:
+        show = wired.hardware.indicator.show
+        wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
+        watched.push(1.0)
+        watched.run(2.0)
+    assert (shown, watched.scans) == (["refused: calibration"], 0)
+    assert [line for line in watched.said if "retroscan calibrate" in line] == [watched.said[0], watched.said[-1]]
+
+
+def test_it_calls_itself_ready_once_every_part_answers(bench: Bench, calibrated: BundleStore) -> None:
+    wired = wired_hardware(bench, "PCA9955B")
+    mend = _lights_unplugged(wired)
+    watched = Watched(wired, calibrated)
+    with watched.instrument:
+        watched.run(3.0)
+        assert [line[:13] for line in watched.said] == ["no chip answe"]
+        mend()
+        watched.run(3.0)
+        assert [line[:5] for line in watched.said[1:]] == ["Ready"]
 
 
 def test_a_long_push_tells_the_state_and_does_not_scan(watched: Watched) -> None:

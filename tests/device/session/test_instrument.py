@@ -9,6 +9,7 @@ import pytest
 
 import device.bundle_store
 from device.bundle_store import BundleStore
+from device.gel_log import make_gel, mount_gel
 from device.pairing.opening import PairingSetup
 from device.scan_bundle import Annotations
 from device.session.events import (
@@ -184,11 +185,14 @@ def test_zero_is_checked_in_air_in_micrometres(instrument: Instrument, bench: Be
     assert checked.passed
     assert 0.0 < checked.flat_residual_um < 8.0
     assert instrument.state.health.flat_residual_um == checked.flat_residual_um
-    put(bench, "sphere")
+    before = instrument.state.health
+    put(bench, "coin")
     instrument.zero_check()
     failed = only(events_of(instrument, 2), ZeroChecked)
     assert not failed.passed
     assert "µm" in failed.sentence
+    after = instrument.state.health
+    assert (after.light_change, after.defect_share) == (before.light_change, before.defect_share), "a coin is no light"
 
 
 def test_another_gel_is_refused_until_it_is_calibrated_and_the_first_comes_back(instrument: Instrument) -> None:
@@ -303,3 +307,27 @@ def test_the_pairing_window_opens_on_a_long_push_and_closes(
         assert not only(events_of(instrument, 1), PairingChanged).is_open
         assert instrument.network().key_fingerprint.startswith("SHA256:")
     assert calibrated.scans().bundles == ()
+
+
+def test_the_calibrations_age_grows_while_the_instrument_is_on(instrument: Instrument, hardware: Hardware) -> None:
+    hardware.clock.sleep(3600.0)  # the calibration was made later than this world begins
+    instrument.step()
+    begun_s = instrument.state.calibration.age_s
+    assert begun_s is not None
+    hardware.clock.sleep(3600.0)
+    instrument.step()
+    assert instrument.state.calibration.age_s == pytest.approx(begun_s + 3600.0, abs=2.0)
+
+
+def test_a_gel_that_another_program_mounted_is_scanned_under_no_other_gels_calibration(
+    instrument: Instrument, calibrated: BundleStore, hardware: Hardware
+) -> None:
+    usual = hardware.profile.gel
+    mount_gel(calibrated.root, make_gel("soft-2", 2.0))
+    instrument.press()
+    assert only(events_of(instrument, 2), PressRefused).reason == "calibration"
+    assert instrument.state.gel.gel_id == "soft-2"
+    mount_gel(calibrated.root, make_gel(usual.id, usual.slab_thickness_mm))
+    instrument.press()
+    assert "Changed by another program" in only(events_of(instrument, 2), Told).sentence
+    assert [bundle.record.gel_id for bundle in calibrated.scans().bundles] == [usual.id]

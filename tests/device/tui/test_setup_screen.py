@@ -1,5 +1,6 @@
 """Set-up by key presses: facts, pairing, self-test, zero check, gels, calibrations, power off."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def test_pairing_shows_a_code_to_type(play: Callable[..., None], root: Path, hos
         await stage.live()
         code = stage.instrument.state.pairing.code
         assert f"Code {' '.join(code[:4])} {' '.join(code[4:])}" in stage.text()
-        assert "retrosync pair" in stage.text()
+        assert f"retrosync pair {os.uname().nodename}.local" in " ".join(stage.text().split())
         assert "SHA256:" in stage.text()
 
     play(scenario, root, host_key=host_key)
