@@ -18,7 +18,7 @@ Stage = Any
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 DRAWN = set("#o. ")
-"""Cells of pictures, of the circle round a ball and of the next place to press: noise of the camera moves their edges."""
+"""Cells of pictures, of the circle round a ball and of where to press next: noise moves their edges."""
 
 MOST_MOVED = 0.06
 """Share of the cells that may be drawn otherwise."""
