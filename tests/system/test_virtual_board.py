@@ -126,15 +126,15 @@ def test_install_makes_a_handheld_and_is_idempotent(board: Board) -> None:
 
 
 def test_after_a_reboot_only_the_calibration_is_missing(board: Board) -> None:
-    with board.stage("reboot in order"):
+    with board.stage("reboot until the instrument is ready"):
         board.machine.reboot()
-        board.machine.run("systemctl is-system-running --wait || true")
+        board.machine.wait_for("systemctl is-active retroscan")
     board.machine.run(SHARES)
     assert board.machine.run("findmnt -n -o SOURCE /data; findmnt -n -o TARGET /var/lib/retroscan").split() == [
         "/dev/vdb",
         "/var/lib/retroscan",
     ]
-    assert "no calibration is active" in board.machine.run("journalctl -b -u retroscan -o cat --no-pager")
+    assert "no scans yet: no calibration is active" in board.machine.run("journalctl -b -u retroscan -o cat --no-pager")
     board.machine.run("systemctl stop retroscan")
 
 
@@ -260,7 +260,7 @@ def test_a_version_that_never_becomes_ready_is_undone(board: Board, release: Pat
 
 
 def test_everything_comes_up_by_itself_after_a_reboot(board: Board) -> None:
-    with board.stage("reboot until the instrument is ready"):
+    with board.stage("reboot until the instrument is ready again"):
         board.machine.reboot()
         board.machine.wait_for("systemctl is-active retroscan")
     state = board.machine.run("systemctl is-system-running --wait || true").strip()
