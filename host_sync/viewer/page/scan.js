@@ -112,6 +112,7 @@ class ScanPage {
     this.asked = line;
     if (this.asking || (from.row === to.row && from.column === to.column)) return;
     this.asking = true;
+    this.plotBox.setAttribute("aria-busy", "true");
     const page = this.stage.relief.page;
     try {
       const found = await api.profile(this.facts.key, page, line);
@@ -126,6 +127,7 @@ class ScanPage {
       this.stage.fail(error);
     } finally {
       this.asking = false;
+      this.plotBox.setAttribute("aria-busy", String(Boolean(this.asked) && this.asked !== line));
     }
     if (this.asked && this.asked !== line) this.profile(this.stage.line);
   }

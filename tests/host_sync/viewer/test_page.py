@@ -214,6 +214,7 @@ def test_a_profile_that_is_drawn_is_the_array(served: Any, results: Path, visit:
     page.mouse.up()
     page.wait_for_selector("a:text('Save as CSV'):visible")
     page.wait_for_function("() => document.querySelector('.panel input[max=\"279\"]').value !== ''")
+    page.wait_for_selector("[aria-busy=false]")
     settle(page)
     href = page.get_by_role("link", name="Save as CSV").get_attribute("href")
     text = page.evaluate("async (address) => (await fetch(address)).text()", href)
