@@ -46,7 +46,7 @@ def unit_shape(top: Any, bottom: Any, middle: Any, base: Any, upper: Any, lower:
         upper[width - 1], lower[width - 1] = z - y, z + y
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def weighted_shape(
     top: Any, bottom: Any, middle: Any, w_top: Any, w_bottom: Any, w_middle: Any, base: Any, upper: Any,
     lower: Any,
@@ -94,7 +94,7 @@ def unit_slopes_down(edges: Any, above: Any, below: Any, out: Any) -> None:
         out[out.size - 1] = edges[width - 1] + (above[width - 1] - below[width - 1])
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def conductance(edge: Any, before: Any, after: Any, apart: Any) -> Any:
     """Share of a fine edge in the weight of the coarse edge that crosses it.
 
@@ -110,7 +110,7 @@ def conductance(edge: Any, before: Any, after: Any, apart: Any) -> Any:
     return tied + apart * (series - tied)
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def slopes_across(
     top: Any, bottom: Any, w_top: Any, w_bottom: Any, upper: Any, lower: Any, apart: Any,
     weight: Any, out: Any,
@@ -127,7 +127,7 @@ def slopes_across(
     out[0], out[out.size - 1], weight[0], weight[out.size - 1] = nought, nought, nought, nought
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def slopes_down(
     edges: Any, w_before: Any, w_edges: Any, w_after: Any, above: Any, below: Any, apart: Any, weight: Any,
     out: Any,

@@ -42,7 +42,7 @@ def edge_coefficients(rule: EdgeRule) -> Float32Array:
     return np.asarray(_COEFFICIENTS[rule], np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def edge_weights(w_a: Any, w_b: Any, weight: Any) -> None:
     """Write the harmonic means of neighbours' weights, nought where either is a hole."""
     two, nought = np.float32(2.0), np.float32(0.0)

@@ -17,14 +17,18 @@ from host_sync.errors import SequenceError
 from host_sync.frame_reading import light_of_values
 from host_sync.frame_sequence import StoredFrame
 from host_sync.frame_set_file import Encoding
+from host_sync.reconstruction.colour_planes import in_planes
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
 from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import Integrator
 from host_sync.reconstruction.pipeline import estimate, refuse_doubtful
-from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
+from host_sync.reconstruction.plausibility import SAMPLES_ALONG, frame_doubts, rest_doubts
+from host_sync.reconstruction.slope_kernel import SlopeKernel, empty_gradients
 
 CHECK_COARSENESS: Final = 2
+"""Before it is solved, a frame of a sequence is looked at with so many times fewer rows and columns than one alone."""
+
 SAMPLED_COLUMNS: Final = 180
 """So many columns, and rows as far apart, tell how much of the field is pressed."""
 
@@ -73,7 +77,9 @@ class FrameSolver:
         self._light: dict[np.dtype[Any], Float32Array] = {}
         rows, columns, _ = calibration.divisor.shape
         self.shape = (rows, columns)
+        self._divisor = in_planes(calibration.divisor)
         self._intensity = empty_intensity(self.shape)
+        self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         self._integrator = Integrator(self.shape)
         self._equal = None if weighted else (np.ones(self.shape, np.bool_), np.ones(self.shape, np.float32))
 
@@ -102,7 +108,7 @@ class FrameSolver:
             Nobody said how its values encode light.
         """
         intensity = self._read(frame)
-        check_intensity(intensity, self._calibration.divisor, frame.name, CHECK_COARSENESS)
+        check_intensity(intensity, self._divisor, frame.name, CHECK_COARSENESS)
         refuse_doubtful(self._doubts(intensity), frame.name, force=self._force)
         gradients = self._gradients(intensity)
         height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
@@ -118,21 +124,23 @@ class FrameSolver:
         )
 
     def _doubts(self, intensity: IntensityImage) -> list[str]:
-        return frame_doubts(intensity, self._calibration.divisor, self._calibration.inverse.map)
+        return frame_doubts(intensity, self._divisor, self._calibration.inverse.map, SAMPLES_ALONG // CHECK_COARSENESS)
 
     def _read(self, frame: StoredFrame) -> IntensityImage:
-        divisor = self._calibration.divisor
         if isinstance(frame.pixels, RawFrame):
-            return raw_intensity(frame.pixels, divisor, self._intensity)
+            return raw_intensity(frame.pixels, self._divisor, self._intensity)
         if self._encoding is None:
             raise SequenceError(f"{frame.name}: its values may be linear light or sRGB: say which with --encoding")
         dtype = frame.pixels.dtype
         if dtype not in self._light:
             self._light[dtype] = light_of_values(dtype, self._encoding)
-        return stored_intensity(frame.pixels, self._light[dtype], divisor, self._intensity)
+        return stored_intensity(frame.pixels, self._light[dtype], self._divisor, self._intensity)
 
     def _gradients(self, intensity: IntensityImage) -> GradientField:
-        found = estimate(intensity, self._calibration, self._method)
+        if self._slopes is not None:
+            found = self._slopes.evaluate(intensity)
+        else:
+            found = estimate(intensity, self._calibration, self._method)
         if self._equal is None:
             return found
         _flatten(found.p, found.q, found.valid)

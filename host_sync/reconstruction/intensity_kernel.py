@@ -17,6 +17,7 @@ from device.photometry import DARK_FLOOR, SATURATED, IntensityImage, check_same_
 from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.image_file import Pixels
+from host_sync.reconstruction.colour_planes import as_stored, colour_rows, empty_planes
 
 _BAND_ROWS: Final = 32
 _LEAST_SIDE: Final = 4
@@ -25,7 +26,7 @@ _LEAST_SIDE: Final = 4
 
 def empty_intensity(shape: tuple[int, int]) -> IntensityImage:
     """An image of shape (H, W) for the functions below to fill, again and again; its pixels mean nothing yet."""
-    return IntensityImage(np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_), np.empty(shape, np.bool_))
+    return IntensityImage(empty_planes(shape), np.empty(shape, np.bool_), np.empty(shape, np.bool_))
 
 
 def raw_intensity(frame: RawFrame, divisor: Float32Array, out: IntensityImage | None = None) -> IntensityImage:
@@ -47,7 +48,7 @@ def raw_intensity(frame: RawFrame, divisor: Float32Array, out: IntensityImage | 
     red = frame.bayer_order.index("R")
     _fill_from_mosaic(
         np.ascontiguousarray(frame.mosaic), red // 2, red % 2, np.float32(frame.black_level_dn), scale,
-        math.ceil(limit), np.ascontiguousarray(divisor), image.values, image.valid, image.clipped,
+        math.ceil(limit), *as_stored(divisor), np.moveaxis(image.values, -1, 0), image.valid, image.clipped,
     )  # fmt: skip
     return image
 
@@ -69,20 +70,21 @@ def stored_intensity(
     check_same_size(pixels.shape[:2], divisor)
     image = out or empty_intensity((pixels.shape[0], pixels.shape[1]))
     _fill_from_stored(
-        np.ascontiguousarray(pixels), light, np.ascontiguousarray(divisor), image.values, image.valid, image.clipped
-    )
+        np.ascontiguousarray(pixels), light, *as_stored(divisor), np.moveaxis(image.values, -1, 0), image.valid,
+        image.clipped,
+    )  # fmt: skip
     return image
 
 
 @njit(cache=True, parallel=True)
 def _fill_from_mosaic(
     mosaic: Any, red_row: int, red_column: int, black: Any, scale: Any, limit: int,
-    divisor: Any, values: Any, valid: Any, clipped: Any,
+    divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Write intensity, validity and clipping of every pixel; red stands at (red_row, red_column) of each 2x2 block."""
     rows, columns = mosaic.shape
     for band in prange((rows + _BAND_ROWS - 1) // _BAND_ROWS):
-        counts = np.empty((3, columns), np.float32)
+        counts, rest = np.empty((3, columns), np.float32), np.empty((3, columns), np.float32)
         highest = np.empty(columns, np.uint16)
         for r in range(band * _BAND_ROWS, min((band + 1) * _BAND_ROWS, rows)):
             inner = min(max(r, 1), rows - 2)
@@ -91,11 +93,13 @@ def _fill_from_mosaic(
             _interpolate_row(
                 mosaic[inner - 1], mosaic[inner], mosaic[inner + 1], first, counts[own], counts[1], counts[2 - own]
             )
-            _divide_row(counts, black, scale, divisor[r], values[r], valid[r])
+            red, green, blue = colour_rows(divisor, by_plane, int(r), 0, columns, rest)
+            _divide_row(counts[0], black, scale, red, values[0, r])
+            _divide_row(counts[1], black, scale, green, values[1, r])
+            _divide_row(counts[2], black, scale, blue, values[2, r])
+            _lit_row(red, green, blue, valid[r])
             _highest_row(mosaic[max(r - 1, 0)], mosaic[r], mosaic[min(r + 1, rows - 1)], highest)
-            for c in range(columns):
-                most = max(highest[max(c - 1, 0)], highest[c], highest[min(c + 1, columns - 1)])
-                clipped[r, c] = most >= limit
+            _clip_row(highest, limit, clipped[r])
 
 
 @njit(cache=True)
@@ -121,16 +125,20 @@ def _interpolate_row(above: Any, here: Any, below: Any, first: int, own: Any, gr
         colour[0], colour[columns - 1] = colour[1], colour[columns - 2]
 
 
+@njit(cache=True, error_model="numpy")
+def _divide_row(counts: Any, black: Any, scale: Any, divisor: Any, values: Any) -> None:
+    """Write a row's intensity in one colour."""
+    floor = np.float32(DARK_FLOOR)
+    for c in range(values.size):
+        values[c] = (counts[c] - black) * scale / max(divisor[c], floor)
+
+
 @njit(cache=True)
-def _divide_row(counts: Any, black: Any, scale: Any, divisor: Any, values: Any, valid: Any) -> None:
+def _lit_row(red: Any, green: Any, blue: Any, valid: Any) -> None:
+    """Write where all three colours of the divisor are bright enough to divide by."""
     floor = np.float32(DARK_FLOOR)
     for c in range(valid.size):
-        lit = True
-        for k in range(3):
-            rest = divisor[c, k]
-            lit = lit and rest > floor
-            values[c, k] = (counts[k, c] - black) * scale / max(rest, floor)
-        valid[c] = lit
+        valid[c] = (red[c] > floor) & (green[c] > floor) & (blue[c] > floor)
 
 
 @njit(cache=True)
@@ -139,18 +147,37 @@ def _highest_row(above: Any, here: Any, below: Any, highest: Any) -> None:
         highest[c] = max(above[c], here[c], below[c])
 
 
+@njit(cache=True)
+def _clip_row(highest: Any, limit: Any, clipped: Any) -> None:
+    """Write where the highest count of a pixel and its neighbours reaches the limit."""
+    last = highest.size - 1
+    for c in range(1, last):
+        clipped[c] = max(highest[c - 1], highest[c], highest[c + 1]) >= limit
+    clipped[0] = max(highest[0], highest[1]) >= limit
+    clipped[last] = max(highest[last - 1], highest[last]) >= limit
+
+
 @njit(cache=True, parallel=True)
-def _fill_from_stored(pixels: Any, light: Any, divisor: Any, values: Any, valid: Any, clipped: Any) -> None:
+def _fill_from_stored(
+    pixels: Any, light: Any, divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any
+) -> None:  # fmt: skip
     """Write intensity, validity and clipping of every pixel of an RGB image."""
     rows, columns, _ = pixels.shape
-    floor, saturated = np.float32(DARK_FLOOR), np.float32(SATURATED)
     for r in prange(rows):
-        for c in range(columns):
-            lit, full = True, False
-            for k in range(3):
-                rest, share = divisor[r, c, k], light[pixels[r, c, k]]
-                lit = lit and rest > floor
-                full = full or share >= saturated
-                values[r, c, k] = share / max(rest, floor)
-            valid[r, c] = lit
-            clipped[r, c] = full
+        spare = np.empty((3, columns), np.float32)
+        red, green, blue = colour_rows(divisor, by_plane, int(r), 0, columns, spare)
+        clipped[r, :] = False
+        _stored_row(pixels[r], 0, light, red, values[0, r], clipped[r])
+        _stored_row(pixels[r], 1, light, green, values[1, r], clipped[r])
+        _stored_row(pixels[r], 2, light, blue, values[2, r], clipped[r])
+        _lit_row(red, green, blue, valid[r])
+
+
+@njit(cache=True, error_model="numpy")
+def _stored_row(pixels: Any, colour: int, light: Any, divisor: Any, values: Any, clipped: Any) -> None:
+    """Write a row's intensity in one colour; mark where it is saturated."""
+    floor, saturated = np.float32(DARK_FLOOR), np.float32(SATURATED)
+    for c in range(values.size):
+        share = light[pixels[c, colour]]
+        clipped[c] = clipped[c] | (share >= saturated)
+        values[c] = share / max(divisor[c], floor)

@@ -31,7 +31,7 @@ LEAST_REST: Final = 0.1
 """Share of the field that must be at rest to be judged: a few pixels that happen to look flat tell nothing."""
 
 SAMPLES_ALONG: Final = 256
-"""The frame is looked at with at most so many rows and columns."""
+"""The frame is looked at with at most so many rows and columns, about; fewer will do where frames follow each other."""
 
 _TURNS: Final[tuple[tuple[str, int, int], ...]] = (
     ("turned by 180 degrees", -1, -1),
@@ -40,16 +40,20 @@ _TURNS: Final[tuple[tuple[str, int, int], ...]] = (
 )
 
 
-def frame_doubts(intensity: IntensityImage, divisor: Float32Array, inverse: InverseMap) -> list[str]:
+def frame_doubts(
+    intensity: IntensityImage, divisor: Float32Array, inverse: InverseMap, samples_along: int = SAMPLES_ALONG
+) -> list[str]:
     """What speaks against a frame before anything is reconstructed; one clause each.
 
     divisor : float32 array of shape (H, W, 3), what the frame was divided by
+    samples_along : how many rows and columns are looked at, about
     """
     doubts = []
-    turn = _turn(intensity, divisor)
+    step = _step(intensity.shape, samples_along)
+    turn = _turn(intensity, divisor, step)
     if turn is not None:
         doubts.append(f"its light lies over the field as if it were {turn}")
-    strange = _strange_share(intensity, inverse)
+    strange = _strange_share(intensity, inverse, step)
     if strange > MOST_STRANGE:
         doubts.append(f"{strange:.0%} of its colours are such as no ball showed (at most {MOST_STRANGE:.0%})")
     return doubts
@@ -59,7 +63,7 @@ def rest_doubts(intensity: IntensityImage, at_rest: MaskArray) -> list[str]:
     """What speaks against a frame whose untouched skin is known; nothing where no skin is at rest."""
     if at_rest.all() or at_rest.mean() < LEAST_REST:
         return []
-    step = _step(at_rest.shape)
+    step = _step(at_rest.shape, SAMPLES_ALONG)
     rest = intensity.values[::step, ::step][at_rest[::step, ::step]]
     if not rest.size:
         return []
@@ -74,9 +78,8 @@ def rest_doubts(intensity: IntensityImage, at_rest: MaskArray) -> list[str]:
     ]
 
 
-def _turn(intensity: IntensityImage, divisor: Float32Array) -> str | None:
+def _turn(intensity: IntensityImage, divisor: Float32Array, step: int) -> str | None:
     """The name of the turn under which the reference explains the frame far better, if there is one."""
-    step = _step(intensity.shape)
     # Rows and columns from both ends alike, so that a turned reference lies where the reference does.
     first = ((intensity.shape[0] - 1) % step // 2, (intensity.shape[1] - 1) % step // 2)
     every = (slice(first[0], None, step), slice(first[1], None, step))
@@ -96,14 +99,13 @@ def _unexplained(difference: NDArray[np.float32]) -> float:
     return float(np.median(centred, axis=(0, 1)).mean())
 
 
-def _strange_share(intensity: IntensityImage, inverse: InverseMap) -> float:
-    step = _step(intensity.shape)
-    usable = (intensity.valid & ~intensity.clipped)[::step, ::step]
+def _strange_share(intensity: IntensityImage, inverse: InverseMap, step: int) -> float:
+    usable = intensity.valid[::step, ::step] & ~intensity.clipped[::step, ::step]
     if not usable.any():
         return 0.0
     excess = inverse.domain.excess(np.ascontiguousarray(intensity.values[::step, ::step]))
     return float((excess[usable] > STRANGE_EXCESS).mean())
 
 
-def _step(shape: tuple[int, ...]) -> int:
-    return max(1, max(shape[:2]) // SAMPLES_ALONG)
+def _step(shape: tuple[int, ...], samples_along: int) -> int:
+    return max(1, max(shape[:2]) // samples_along)

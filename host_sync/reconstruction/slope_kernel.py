@@ -7,30 +7,33 @@ of threads.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
+from device.light_field import LightField
 from device.photometry import IntensityImage
 from device.polynomials import position_exponents
 from device.slope_curve import SlopeCurve
 from device.surface import Float32Array, GradientField, MaskArray
+from host_sync.reconstruction.colour_planes import as_stored, colour_rows
+from host_sync.reconstruction.colour_polynomial import tabled_degree, term_numbers
 from host_sync.reconstruction.slope_run import (
     EXCESS,
     ONE,
     PLANES,
-    RUN,
     SLOPE,
     TRUST,
     ZERO,
-    add_polynomial,
     begin,
     load,
     load_light,
+    run_length,
     take_slopes,
     take_trust,
+    take_u,
     take_variables,
 )
 
@@ -46,32 +49,56 @@ def evaluate(inverse_map: InverseMap, image: IntensityImage) -> GradientField:
     CalibrationMismatch
         The image is not of the map's field.
     """
-    inverse_map.check_size(image.shape)
-    p, q, weight = (np.empty(image.shape, np.float32) for _ in range(3))
-    valid = np.empty(image.shape, np.bool_)
-    light = inverse_map.light
-    share = 0.0 if light is None else light.share
-    _evaluate(
-        np.ascontiguousarray(image.values),
-        np.ascontiguousarray(image.valid),
-        np.ascontiguousarray(image.clipped),
-        _tabled(inverse_map.curve, 1.0 - share),
-        _tabled(inverse_map.curve if light is None else light.curve, share),
-        _DARK if light is None else light.field.nodes,
-        p,
-        q,
-        weight,
-        valid,
-    )
-    return GradientField(p, q, valid, weight)
+    return SlopeKernel(inverse_map).evaluate(image)
+
+
+class SlopeKernel:
+    """An inverse map as the compiled evaluation reads it, to be used for many images.
+
+    out : receives slopes, validity and confidence each time; None for new arrays each time
+    """
+
+    def __init__(self, inverse_map: InverseMap, out: GradientField | None = None) -> None:
+        self._map = inverse_map
+        self._out = out
+        light = inverse_map.light
+        share = 0.0 if light is None else light.share
+        self._plain = _tabled(inverse_map.curve, 1.0 - share)
+        self._lit = self._plain if light is None else _tabled(light.curve, share)
+        self._light = _DARK if light is None else _light_by_column(light.field, inverse_map.shape[1])
+
+    def evaluate(self, image: IntensityImage) -> GradientField:
+        """As the function `evaluate`."""
+        self._map.check_size(image.shape)
+        out = self._out or empty_gradients(image.shape)
+        _evaluate(
+            *as_stored(image.values),
+            np.ascontiguousarray(image.valid),
+            np.ascontiguousarray(image.clipped),
+            self._plain,
+            self._lit,
+            self._light,
+            out.p,
+            out.q,
+            out.weight,
+            out.valid,
+        )
+        return out
+
+
+def empty_gradients(shape: tuple[int, int]) -> GradientField:
+    """A gradient field of shape (H, W) for `SlopeKernel` to fill; its pixels mean nothing yet."""
+    p, q, weight = (np.empty(shape, np.float32) for _ in range(3))
+    return GradientField(p, q, np.empty(shape, np.bool_), weight)
 
 
 class _Curve(NamedTuple):
     """A curve as the kernel reads it.
 
     limits : float32 array of shape (5, 3): low, high, centre, 1 / scale, and 1 / spread in every channel
-    degree, place : its degrees in colour and in position
-    coefficients : by powers of column and row position, times the curve's share: float32 array of shape (M, 3, 3, 2)
+    degree, place : its degrees in colour, as tabled, and in position
+    coefficients : by component, powers of column and row position, and colour term, times the curve's share: float32
+        array of shape (2, 3, 3, M)
     """
 
     limits: Float32Array
@@ -80,7 +107,7 @@ class _Curve(NamedTuple):
     coefficients: Float32Array
 
 
-_DARK: Final = np.zeros((0, 0, 3), np.float32)
+_DARK: Final = np.zeros((0, 3, 0), np.float32)
 """No light: the map has no curve that reads it."""
 
 
@@ -88,76 +115,79 @@ def _tabled(curve: SlopeCurve, share: float) -> _Curve:
     colours = curve.colours
     per_spread = np.full(3, 1.0 / colours.spread, np.float32)
     limits = np.stack([colours.low, colours.high, colours.centre, np.float32(1.0) / colours.scale, per_spread])
-    table = np.zeros((len(curve.coefficients), POWERS, POWERS, 2), np.float32)
+    numbers = term_numbers(curve.colour_degree)
+    table = np.zeros((2, POWERS, POWERS, max(numbers) + 1), np.float32)
     for term, (i, j) in enumerate(position_exponents(curve.position_degree)):
-        table[:, i, j] = np.float32(share) * curve.coefficients[:, term]
-    return _Curve(limits, curve.colour_degree, curve.position_degree, table)
+        table[:, i, j, numbers] = np.float32(share) * curve.coefficients[:, term].T
+    return _Curve(limits, tabled_degree(curve.colour_degree), curve.position_degree, table)
 
 
-@njit(parallel=True, cache=True, fastmath={"contract", "nsz"})
+def _light_by_column(field: LightField, columns: int) -> Float32Array:
+    """Light at every column along the rows of its places: float32 array of shape (n, 3, W)."""
+    across = ((2.0 * np.arange(columns) + 1.0) / columns - 1.0).astype(np.float32)
+    down = np.linspace(-1.0, 1.0, len(field.nodes), dtype=np.float32)
+    return np.ascontiguousarray(np.moveaxis(field.rows(across, down), 2, 1))
+
+
+@njit(parallel=True, cache=True)
 def _evaluate(
-    values: Float32Array,
-    usable: MaskArray,
-    clipped: MaskArray,
-    plain: _Curve,
-    lit: _Curve,
-    light: Float32Array,
-    p: Float32Array,
-    q: Float32Array,
-    weight: Float32Array,
-    valid: MaskArray,
-) -> None:
-    """Fill p, q, weight and valid; `light` by places as `LightField` has it, empty where there is none."""
+    values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, plain: _Curve, lit: _Curve,
+    light: Float32Array, p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray,
+) -> None:  # fmt: skip
+    """Fill p, q, weight and valid; `light` by places and columns, empty where there is none."""
     rows, columns = p.shape
+    length = run_length(columns)
     for row in prange(rows):
         down = np.float32((2.0 * row + 1.0) / rows - 1.0)
-        along = _at_row(plain.coefficients, down)
-        light_along = _at_row(lit.coefficients, down)
-        here = _light_at_row(light, down)
-        run = np.empty((PLANES, RUN), np.float32)
-        for start in range(0, columns, RUN):
-            count = min(RUN, columns - start)
+        along, light_along = _at_row(plain.coefficients, down), _at_row(lit.coefficients, down)
+        run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
+        for start in range(0, columns, length):
+            end = min(start + length, columns)
+            part = slice(start, end)
+            seen = colour_rows(values, by_plane, int(row), start, end, spare)
             begin(start, columns, run)
             if len(light):
-                load_light(values, here, row, start, count, columns, run)
+                at = (down + ONE) * np.float32(0.5 * (len(light) - 1))
+                top = min(int(at), len(light) - 2)
+                share = at - np.float32(top)
+                load_light(seen, start, light[top], light[top + 1], share, run)
                 take_variables(run, lit.limits)
-                add_polynomial(run, lit.degree, lit.place, light_along)
-            load(values, row, start, count, run)
+                take_u(run, lit.degree, lit.place, light_along, False)
+            load(seen, run)
             take_variables(run, plain.limits)
-            add_polynomial(run, plain.degree, plain.place, along)
+            take_u(run, plain.degree, plain.place, along, len(light) > 0)
             take_slopes(run)
             take_trust(run)
-            for k in range(count):
-                column = start + k
-                p[row, column] = run[SLOPE, k]
-                q[row, column] = run[SLOPE + 1, k]
-                known = usable[row, column] and run[EXCESS, k] < np.float32(LOST_EXCESS)
-                trust = run[TRUST, k] if known else ZERO
-                weight[row, column] = trust * np.float32(CLIPPED_CONFIDENCE) if clipped[row, column] else trust
-                valid[row, column] = known
+            _store(
+                run, usable[row, part], clipped[row, part], p[row, part], q[row, part], weight[row, part],
+                valid[row, part],
+            )  # fmt: skip
+
+
+@njit(cache=True)
+def _store(run: Any, usable: Any, clipped: Any, p: Any, q: Any, weight: Any, valid: Any) -> None:
+    """Write what came out for the pixels of a run."""
+    across, down, excess, trust = run[SLOPE], run[SLOPE + 1], run[EXCESS], run[TRUST]
+    for k in range(p.size):
+        p[k] = across[k]
+        q[k] = down[k]
+    for k in range(valid.size):
+        valid[k] = usable[k] & (excess[k] < np.float32(LOST_EXCESS))
+    for k in range(weight.size):
+        known = trust[k] if valid[k] else ZERO
+        weight[k] = known * np.float32(CLIPPED_CONFIDENCE) if clipped[k] else known
 
 
 @njit(cache=True)
 def _at_row(coefficients: Float32Array, down: np.float32) -> Float32Array:
-    """Coefficients at one row: float32 array of shape (M, 3, 2) by powers of the column's position."""
-    terms = len(coefficients)
-    along = np.zeros((terms, POWERS, 2), np.float32)
-    for term in range(terms):
-        for i in range(POWERS):
+    """Coefficients at one row: float32 array of shape (2, 3, M) by powers of the column's position."""
+    components, powers, _, terms = coefficients.shape
+    along = np.zeros((components, powers, terms), np.float32)
+    for component in range(components):
+        for i in range(powers):
             power = ONE
-            for j in range(POWERS):
-                along[term, i, 0] += power * coefficients[term, i, j, 0]
-                along[term, i, 1] += power * coefficients[term, i, j, 1]
+            for j in range(powers):
+                for term in range(terms):
+                    along[component, i, term] += power * coefficients[component, i, j, term]
                 power *= down
-    return along
-
-
-@njit(cache=True)
-def _light_at_row(light: Float32Array, down: np.float32) -> Float32Array:
-    """Light of untouched skin along one row: float32 array of shape (n, 3), empty where there is none."""
-    if len(light) == 0:
-        return np.zeros((0, 3), np.float32)
-    at = (down + ONE) * np.float32(0.5 * (len(light) - 1))
-    top = min(int(at), len(light) - 2)
-    along: Float32Array = light[top] + (at - np.float32(top)) * (light[top + 1] - light[top])
     return along

@@ -1,11 +1,11 @@
 """What happens to a short run of pixels on the way from intensity to slope: planes of one small array.
 
-Every product is a loop over the run, which the compiler turns into vector instructions.
+Every step is a loop over the run, which the compiler turns into vector instructions.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -13,74 +13,71 @@ from numba import njit
 from device.colour_space import DARK_OFFSET
 from device.inverse_map import TRUSTED_EXCESS
 from device.surface import Float32Array
+from host_sync.reconstruction.colour_polynomial import write_polynomial
 
-RUN: Final = 128
-"""Pixels of one run: its planes stay in the first-level cache."""
+RUN: Final = 512
+"""Most pixels of a run: its planes stay in the first-level cache."""
 
-# Planes of a run. Constant numbers of one array of constant shape prove to the compiler that planes do not overlap.
+LANES: Final = 16
+"""Pixels of one vector instruction; runs are as long as a multiple of it."""
+
 _COLOURS: Final = 0
-_VARIABLE: Final = 3
-_ACROSS: Final = 6
-_FIRST: Final = 7
-_SECOND: Final = 8
-_PRODUCT: Final = 9
-_U: Final = 10
-SLOPE: Final = 12
-EXCESS: Final = 14
-TRUST: Final = 15
-PLANES: Final = 16
+_ACROSS: Final = 3
+_POLYNOMIAL: Final = 4
+_U: Final = 7
+EXCESS: Final = 9
+SLOPE: Final = 10
+TRUST: Final = 12
+PLANES: Final = 13
 
 ZERO: Final = np.float32(0.0)
 ONE: Final = np.float32(1.0)
+_CONTRACT: Final = {"contract", "nsz"}
 
 
-@njit(inline="always")
-def begin(start: int, columns: int, run: Float32Array) -> None:
-    """Set the columns' position and u = 0."""
-    begin, step = np.float32((2.0 * start + 1.0) / columns - 1.0), np.float32(2.0 / columns)
-    for k in range(RUN):
-        run[_ACROSS, k] = begin + step * np.float32(k)
-        run[_U, k] = ZERO
-        run[_U + 1, k] = ZERO
+@njit(cache=True)
+def run_length(columns: int) -> int:
+    """Length of the runs that a row is worked off in: as few and as even as may be."""
+    runs = (columns + RUN - 1) // RUN
+    return (columns + runs * LANES - 1) // (runs * LANES) * LANES
 
 
-@njit(inline="always")
-def load(values: Float32Array, row: int, start: int, count: int, run: Float32Array) -> None:
-    """Fill a run with the logarithm of intensity; past the row's end as if 1 stood."""
-    for k in range(count):
-        for channel in range(3):
-            run[_COLOURS + channel, k] = max(values[row, start + k, channel], ZERO) + np.float32(DARK_OFFSET)
-    for k in range(count, RUN):
-        run[_COLOURS, k] = ONE
-        run[_COLOURS + 1, k] = ONE
-        run[_COLOURS + 2, k] = ONE
-    for k in range(RUN):
-        run[_COLOURS, k] = _logarithm(run[_COLOURS, k])
-        run[_COLOURS + 1, k] = _logarithm(run[_COLOURS + 1, k])
-        run[_COLOURS + 2, k] = _logarithm(run[_COLOURS + 2, k])
+@njit(cache=True, fastmath=_CONTRACT)
+def begin(start: int, columns: int, run: Any) -> None:
+    """Write the columns' position."""
+    first, step = np.float32((2.0 * start + 1.0) / columns - 1.0), np.float32(2.0 / columns)
+    across = run[_ACROSS]
+    for k in range(across.size):
+        across[k] = first + step * np.float32(k)
 
 
-@njit(inline="always")
-def load_light(
-    values: Float32Array, light: Float32Array, row: int, start: int, count: int, columns: int, run: Float32Array
-) -> None:
-    """Fill a run with light: intensity times the light of untouched skin; past the row's end as if 1 stood.
+@njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
+def load(colours: Any, run: Any) -> None:
+    """Write the logarithm of intensity, three float32 arrays of shape (n,); past the row's end as if 1 stood."""
+    for channel in range(3):
+        values, out = colours[channel], run[_COLOURS + channel]
+        for k in range(values.size):
+            out[k] = max(values[k], ZERO) + np.float32(DARK_OFFSET)
+        out[values.size :] = ONE
+        for k in range(out.size):
+            out[k] = _logarithm(out[k])
 
-    light : float32 array of shape (n, 3), along the row, from its left to its right border
+
+@njit(cache=True, fastmath=_CONTRACT)
+def load_light(colours: Any, start: int, above: Any, below: Any, share: Any, run: Any) -> None:
+    """Write light: intensity times the light of untouched skin; past the row's end as if 1 stood.
+
+    start : the run's first column
+    above, below : float32 arrays of shape (3, W), light along the rows of places next to this row
+    share : of the way from one to the other
     """
-    last = len(light) - 1
-    per_column = np.float32(last) / np.float32(columns)
-    for k in range(count):
-        at = (np.float32(start + k) + np.float32(0.5)) * per_column
-        left = min(int(at), last - 1)
-        share = at - np.float32(left)
-        for channel in range(3):
-            here = light[left, channel] + share * (light[left + 1, channel] - light[left, channel])
-            run[_COLOURS + channel, k] = max(values[row, start + k, channel], ZERO) * here
-    for k in range(count, RUN):
-        run[_COLOURS, k] = ONE
-        run[_COLOURS + 1, k] = ONE
-        run[_COLOURS + 2, k] = ONE
+    for channel in range(3):
+        values, out = colours[channel], run[_COLOURS + channel]
+        upper, lower = above[channel, start:], below[channel, start:]
+        for k in range(values.size):
+            here = upper[k] + share * (lower[k] - upper[k])
+            out[k] = max(values[k], ZERO) * here
+        out[values.size :] = ONE
 
 
 @njit(inline="always")
@@ -99,85 +96,70 @@ def _logarithm(value: np.float32) -> np.float32:
     return np.float32(exponent) * np.float32(0.6931471805599453) + np.float32(2.0) * (s + s * square * series)
 
 
-@njit(inline="always")
-def take_variables(run: Float32Array, limits: Float32Array) -> None:
-    """Variables, and how far outside the calibrated colours they lay; `limits` as the kernel has them."""
-    for k in range(RUN):
-        excess = ZERO
-        first, second, third = run[_COLOURS, k], run[_COLOURS + 1, k], run[_COLOURS + 2, k]
-        inside = min(max(first, limits[0, 0]), limits[1, 0])
-        excess = max(excess, abs(first - inside))
-        run[_VARIABLE, k] = (inside - limits[2, 0]) * limits[3, 0]
-        inside = min(max(second, limits[0, 1]), limits[1, 1])
-        excess = max(excess, abs(second - inside))
-        run[_VARIABLE + 1, k] = (inside - limits[2, 1]) * limits[3, 1]
-        inside = min(max(third, limits[0, 2]), limits[1, 2])
-        excess = max(excess, abs(third - inside))
-        run[_VARIABLE + 2, k] = (inside - limits[2, 2]) * limits[3, 2]
-        run[EXCESS, k] = excess * limits[4, 0]
+@njit(cache=True, fastmath=_CONTRACT)
+def take_variables(run: Any, limits: Float32Array) -> None:
+    """Turn colours into variables, and write how far outside the calibrated colours they lay.
+
+    limits : as the kernel has them
+    """
+    excess = run[EXCESS]
+    for k in range(excess.size):
+        excess[k] = ZERO
+    for channel in range(3):
+        colour = run[_COLOURS + channel]
+        low, high, centre, per_scale = limits[0, channel], limits[1, channel], limits[2, channel], limits[3, channel]
+        for k in range(colour.size):
+            inside = min(max(colour[k], low), high)
+            excess[k] = max(excess[k], abs(colour[k] - inside))
+            colour[k] = (inside - centre) * per_scale
+    per_spread = limits[4, 0]
+    for k in range(excess.size):
+        excess[k] *= per_spread
 
 
-@njit(inline="always")
-def add_polynomial(run: Float32Array, degree: int, place: int, along: Float32Array) -> None:
-    """Add the polynomial to u; monomials in the order of `colour_exponents`, `place` its degree in position."""
-    term = 0
-    for k in range(RUN):
-        run[_FIRST, k] = ONE
-    for i in range(degree + 1):
-        for k in range(RUN):
-            run[_SECOND, k] = run[_FIRST, k]
-        for j in range(degree + 1 - i):
-            for k in range(RUN):
-                run[_PRODUCT, k] = run[_SECOND, k]
-            for _ in range(degree + 1 - i - j):
-                _add_term(run, place, along[term])
-                term += 1
-            for k in range(RUN):
-                run[_SECOND, k] *= run[_VARIABLE + 1, k]
-        for k in range(RUN):
-            run[_FIRST, k] *= run[_VARIABLE, k]
+@njit(cache=True)
+def take_u(run: Any, degree: int, place: int, along: Any, more: bool) -> None:
+    """Write the curve's stereographic slope; with `more`, add it to what stands there.
+
+    degree, place : its tabled degree in colour, its degree in position
+    along : float32 array of shape (2, 3, M), coefficients of u's components by powers of the column's position
+    """
+    x, y, z, across = run[_COLOURS], run[_COLOURS + 1], run[_COLOURS + 2], run[_ACROSS]
+    for component in range(2):
+        for power in range(place + 1):
+            write_polynomial(degree, along[component, power], x, y, z, run[_POLYNOMIAL + power])
+        for power in range(place + 1, 3):
+            run[_POLYNOMIAL + power] = ZERO
+        first, second, third = run[_POLYNOMIAL], run[_POLYNOMIAL + 1], run[_POLYNOMIAL + 2]
+        _add_powers(across, first, second, third, more, run[_U + component])
 
 
-@njit(inline="always")
-def _add_term(run: Float32Array, degree: int, along: Float32Array) -> None:
-    """Add the present monomial times its coefficient, a polynomial in the column; go on to the next power."""
-    p0, p1, p2 = along[0, 0], along[1, 0], along[2, 0]
-    q0, q1, q2 = along[0, 1], along[1, 1], along[2, 1]
-    if degree == 0:
-        for k in range(RUN):
-            product = run[_PRODUCT, k]
-            run[_U, k] += product * p0
-            run[_U + 1, k] += product * q0
-            run[_PRODUCT, k] = product * run[_VARIABLE + 2, k]
-    elif degree == 1:
-        for k in range(RUN):
-            product, x = run[_PRODUCT, k], run[_ACROSS, k]
-            run[_U, k] += product * (p0 + x * p1)
-            run[_U + 1, k] += product * (q0 + x * q1)
-            run[_PRODUCT, k] = product * run[_VARIABLE + 2, k]
+@njit(cache=True, fastmath=_CONTRACT)
+def _add_powers(across: Any, first: Any, second: Any, third: Any, more: bool, out: Any) -> None:
+    if more:
+        for k in range(out.size):
+            out[k] += first[k] + across[k] * (second[k] + across[k] * third[k])
     else:
-        for k in range(RUN):
-            product, x = run[_PRODUCT, k], run[_ACROSS, k]
-            run[_U, k] += product * (p0 + x * (p1 + x * p2))
-            run[_U + 1, k] += product * (q0 + x * (q1 + x * q2))
-            run[_PRODUCT, k] = product * run[_VARIABLE + 2, k]
+        for k in range(out.size):
+            out[k] = first[k] + across[k] * (second[k] + across[k] * third[k])
 
 
-@njit(inline="always")
-def take_slopes(run: Float32Array) -> None:
-    """Slopes from u."""
-    for k in range(RUN):
-        across, down = run[_U, k], run[_U + 1, k]
-        square = across * across + down * down
+@njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
+def take_slopes(run: Any) -> None:
+    """Write slopes from u."""
+    u_across, u_down, p, q = run[_U], run[_U + 1], run[SLOPE], run[SLOPE + 1]
+    for k in range(p.size):
+        square = u_across[k] * u_across[k] + u_down[k] * u_down[k]
         rescale = ONE / (ONE - np.float32(0.25) * min(square, np.float32(3.61)))
-        run[SLOPE, k] = across * rescale
-        run[SLOPE + 1, k] = down * rescale
+        p[k] = u_across[k] * rescale
+        q[k] = u_down[k] * rescale
 
 
-@njit(inline="always")
-def take_trust(run: Float32Array) -> None:
-    """Confidence from the distance to the calibrated colours."""
-    for k in range(RUN):
-        outside = run[EXCESS, k] * np.float32(1.0 / TRUSTED_EXCESS)
+@njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
+def take_trust(run: Any) -> None:
+    """Write confidence from the distance to the calibrated colours."""
+    excess, trust = run[EXCESS], run[TRUST]
+    for k in range(trust.size):
+        outside = excess[k] * np.float32(1.0 / TRUSTED_EXCESS)
         doubt = ONE + outside * outside
-        run[TRUST, k] = ONE / (doubt * doubt)
+        trust[k] = ONE / (doubt * doubt)

@@ -27,7 +27,7 @@ def chebyshev_steps(sweeps: int) -> Float32Array:
     return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def inverse_diagonal(across: Any, above: Any, below: Any, out: Any) -> None:
     """Write 1 / Σ w_e of a row's pixels, nought for a pixel without edges."""
     one, nought = np.float32(1.0), np.float32(0.0)

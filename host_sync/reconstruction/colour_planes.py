@@ -1,0 +1,53 @@
+"""How the kernels read images of three colours: plane by plane, wherever the image is stored so.
+
+An image has shape (H, W, 3) everywhere. Most are stored pixel by pixel, as OpenCV wants them; kernels spend more time on
+taking colours apart than on the arithmetic between. What the kernels themselves make is stored plane by plane instead,
+an array of shape (3, H, W) with its axes moved, which looks the same to everything else.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from device.surface import Float32Array
+
+
+def empty_planes(shape: tuple[int, int]) -> Float32Array:
+    """A float32 array of shape (H, W, 3) that is stored plane by plane; its values mean nothing yet."""
+    return np.moveaxis(np.empty((3, *shape), np.float32), 0, -1)
+
+
+def in_planes(image: Float32Array) -> Float32Array:
+    """The image, of shape (H, W, 3), stored plane by plane: itself or a copy."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(image, -1, 0)), 0, -1)
+
+
+def as_stored(image: Float32Array) -> tuple[Float32Array, bool]:
+    """An image of shape (H, W, 3) as a C-contiguous array, and whether that is its planes, of shape (3, H, W)."""
+    planes = np.moveaxis(image, -1, 0)
+    if planes.flags.c_contiguous:
+        return planes, True
+    return np.ascontiguousarray(image), False
+
+
+@njit(cache=True)
+def colour_rows(stored: Any, by_plane: bool, row: int, first: int, last: int, spare: Any) -> Any:
+    """The three colours of the columns `first` to `last` - 1 of a row, float32 arrays of shape (n,).
+
+    stored, by_plane : as `as_stored` returns them
+    spare : float32 array of shape (3, n) or more, which they stand in where they must be taken apart
+    """
+    if by_plane:
+        return stored[0, row, first:last], stored[1, row, first:last], stored[2, row, first:last]
+    red, green, blue = spare[0, : last - first], spare[1, : last - first], spare[2, : last - first]
+    _take_apart(stored[row, first:last], red, green, blue)
+    return red, green, blue
+
+
+@njit(cache=True)
+def _take_apart(pixels: Any, red: Any, green: Any, blue: Any) -> None:
+    for c in range(red.size):
+        red[c], green[c], blue[c] = pixels[c, 0], pixels[c, 1], pixels[c, 2]
