@@ -1,8 +1,8 @@
 """How the kernels read images of three colours: plane by plane, wherever the image is stored so.
 
-An image has shape (H, W, 3) everywhere. Most are stored pixel by pixel, as OpenCV wants them; kernels spend more time on
-taking colours apart than on the arithmetic between. What the kernels themselves make is stored plane by plane instead,
-an array of shape (3, H, W) with its axes moved, which looks the same to everything else.
+An image has shape (H, W, 3) everywhere. Most are stored pixel by pixel, as OpenCV wants them; kernels spend more time
+on taking colours apart than on the arithmetic between. What the kernels themselves make is stored plane by plane, an
+array of shape (3, H, W) with its axes moved, which looks the same to everything else.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
 from host_sync.reconstruction.row_bands import in_bands
 
-RING: Final = 6
-"""Rows of edges at hand: those of a cell, of the one above it and the edges below."""
+RING: Final = 4
+"""Rows of edges at hand: those of a cell, those above it and those below; more would only crowd the cache."""
 
 
 def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
@@ -56,7 +56,7 @@ def _condense(
 ) -> None:  # fmt: skip
     """Work on the cells of the fine rows `begin` (even) to `end` - 1."""
     first, last = begin // 2, (end + 1) // 2
-    nothing, padded = ring(1, columns + 1)[0], ring(1, columns + 4)[0]
+    nothing = ring(1, columns + 1)[0]
     offsets = ring(4, columns)
     start = max(first - 1, 0)
     pixels = None if weight is None else ring(4, columns + 4)
@@ -68,9 +68,7 @@ def _condense(
     for r in range(start, last):
         if p is not None:
             for row in range(2 * r, min(2 * r + 2, rows)):
-                next_edges(
-                    p, q, weight, scale, rule, row, pixels, across, slope_across, down, slope_down, padded
-                )  # fmt: skip
+                next_edges(p, q, weight, scale, rule, row, pixels, across, slope_across, down, slope_down)
         upper, lower = offsets[2 * (r % 2)], offsets[2 * (r % 2) + 1]
         shape_rows(2 * r, rows, across, slope_across, down, slope_down, nothing, nothing, upper, lower)
         if r < first:

@@ -43,25 +43,24 @@ def edge_coefficients(rule: EdgeRule) -> Float32Array:
 
 
 @njit(cache=True, error_model="numpy")
-def edge_weights(w_a: Any, w_b: Any, weight: Any) -> None:
-    """Write the harmonic means of neighbours' weights, nought where either is a hole."""
-    two, nought = np.float32(2.0), np.float32(0.0)
-    for i in range(weight.size):
-        harmonic = two * w_a[i] * (w_b[i] / max(w_a[i] + w_b[i], LEAST))
-        weight[i] = harmonic if min(w_a[i], w_b[i]) > nought else nought
+def _edge_weight(w_a: Any, w_b: Any) -> Any:
+    """Harmonic mean of neighbours' weights, nought where either is a hole."""
+    harmonic = np.float32(2.0) * w_a * (w_b / max(w_a + w_b, LEAST))
+    return harmonic if min(w_a, w_b) > np.float32(0.0) else np.float32(0.0)
 
 
-@njit(cache=True, fastmath=CONTRACT)
-def edge_slopes(
-    g_o: Any, g_a: Any, g_b: Any, g_p: Any, w_o: Any, w_p: Any, weight: Any, rule: Any, slope: Any
-) -> None:  # fmt: skip
-    """Write the slopes of a row of edges, nought where the edge weighs nothing."""
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
+def weighted_edges(
+    g_o: Any, g_a: Any, g_b: Any, g_p: Any, w_o: Any, w_a: Any, w_b: Any, w_p: Any, rule: Any, weight: Any, slope: Any
+) -> None:
+    """Write weights and slopes of a row of edges, nought where the edge weighs nothing."""
     alpha, beta, gamma, nought = rule[0], rule[1], rule[2], np.float32(0.0)
     for i in range(slope.size):
-        w = weight[i]
+        w = _edge_weight(w_a[i], w_b[i])
         bend = gamma * ((g_a[i] + g_b[i]) - (g_o[i] + g_p[i]))
         bent = bend if min(w_o[i], w_p[i]) > LEAST_OUTER * w else nought
         slope[i] = alpha * g_a[i] + beta * g_b[i] + bent if w > nought else nought
+        weight[i] = w
 
 
 @njit(cache=True, fastmath=CONTRACT)
@@ -90,13 +89,12 @@ def weight_row(weight: Any, scale: Any, row: int, out: Any) -> None:
 
 
 @njit(cache=True)
-def across_edges(p: Any, rule: Any, pixels: Any, weight: Any, slope: Any, padded: Any) -> None:
+def across_edges(p: Any, rule: Any, pixels: Any, weight: Any, slope: Any) -> None:
     """Write weights and slopes of the edges left of a row's pixels, nought at both ends.
 
     p : the row of slopes, float32 array of shape (W,)
     pixels : padded row of pixel weights; None where every pixel weighs 1
     weight, slope : float32 arrays of shape (W + 1,); `weight` is None where every pixel weighs 1
-    padded : float32 array of shape (W + 4,) to work in
     """
     last, nought = p.size, np.float32(0.0)
     if pixels is None:
@@ -104,15 +102,16 @@ def across_edges(p: Any, rule: Any, pixels: Any, weight: Any, slope: Any, padded
         for c in (1, last - 1):
             slope[c] = rule[0] * p[c - 1] + rule[1] * p[c]
         slope[0], slope[last] = nought, nought
-    else:
-        for c in range(last):
-            padded[c + 2] = p[c]
-        n = last + 1
-        edge_weights(pixels[1 : n + 1], pixels[2 : n + 2], weight)
-        edge_slopes(
-            padded[0:n], padded[1 : n + 1], padded[2 : n + 2], padded[3 : n + 3], pixels[0:n], pixels[3 : n + 3],
-            weight, rule, slope,
-        )  # fmt: skip
+        return
+    n = last - 3
+    weighted_edges(
+        p[0:n], p[1 : n + 1], p[2 : n + 2], p[3 : n + 3],
+        pixels[2 : n + 2], pixels[3 : n + 3], pixels[4 : n + 4], pixels[5 : n + 5], rule, weight[2:last], slope[2:last],
+    )  # fmt: skip
+    for c in (1, last - 1):
+        weight[c] = _edge_weight(pixels[c + 1], pixels[c + 2])
+        slope[c] = rule[0] * p[c - 1] + rule[1] * p[c] if weight[c] > nought else nought
+    weight[0], weight[last], slope[0], slope[last] = nought, nought, nought, nought
 
 
 @njit(cache=True)
@@ -138,6 +137,6 @@ def down_edges(q: Any, rule: Any, row: int, pixels: Any, weight: Any, slope: Any
         unit_edge_slopes(q[o], q[a], q[b], q[e], rule, slope)
     else:
         inner = slice(2, slope.size + 2)
-        beyond, far = pixels[(row - 2) % 4][inner], pixels[(row + 1) % 4][inner]
-        edge_weights(pixels[(row - 1) % 4][inner], pixels[row % 4][inner], weight)
-        edge_slopes(q[o], q[a], q[b], q[e], beyond, far, weight, rule, slope)
+        beyond, near = pixels[(row - 2) % 4][inner], pixels[(row - 1) % 4][inner]
+        here, far = pixels[row % 4][inner], pixels[(row + 1) % 4][inner]
+        weighted_edges(q[o], q[a], q[b], q[e], beyond, near, here, far, rule, weight, slope)

@@ -26,8 +26,9 @@ from host_sync.reconstruction.conjugate_gradients import conjugate_gradients
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
-from host_sync.reconstruction.sweep import sweep
-from host_sync.reconstruction.v_cycle import SWEEPS, nested_cycles, smoothing, v_cycle
+from host_sync.reconstruction.rectangle import level_cells
+from host_sync.reconstruction.sweep import root_mean_square, sweep
+from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, v_cycle
 
 EXPECTED_CONTRACTION: Final = 0.5
 LEAST_CONTRACTION: Final = 0.1
@@ -39,9 +40,6 @@ START_SHARE: Final = 0.4
 NOISE_SHARE: Final = 0.5
 """Tolerance, as a share of what the first smoothing changed, where none is given."""
 
-LEAST_TOLERANCE_PX: Final = 1e-4
-"""Least tolerance where none is given: single precision reaches no further on large fields."""
-
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
 
@@ -50,24 +48,22 @@ WEIGHTED_CYCLES: Final = 2, 1
 """V-cycles on coarse levels in general and on the one below the pixels, without and with weights."""
 
 
-WEIGHTED_SWEEPS: Final = 3
-"""Sweeps before and after a correction of weighted pixels: there they cost little beside the making of edges."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """What full multigrid found.
 
-    z : float32 array of shape (H, W), heights, pixels
-    residuals : root mean square of the residual in each V-cycle on the finest level, pixels times weight
-    error_px : estimated algebraic error, root mean square, pixels; NaN where slopes were not finite
-    tolerance_px : what it was asked to be
+    z : float32 array of shape (H, W), heights
+    residuals : root mean square of the residual in each V-cycle on the finest level, heights times weight
+    error : estimated algebraic error of the heights, root mean square; NaN where slopes were not finite
+    tolerance : what it was asked to be
+    levelled : whether a full rectangle has mean zero already
     """
 
     z: Float32Array
     residuals: tuple[float, ...]
-    error_px: float
-    tolerance_px: float
+    error: float
+    tolerance: float
+    levelled: bool = False
 
 
 def full_multigrid(
@@ -75,20 +71,20 @@ def full_multigrid(
     levels: list[GridLevel],
     heights: tuple[Float32Array, Float32Array],
     islands: Islands | None,
-    tolerance_px: float | None,
+    tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
     """Least-squares heights; they stand in one of the two arrays `heights`, or in a new one.
 
     levels : those below the pixels, the finest first
-    tolerance_px : estimated error at which V-cycles end; None for a share of what noise leaves
+    tolerance : estimated error of heights at which V-cycles end; None for a share of what noise leaves
     """
     if not levels:
-        return _solve_at_once(field, tolerance_px)
+        return _solve_at_once(field, tolerance)
     inverse = _coarse_solution(field, levels, APART)
-    solution = _finest_cycles(field, levels, inverse, heights, tolerance_px, max_cycles)
+    solution = _finest_cycles(field, levels, inverse, heights, tolerance, max_cycles)
     cycles = max_cycles - len(solution.residuals)
-    if not solution.error_px > solution.tolerance_px or cycles <= 0:
+    if not solution.error > solution.tolerance or cycles <= 0:
         return solution
     return _conjugate_gradients(field, levels, islands, solution, cycles)
 
@@ -107,16 +103,16 @@ def _conjugate_gradients(
         islands.balance(rhs)
     start = finest.z.astype(np.float64)
     every = [finest, *levels]
-    found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, inverse), so_far.tolerance_px, max_cycles)
-    return Solution(found.z, so_far.residuals + found.residuals, found.error_px, so_far.tolerance_px)
+    found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, inverse), so_far.tolerance, max_cycles)
+    return Solution(found.z, so_far.residuals + found.residuals, found.error_px, so_far.tolerance)
 
 
-def _solve_at_once(field: PixelField, tolerance_px: float | None) -> Solution:
+def _solve_at_once(field: PixelField, tolerance: float | None) -> Solution:
     """The solution of a field so small that it is its own coarsest level."""
     level = written_level(field)
     solve_coarsest(level, pseudo_inverse(level))
-    error_px = 0.0 if np.isfinite(level.z).all() else float("nan")
-    return Solution(level.z, (), error_px, LEAST_TOLERANCE_PX if tolerance_px is None else tolerance_px)
+    error = 0.0 if np.isfinite(level.z).all() else float("nan")
+    return Solution(level.z, (), error, field.least_tolerance if tolerance is None else tolerance)
 
 
 def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -> Float64Array:
@@ -138,7 +134,7 @@ def _finest_cycles(
     levels: list[GridLevel],
     inverse: Float64Array,
     heights: tuple[Float32Array, Float32Array],
-    tolerance_px: float | None,
+    tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
     """Start the finest level and improve it until it is good enough or a cycle gains too little.
@@ -146,34 +142,31 @@ def _finest_cycles(
     A cycle's last sweeps and the next one's first are one pass over memory.
     """
     weighted = field.weight is not None
-    sweeps = WEIGHTED_SWEEPS if weighted else SWEEPS
-    coarse, steps, both = levels[0], smoothing(1, sweeps), smoothing(2, sweeps)
+    coarse, steps, both = levels[0], smoothing(), smoothing(2)
     before, after = heights
     rhs = coarse.rhs if weighted else None
-    first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs)
-    tolerance_px = max(NOISE_SHARE * first.change, LEAST_TOLERANCE_PX) if tolerance_px is None else tolerance_px
-    error_px = START_SHARE * first.change
-    if not np.isfinite(error_px) or max_cycles == 0 or (not weighted and error_px <= tolerance_px):
-        return Solution(before, (), error_px, tolerance_px)
     if not weighted:
-        first = sweep(field, smoothing(0), before, after, coarse_rhs=coarse.rhs)
+        level_cells(coarse.z, (field.p.shape[0], field.p.shape[1]))
+    first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs, measured=True)
+    tolerance = max(NOISE_SHARE * first.change, field.least_tolerance) if tolerance is None else tolerance
+    error = START_SHARE * first.change
+    if not np.isfinite(error) or max_cycles == 0 or (not weighted and error <= tolerance):
+        return Solution(before, (), error, tolerance, levelled=True)
+    if not weighted:
+        first = sweep(field, smoothing(0), before, after, coarse_rhs=coarse.rhs, measured=True)
         before, after = after, before
     residuals = [first.residual]
     corrections: list[float] = []
     while True:
         v_cycle(levels, inverse)
-        corrections.append(_rms(coarse.z))
-        error_px = _remaining_error(corrections)
-        if error_px <= tolerance_px or len(corrections) >= max_cycles or _stalls(corrections):
+        corrections.append(root_mean_square(coarse.z))
+        error = _remaining_error(corrections)
+        if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):
             sweep(field, steps, before, after, coarse=coarse.z)
-            return Solution(after, tuple(residuals), error_px, tolerance_px)
-        figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs)
+            return Solution(after, tuple(residuals), error, tolerance)
+        figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
         residuals.append(figures.residual)
         before, after = after, before
-
-
-def _rms(values: Float32Array) -> float:
-    return float(np.sqrt(np.einsum("ij,ij->", values, values, dtype=np.float64) / values.size))
 
 
 def _stalls(corrections: list[float]) -> bool:
@@ -182,7 +175,7 @@ def _stalls(corrections: list[float]) -> bool:
 
 
 def _remaining_error(corrections: list[float]) -> float:
-    """Estimated error, px, after the last of these corrections."""
+    """Estimated error after the last of these corrections."""
     last = corrections[-1]
     if len(corrections) == 1 or corrections[-2] == 0.0:
         return EXPECTED_CONTRACTION * last

@@ -20,7 +20,8 @@ class PixelField:
     p, q : float32 arrays of shape (H, W), slopes
     weight : float32 array of shape (H, W), nought at holes; None where every pixel weighs 1
     scale : factor of the weights that brings the largest to 1
-    rule : `edge_coefficients`
+    rule : `edge_coefficients`, times the pixel's pitch where heights are to have its unit
+    least_tolerance : least error of heights that is worth asking for
     """
 
     p: Float32Array
@@ -28,6 +29,7 @@ class PixelField:
     weight: Float32Array | None
     scale: np.float32
     rule: Float32Array
+    least_tolerance: float
 
 
 @dataclass(slots=True, eq=False)

@@ -39,13 +39,12 @@ class Islands:
     def balance(self, rhs: Float64Array) -> None:
         """Subtract each island's mean from a right-hand side in place: rounding must not leave it unsolvable."""
         means = self._means(rhs, np.ones(rhs.shape, np.float32))
-        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means[self.label], 1.0, 0.0)
+        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means[self.label], 0.0)
 
-    def level(self, z: Float32Array, weight: Float32Array, scale: float) -> None:
-        """Scale z (float32 array of shape (H, W)) in place, each island to weighted mean zero, holes to NaN."""
+    def level(self, z: Float32Array, weight: Float32Array) -> None:
+        """Bring each island of z (float32 array of shape (H, W)) in place to weighted mean zero, holes to NaN."""
         means = self._means(z, weight).astype(np.float32)[self.label]
-        factor, hole = np.float32(scale), np.float32(np.nan)
-        in_bands(_shift, z.shape, z, self.first, self.start, self.stop, means, factor, hole)
+        in_bands(_shift, z.shape, z, self.first, self.start, self.stop, means, np.float32(np.nan))
 
     def _means(self, z: Float32Array | Float64Array, weight: Float32Array) -> Float64Array:
         """Weighted mean of each island, from the moments of its runs."""
@@ -166,17 +165,18 @@ def _moment(z: Any, weight: Any, out: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _shift(
-    z: Any, first: Any, start: Any, stop: Any, mean: Any, scale: Any, hole: Any, begin: int, end: int
-) -> None:  # fmt: skip
-    """Write (z - mean) · scale with the mean of each run, `hole` between runs."""
+def _shift(z: Any, first: Any, start: Any, stop: Any, mean: Any, hole: Any, begin: int, end: int) -> None:
+    """Write z - mean with the mean of each run, `hole` between runs."""
     for r in range(begin, end):
         done = 0
         for run in range(first[r], first[r + 1]):
-            for c in range(done, start[run]):
-                z[r, c] = hole
-            for c in range(start[run], stop[run]):
-                z[r, c] = (z[r, c] - mean[run]) * scale
+            z[r, done : start[run]] = hole
+            _subtract(z[r, start[run] : stop[run]], mean[run])
             done = stop[run]
-        for c in range(done, z.shape[1]):
-            z[r, c] = hole
+        z[r, done:] = hole
+
+
+@njit(cache=True)
+def _subtract(z: Any, mean: Any) -> None:
+    for c in range(z.size):
+        z[c] -= mean

@@ -15,7 +15,7 @@ from numba import njit
 from host_sync.reconstruction.cell_shape import unit_shape, weighted_shape
 from host_sync.reconstruction.edge_slopes import across_edges, down_edges, weight_row
 from host_sync.reconstruction.grid_level import GridLevel, PixelField, new_level
-from host_sync.reconstruction.smoother import CONTRACT, inverse_diagonal
+from host_sync.reconstruction.smoother import CONTRACT, system_and_diagonal
 
 
 def written_level(field: PixelField) -> GridLevel:
@@ -36,10 +36,9 @@ def _write_edges(
     """Write all edges and the right-hand side, row after row."""
     rows, columns = p.shape
     pixels = None if weight is None else ring(4, columns + 4)
-    padded = ring(1, columns + 4)[0]
     first_edges(q, weight, scale, rule, 0, pixels, down, slope_down)
     for r in range(rows):
-        next_edges(p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down, padded)
+        next_edges(p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down)
         system_row(r, across, slope_across, down, slope_down, rhs, None)
 
 
@@ -67,19 +66,16 @@ def first_edges(
 @njit(cache=True)
 def next_edges(
     p: Any, q: Any, weight: Any, scale: Any, rule: Any, row: int, pixels: Any, across: Any, slope_across: Any,
-    down: Any, slope_down: Any, padded: Any,
+    down: Any, slope_down: Any,
 ) -> None:  # fmt: skip
-    """Make the edges left of and below the pixels of `row`; those of the rows before it have been made.
-
-    padded : float32 array of shape (W + 4,) to work in
-    """
+    """Make the edges left of and below the pixels of `row`; those of the rows before it have been made."""
     a, d = row % slope_across.shape[0], (row + 1) % slope_down.shape[0]
     if weight is None:
-        across_edges(p[row], rule, None, None, slope_across[a], padded)
+        across_edges(p[row], rule, None, None, slope_across[a])
         down_edges(q, rule, row + 1, None, None, slope_down[d])
     else:
         weight_row(weight, scale, row + 2, pixels[(row + 2) % 4])
-        across_edges(p[row], rule, pixels[row % 4], across[a], slope_across[a], padded)
+        across_edges(p[row], rule, pixels[row % 4], across[a], slope_across[a])
         down_edges(q, rule, row + 1, pixels, down[d], slope_down[d])
 
 
@@ -109,10 +105,13 @@ def system_row(
     out = rhs[row % rhs.shape[0]]
     if across is None:
         unit_divergence_row(slope_across[a], slope_down[u], slope_down[b], out)
-    else:
+    elif inverse is None:
         divergence_row(slope_across[a], slope_down[u], slope_down[b], across[a], down[u], down[b], out)
-        if inverse is not None:
-            inverse_diagonal(across[a], down[u], down[b], inverse[row % inverse.shape[0]])
+    else:
+        system_and_diagonal(
+            slope_across[a], slope_down[u], slope_down[b], across[a], down[u], down[b], out,
+            inverse[row % inverse.shape[0]],
+        )  # fmt: skip
 
 
 @njit(cache=True)

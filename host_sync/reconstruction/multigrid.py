@@ -6,6 +6,7 @@ Paper, eqs. 9 and 10, with a weight per edge, holes and free (Neumann) borders.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_l
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.rectangle import level_rectangle
 from host_sync.reconstruction.survey import FieldSurvey, refuse_slopes, survey
+
+LEAST_TOLERANCE_PX: Final = 1e-4
+"""Least tolerance where none is given: single precision reaches no further on large fields."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +96,27 @@ class Integrator:
         found = survey(gradients)
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")
-        field = _pixel_field(gradients, found, edges)
+        field = _pixel_field(gradients, found, edges, pitch_um)
         islands = None if found.weight is None else find_islands(found.weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out
         levels = self._coarser(found.weight is not None)
-        solution = full_multigrid(field, levels, (z, self._spare), islands, tolerance_px, max_cycles)
-        if np.isnan(solution.error_px):
+        tolerance_um = None if tolerance_px is None else tolerance_px * pitch_um
+        solution = full_multigrid(field, levels, (z, self._spare), islands, tolerance_um, max_cycles)
+        if np.isnan(solution.error):
             refuse_slopes(gradients)
         if solution.z is not z:
             z[:] = solution.z
-        if islands is None or found.weight is None:
-            level_rectangle(z, pitch_um)
-        else:
-            islands.level(z, found.weight, pitch_um)
-        converged = solution.error_px <= solution.tolerance_px
-        cycles, residuals = len(solution.residuals), solution.residuals
+        if islands is not None and found.weight is not None:
+            islands.level(z, found.weight)
+        elif not solution.levelled:
+            level_rectangle(z)
+        residuals = tuple(residual / pitch_um for residual in solution.residuals)
         return HeightMap(z, pitch_um), IntegrationReport(
-            cycles, residuals, islands.count if islands else 1, converged, solution.error_px
+            cycles=len(residuals),
+            residuals=residuals,
+            islands=islands.count if islands else 1,
+            converged=solution.error <= solution.tolerance,
+            error_px=solution.error / pitch_um,
         )
 
     def _coarser(self, weighted: bool) -> list[GridLevel]:
@@ -119,7 +127,8 @@ class Integrator:
         return self._levels[weighted]
 
 
-def _pixel_field(gradients: GradientField, found: FieldSurvey, edges: EdgeRule) -> PixelField:
-    """The field as the passes over the finest level read it."""
+def _pixel_field(gradients: GradientField, found: FieldSurvey, edges: EdgeRule, pitch_um: float) -> PixelField:
+    """The field as the passes over the finest level read it; heights come in µm at once, by the edges' coefficients."""
     p, q = (np.ascontiguousarray(slope, np.float32) for slope in (gradients.p, gradients.q))
-    return PixelField(p, q, found.weight, np.float32(1.0 / found.largest), edge_coefficients(edges))
+    rule = np.float32(pitch_um) * edge_coefficients(edges)
+    return PixelField(p, q, found.weight, np.float32(1.0 / found.largest), rule, LEAST_TOLERANCE_PX * pitch_um)

@@ -11,15 +11,34 @@ from device.surface import Float32Array
 from host_sync.reconstruction.row_bands import in_bands
 
 
-def level_rectangle(z: Float32Array, scale: float) -> None:
-    """Scale z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
+def level_rectangle(z: Float32Array) -> None:
+    """Bring z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
+    in_bands(_subtract, z.shape, z, np.float32(_row_sums(z).sum() / z.size))
+
+
+def level_cells(z: Float32Array, shape: tuple[int, int]) -> None:
+    """Bring the cells z of a full rectangle of `shape` in place to mean zero over its pixels.
+
+    Smoothing and the shapes of cells leave the mean of the pixels what it is.
+    """
+    rows, columns = shape
+    of_rows, of_last = 2.0 * _row_sums(z), z[:, -1].astype(np.float64)
+    if columns % 2:
+        of_rows -= of_last
+    pixels = np.full(len(z), 2.0)
+    if rows % 2:
+        pixels[-1] = 1.0
+    in_bands(_subtract, z.shape, z, np.float32((of_rows * pixels).sum() / (rows * columns)))
+
+
+def _row_sums(z: Float32Array) -> Any:
     sums = np.zeros(z.shape[0])
-    in_bands(_row_sums, z.shape, z, sums)
-    in_bands(_scale, z.shape, z, np.float32(sums.sum() / z.size), np.float32(scale))
+    in_bands(_write_row_sums, z.shape, z, sums)
+    return sums
 
 
 @njit(cache=True, nogil=True)
-def _row_sums(z: Any, sums: Any, begin: int, end: int) -> None:
+def _write_row_sums(z: Any, sums: Any, begin: int, end: int) -> None:
     """Write the sum of each row."""
     for r in range(begin, end):
         sums[r] = _row_sum(z[r])
@@ -35,8 +54,8 @@ def _row_sum(z: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _scale(z: Any, mean: Any, scale: Any, begin: int, end: int) -> None:
-    """Write (z - mean) · scale."""
+def _subtract(z: Any, mean: Any, begin: int, end: int) -> None:
     for r in range(begin, end):
-        for c in range(z.shape[1]):
-            z[r, c] = (z[r, c] - mean) * scale
+        row = z[r]
+        for c in range(row.size):
+            row[c] -= mean

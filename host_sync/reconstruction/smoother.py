@@ -36,6 +36,19 @@ def inverse_diagonal(across: Any, above: Any, below: Any, out: Any) -> None:
         out[c] = one / total if total > nought else nought
 
 
+@njit(cache=True, fastmath=CONTRACT, error_model="numpy")
+def system_and_diagonal(
+    across: Any, above: Any, below: Any, w_across: Any, w_above: Any, w_below: Any, rhs: Any, inverse: Any
+) -> None:  # fmt: skip
+    """Write a row's right-hand side from its edges' slopes and weights, and 1 / Σ w_e as `inverse_diagonal`."""
+    one, nought = np.float32(1.0), np.float32(0.0)
+    for c in range(rhs.size):
+        left, right, upper, lower = w_across[c], w_across[c + 1], w_above[c], w_below[c]
+        rhs[c] = (left * across[c] - right * across[c + 1]) + (upper * above[c] - lower * below[c])
+        total = (left + right) + (upper + lower)
+        inverse[c] = one / total if total > nought else nought
+
+
 @njit(cache=True, fastmath=CONTRACT)
 def residual_row(up: Any, mid: Any, low: Any, rhs: Any, across: Any, above: Any, below: Any, out: Any) -> None:
     """Write a row of b - Az; `up`, `mid`, `low` are rows of z with one pixel of padding at each end."""
@@ -49,12 +62,12 @@ def residual_row(up: Any, mid: Any, low: Any, rhs: Any, across: Any, above: Any,
 def relax_row(
     up: Any, mid: Any, low: Any, rhs: Any, across: Any, above: Any, below: Any, inverse: Any, step: Any, out: Any
 ) -> None:
-    """Write a row of z + step D⁻¹(b - Az)."""
+    """Write a row of z + step D⁻¹(b - Az), without padding."""
     for c in range(rhs.size):
         z = mid[c + 1]
         sides = across[c] * (mid[c] - z) + across[c + 1] * (mid[c + 2] - z)
         flow = rhs[c] + (sides + (above[c] * (up[c + 1] - z) + below[c] * (low[c + 1] - z)))
-        out[c + 1] = z + step * inverse[c] * flow
+        out[c] = z + step * inverse[c] * flow
 
 
 @njit(cache=True, fastmath=CONTRACT)
@@ -66,19 +79,16 @@ def unit_residual_row(up: Any, mid: Any, low: Any, rhs: Any, out: Any) -> None:
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, vertical: int, step: Any, out: Any) -> None:
-    """Write a row of z + step D⁻¹(b - Az) where every edge weighs 1; `vertical` counts the rows beside this one."""
-    last = rhs.size - 1
-    scale = step / np.float32(vertical + 2)
+def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, step: Any, out: Any) -> None:
+    """Write a row of z + step (b - Az) / 4 where every edge weighs 1, without padding.
+
+    Four stands at the border too, where a pixel has fewer neighbours: the operator's eigenvectors are then those of
+    the steps, cosines, and Σ z stays as it is.
+    """
+    scale = np.float32(0.25) * step
     for c in range(rhs.size):
         z = mid[c + 1]
-        flow = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
-        out[c + 1] = z + scale * flow
-    border = step / np.float32(vertical + 1) - scale
-    for c in (0, last):
-        z = mid[c + 1]
-        flow = rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z)))
-        out[c + 1] = (z + scale * flow) + border * flow
+        out[c] = z + scale * (rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z))))
 
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
@@ -92,8 +102,8 @@ def square_sum(row: Any) -> Any:
 
 @njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
 def square_difference(a: Any, b: Any) -> Any:
-    """Sum of the squares of two padded rows' difference."""
+    """Sum of the squares of two rows' difference."""
     total = np.float32(0.0)
-    for c in range(1, a.size - 1):
+    for c in range(a.size):
         total += (a[c] - b[c]) * (a[c] - b[c])
     return total

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from device.surface import Float32Array, GradientField
+from device.surface import Float32Array, GradientField, MaskArray
 from host_sync.errors import IntegrationError
 from host_sync.reconstruction.row_bands import in_bands
 
@@ -46,6 +46,8 @@ def survey(gradients: GradientField) -> FieldSurvey:
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
     weight = np.ascontiguousarray(gradients.weight, np.float32)
+    if _all_alike(gradients.valid, weight):
+        return FieldSurvey(None, float(weight[0, 0]))
     counts, extremes = np.zeros((shape[0], 3), np.int32), np.zeros((shape[0], 2), np.int32)
     in_bands(_survey_rows, shape, gradients.valid, weight.view(np.int32), counts, extremes)
     used, odd, stray = (int(count) for count in counts.sum(axis=0))
@@ -59,6 +61,32 @@ def survey(gradients: GradientField) -> FieldSurvey:
     if used == weight.size and smallest == largest:
         return FieldSurvey(None, largest)
     return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, largest)
+
+
+def _all_alike(valid: MaskArray, weight: Float32Array) -> bool:
+    """Whether every pixel is valid and weighs the same: the common case, and quickly seen."""
+    if not (np.isfinite(weight[0, 0]) and weight[0, 0] > 0.0):
+        return False
+    strangers = np.zeros(len(weight), np.int32)
+    in_bands(_count_strangers, weight.shape, valid, weight, weight[0, 0], strangers)
+    return not strangers.any()
+
+
+@njit(cache=True, nogil=True)
+def _count_strangers(valid: Any, weight: Any, usual: Any, strangers: Any, first: int, last: int) -> None:
+    """Write per row how many pixels are not valid or have another weight, unless a row before had some."""
+    for r in range(first, last):
+        strangers[r] = _row_strangers(valid[r], weight[r], usual)
+        if strangers[r] > 0:
+            return
+
+
+@njit(cache=True)
+def _row_strangers(valid: Any, weight: Any, usual: Any) -> Any:
+    count = np.int32(0)
+    for c in range(valid.size):
+        count += np.int32(valid[c]) & np.int32(weight[c] == usual)
+    return np.int32(valid.size) - count
 
 
 def refuse_slopes(gradients: GradientField) -> None:

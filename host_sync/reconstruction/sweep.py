@@ -9,7 +9,7 @@ same arithmetic, so that the result is the same for any number of bands and thre
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -28,6 +28,9 @@ from host_sync.reconstruction.smoother import (
     unit_residual_row,
 )
 from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row, restrict_row
+
+SLOPES: Final = 4
+"""Rows of slopes at hand where they are made on the way and go with no weights, which later stages read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +54,9 @@ def sweep(
     coarse: Float32Array | None = None,
     nested: bool = False,
     coarse_rhs: Float32Array | None = None,
+    measured: bool = False,
 ) -> SweepFigures:
-    """What a pass over the level found.
+    """What a pass over the level found, noughts unless it is `measured`.
 
     steps : float32 array of shape (sweeps,), relaxation factors
     z_in : heights to start from, or the cells' shapes; None for nought (and for shapes that the pass makes itself)
@@ -62,7 +66,7 @@ def sweep(
     coarse_rhs : receives the restricted residual; None where it is not wanted
     """
     nothing = np.empty((0, 0), np.float32)
-    squares = np.zeros((2, z_out.shape[0]))
+    squares = np.zeros((2, z_out.shape[0] if measured else 0))
     source: tuple[Any, ...]
     if isinstance(level, PixelField):
         source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
@@ -83,6 +87,19 @@ def sweep(
     return SweepFigures(float(residual), float(change))
 
 
+def root_mean_square(values: Float32Array) -> float:
+    """Root mean square of a float32 array of shape (H, W)."""
+    squares = np.zeros(len(values))
+    in_bands(_row_squares, values.shape, values, squares)
+    return float(np.sqrt(squares.sum() / values.size))
+
+
+@njit(cache=True, nogil=True)
+def _row_squares(values: Any, squares: Any, first: int, last: int) -> None:
+    for r in range(first, last):
+        squares[r] = square_sum(values[r])
+
+
 @njit(cache=True, nogil=True)
 def _band(
     p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, steps: Any, z_in: Any,
@@ -94,12 +111,13 @@ def _band(
     halo = sweeps + (1 if restricts else 0)
     height = sweeps + 5
     stages = np.zeros((sweeps + 1, height, columns + 2), np.float32)
-    nothing, padded, residual = ring(1, columns + 1)[0], ring(1, columns + 4)[0], ring(1, columns)[0]
+    nothing, residual, inner = ring(1, columns + 1)[0], ring(1, columns)[0], slice(1, columns + 1)
     begin, end = max(first - halo, 0) // 2 * 2, min((last + halo + 1) // 2 * 2, rows)
     pixels = None if weight is None else ring(4, columns + 4)
     inverse = ring(height, columns)
     if p is not None:
-        rhs, slope_across, slope_down = ring(height, columns), ring(height, columns + 1), ring(height, columns)
+        at_hand = SLOPES if weight is None else height
+        rhs, slope_across, slope_down = ring(height, columns), ring(at_hand, columns + 1), ring(at_hand, columns)
         if weight is not None:
             across, down = ring(height, columns + 1), ring(height, columns)
         first_edges(q, weight, scale, rule, begin, pixels, down, slope_down)
@@ -107,15 +125,12 @@ def _band(
         if t < end and t % 2 == 0:
             for r in range(t, min(t + 2, end)):
                 if p is not None:
-                    next_edges(
-                        p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down, padded
-                    )  # fmt: skip
+                    next_edges(p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down)
                     system_row(r, across, slope_across, down, slope_down, rhs, inverse)
                 elif across is not None:
                     inverse_diagonal(across[r], down[r], down[r + 1], inverse[r % height])
             upper, lower = stages[0, t % height], stages[0, (t + 1) % height]
             if p is not None and nested:
-                inner = slice(1, columns + 1)
                 shape_rows(
                     t, rows, across, slope_across, down, slope_down, nothing, coarse[t // 2], upper[inner], lower[inner]
                 )  # fmt: skip
@@ -123,17 +138,24 @@ def _band(
         for s in range(1, sweeps + 1):
             r, margin = t - s, halo - s
             if max(first - margin, 0) <= r < min(last + margin, rows):
-                _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, stages[s, r % height])
+                out = stages[s, r % height]
+                if s == sweeps and not restricts:
+                    _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, z_out[r])
+                else:
+                    _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, out[inner])
+                    out[0], out[columns + 1] = out[1], out[columns]
         r = t - sweeps
         if first <= r < last:
-            done = stages[sweeps, r % height]
-            copy_row(done, 1, z_out[r], 0, columns)
-            squares[1, r] = square_difference(done, stages[0, r % height])
+            if sweeps == 0 or restricts:
+                copy_row(stages[sweeps, r % height], 1, z_out[r], 0, columns)
+            if squares.size > 0:
+                squares[1, r] = square_difference(z_out[r], stages[0, r % height, inner])
         r = t - sweeps - 1
         if restricts and first <= r < last:
             _residual(stages[sweeps], rhs, across, down, r, rows, residual)
             restrict_row(residual, r % 2 == 1, coarse_rhs[r // 2])
-            squares[0, r] = square_sum(residual)
+            if squares.size > 0:
+                squares[0, r] = square_sum(residual)
 
 
 @njit(cache=True)
@@ -165,16 +187,15 @@ def _start_rows(
 
 @njit(cache=True)
 def _relax(z: Any, rhs: Any, across: Any, down: Any, inverse: Any, step: Any, r: int, rows: int, out: Any) -> None:
-    """Write row `r` of the next stage from the rows of ring `z`, padding included."""
-    n, columns = z.shape[0], out.size - 2
+    """Write row `r` of the next stage from the rows of ring `z`, without padding."""
+    n = z.shape[0]
     up, low = max(r - 1, 0), min(r + 1, rows - 1)
     b = rhs[r % rhs.shape[0]]
     if across is None:
-        unit_relax_row(z[up % n], z[r % n], z[low % n], b, low - up, step, out)
+        unit_relax_row(z[up % n], z[r % n], z[low % n], b, step, out)
     else:
         a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
         relax_row(z[up % n], z[r % n], z[low % n], b, a, u, d, inverse[r % n], step, out)
-    out[0], out[columns + 1] = out[1], out[columns]
 
 
 @njit(cache=True)

@@ -56,6 +56,6 @@ def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -
     level.swap()
 
 
-def smoothing(times: int = 1, sweeps: int = SWEEPS) -> Float32Array:
+def smoothing(times: int = 1) -> Float32Array:
     """Relaxation factors, float32 array: before or after a correction, or (2) after one and before the next."""
-    return np.tile(chebyshev_steps(sweeps), times)
+    return np.tile(chebyshev_steps(SWEEPS), times)

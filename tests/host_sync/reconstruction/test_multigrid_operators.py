@@ -142,7 +142,7 @@ def test_islands_are_those_of_a_flood_fill() -> None:
         assert islands.count == count
         z = random.normal(size=weight.shape).astype(np.float32)
         expected = z - ndimage.mean(z, labels, np.arange(count + 1))[labels]
-        islands.level(z, weight, 1.0)
+        islands.level(z, weight)
         np.testing.assert_array_equal(np.isnan(z), weight == 0.0)
         np.testing.assert_allclose(z[weight > 0.0], expected[weight > 0.0], atol=1e-5)
 
