@@ -114,12 +114,27 @@ class InverseMap:
         row = np.arange(rows.start, rows.start + height) * binning + centre
         across = field_position(column, np.zeros_like(column), self.shape)[:, 0].astype(np.float32)
         down = field_position(np.zeros_like(row), row, self.shape)[:, 1].astype(np.float32)
+        slope, excess = self._rows(values, across, down)
+        return slope[..., 0], slope[..., 1], excess
+
+    def on_grid(self, values: Float32Array, column: NDArray[Any], row: NDArray[Any]) -> Float32Array:
+        """Slopes of shape (h, w, 2) for intensities of shape (h, w, 3) at full-size columns (w,) and rows (h,)."""
+        across = ((2.0 * column + 1.0) / self.shape[1] - 1.0).astype(np.float32)
+        down = ((2.0 * row + 1.0) / self.shape[0] - 1.0).astype(np.float32)
+        slopes = np.empty((*values.shape[:2], 2), np.float32)
+        for rows in _blocks(len(row)):
+            slopes[rows], _ = self._rows(values[rows], across, down[rows])
+        return slopes
+
+    def _rows(
+        self, values: Float32Array, across: Float32Array, down: Float32Array
+    ) -> tuple[Float32Array, Float32Array]:
+        """Slopes (h, w, 2) and excess (h, w) of whole rows at position variables (w,) and (h,)."""
         u, excess = self.curve.rows(values, across, down)
         if self.light is not None:
             lit, _ = self.light.curve.rows(values * self.light.field.rows(across, down), across, down)
             u += np.float32(self.light.share) * (lit - u)
-        slope = slope_from_stereographic(u)
-        return slope[..., 0], slope[..., 1], excess
+        return np.asarray(slope_from_stereographic(u), np.float32), excess
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes of shape (N, 2) for intensities of shape (N, 3) at full-size pixel coordinates."""

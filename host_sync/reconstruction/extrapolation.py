@@ -6,14 +6,16 @@ Leverage is looked at on a coarse grid and holds for the block of pixels around 
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numba import njit
 
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.polynomials import field_position
 from device.surface import Float32Array, MaskArray
+from host_sync.reconstruction.row_bands import in_bands
 
 MOST_POINTS: Final = 60_000
 """Points of the coarse grid, at most: each costs as many products as the map has features squared."""
@@ -32,13 +34,28 @@ def extrapolated(intensity: IntensityImage, inverse: InverseMap, p: Float32Array
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
     """
+    out = np.empty(intensity.shape, np.bool_)
     limit = np.float32((STEEPER * inverse.steepest) ** 2)
-    steep = np.nan_to_num(p * p + q * q, nan=0.0) > limit
-    strange = _strange(intensity, inverse)
-    rows, columns = intensity.shape
-    step = _step(intensity.shape)
-    blocks = np.repeat(np.repeat(strange, step, axis=0), step, axis=1)[:rows, :columns]
-    return np.asarray((steep | blocks) & np.isfinite(p), np.bool_)
+    in_bands(_mark, out.shape, p, q, limit, _strange(intensity, inverse), _step(intensity.shape), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _mark(p: Any, q: Any, limit: Any, strange: Any, step: int, out: Any, first: int, last: int) -> None:
+    """Write where slopes are steep or blocks of `step` pixels strange, and there is a surface at all."""
+    columns = out.shape[1]
+    block = np.empty(columns, np.bool_)
+    for r in range(first, last):
+        for c in range(columns):
+            block[c] = strange[r // step, c // step]
+        _mark_row(p[r], q[r], limit, block, out[r])
+
+
+@njit(cache=True)
+def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
+    for c in range(out.size):
+        steep = p[c] * p[c] + q[c] * q[c] > limit
+        out[c] = (steep | block[c]) & np.isfinite(p[c])
 
 
 def _strange(intensity: IntensityImage, inverse: InverseMap) -> MaskArray:

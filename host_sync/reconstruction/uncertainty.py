@@ -18,6 +18,13 @@ from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.slope_error import SlopeError
+from host_sync.reconstruction.uncertainty_kernel import (
+    removed_slope,
+    sigma_by_tilt,
+    squared_tilt,
+    straight_between,
+    with_scale,
+)
 
 DRAWS: Final = 16
 WIDEST_PX: Final = 512
@@ -55,7 +62,7 @@ def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Arra
     sigma = CONTRADICTION_PX / CONTRADICTION_CELL_PX
     total = np.zeros(size[::-1], np.float32)
     for estimated, integrated in ((gradients.p, p), (gradients.q, q)):
-        removed = np.where(gradients.valid & np.isfinite(integrated), estimated - integrated, np.float32(0.0))
+        removed = removed_slope(estimated, integrated, gradients.valid)
         total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
     patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
     return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
@@ -68,11 +75,10 @@ def raised_slopes(intensity: IntensityImage, inverse: InverseMap, error: SlopeEr
     """
     step = max(1, int(np.ceil(intensity.shape[1] / WIDEST_PX)))
     row, column = (np.arange(step // 2, size, step) for size in intensity.shape)
-    place = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
-    values = intensity.values[np.ix_(row, column)].reshape(-1, 3)
+    values = intensity.values[np.ix_(row, column)]
     shade = np.float32(1.0) + np.asarray(error.raised_shade, np.float32)
-    before, after = (inverse.predict(seen, place[0].ravel(), place[1].ravel()) for seen in (values, values / shade))
-    change = (after - before).astype(np.float32).reshape(len(row), len(column), 2)
+    before, after = (inverse.on_grid(seen, column, row) for seen in (values, values / shade))
+    change = after - before
     return change[..., 0], change[..., 1]
 
 
@@ -97,12 +103,12 @@ def slope_sigma(
     p, q : slopes of the height map
     contradiction : as `contradicted_slope` returns it
     """
-    square = p * p + q * q
-    pixel, patch = _by_tilt(square, error)
-    own = np.hypot(np.float32(NOISE_KEPT) * pixel, patch) * (np.float32(1.0) + np.minimum(square, np.float32(9.0)))
-    own /= np.sqrt(np.maximum(gradients.weight, np.float32(LEAST_WEIGHT)))
+    cosine = np.cos(np.radians(error.tilt_deg))[::-1]
+    pixel, patch = (np.radians(part_deg)[::-1] for part_deg in (error.pixel_deg, error.patch_deg))
+    parts = straight_between(cosine, NOISE_KEPT * pixel), straight_between(cosine, patch)
+    weight = np.maximum(gradients.weight, np.float32(LEAST_WEIGHT))
     # Both look at the same error, from what balls taught and from what this surface betrays: the larger one counts.
-    return np.where(gradients.valid, np.maximum(own, contradiction), np.float32(np.nan))
+    return sigma_by_tilt((p, q), parts, weight, gradients.valid, contradiction)
 
 
 def height_uncertainty(
@@ -143,8 +149,7 @@ def height_uncertainty(
         draw_um -= np.float32((draw_um * zero).sum())
     sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
-    total = np.hypot(sigma, np.float32(share) * height.z_um)
-    return HeightUncertainty(np.where(gradients.valid, total, np.float32(np.nan)).astype(np.float32), draws_um)
+    return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), draws_um)
 
 
 def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:
@@ -163,9 +168,7 @@ def _drawn_spread(
     gradients: GradientField, contradiction: Float32Array, error: SlopeError, size: tuple[int, int]
 ) -> SlopePair:
     """Standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average out."""
-    valid = gradients.valid
-    p, q = (np.where(valid, slope, np.float32(0.0)) for slope in (gradients.p, gradients.q))
-    square = _shrunk(np.minimum(p * p + q * q, np.float32(9.0)), size)
+    square = _shrunk(squared_tilt(gradients.p, gradients.q, gradients.valid, 9.0), size)
     confidence = _shrunk(np.maximum(gradients.weight, np.float32(LEAST_WEIGHT)), size)
     pixel, patch = _by_tilt(square, error)
     growth = (np.float32(1.0) + square) / np.sqrt(confidence)
