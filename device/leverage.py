@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.slope_curve import SlopeCurve, design_matrix
+from device.slope_curve import SlopeCurve
 from device.surface import Float32Array, Float64Array
 
 TAUGHT_PERCENT: Final = 99.9
@@ -38,7 +38,7 @@ class Leverage:
 
     def relative(self, curve: SlopeCurve, colours: Float32Array, place: Float64Array) -> Float64Array:
         """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest that was taught."""
-        design = design_matrix(curve.colours, curve.colour_degree, curve.position_degree, colours, place)
+        design = curve.design(colours, place)
         return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.taught, np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -1,15 +1,16 @@
-"""One polynomial from colour and place to slope: in three colours, every coefficient a polynomial in position."""
+"""A curve from colour and place to slope: monomials and waves of colour, each coefficient a polynomial in position."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from device.colour_space import ColourSpace
+from device.colour_waves import ColourWaves
 from device.errors import RecordError
 from device.polynomials import colour_exponents, monomials, position_exponents
 from device.surface import Float32Array, Float64Array
@@ -21,17 +22,19 @@ MOST_POSITION_DEGREE: Final = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeCurve:
-    """A fitted polynomial.
+    """A fitted curve.
 
-    colours : the colour space whose variables it is a polynomial in
+    colours : the colour space whose variables it is a function of
     colour_degree, position_degree : its degrees
-    coefficients : float32 array of shape (M, K, 2), M colour monomials, K position monomials
+    coefficients : float32 array of shape (M, K, 2), M colour monomials and then waves, K position monomials
+    waves : its waves of colour, none where it is a polynomial
     """
 
     colours: ColourSpace
     colour_degree: int
     position_degree: int
     coefficients: Float32Array
+    waves: ColourWaves = field(default_factory=ColourWaves.none)
 
     def rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Stereographic slope (h, w, 2) and excess (h, w) of whole rows of colours (h, w, 3).
@@ -40,7 +43,7 @@ class SlopeCurve:
         """
         height, width, _ = values.shape
         variables, excess = self.colours.variables(values.reshape(-1, 3))
-        terms = monomials(variables, self.colour_degree)
+        terms = colour_terms(variables, self.colour_degree, self.waves)
         per_position = (terms @ self.coefficients.reshape(terms.shape[1], -1)).reshape(height, width, -1, 2)
         u = np.zeros((height, width, 2), np.float32)
         for term, (i, j) in enumerate(position_exponents(self.position_degree)):
@@ -49,12 +52,17 @@ class SlopeCurve:
 
     def at(self, values: Float32Array, place: Float64Array) -> Float64Array:
         """Stereographic slopes (N, 2) of colours (N, 3) at position variables (N, 2)."""
-        design = design_matrix(self.colours, self.colour_degree, self.position_degree, values, place)
-        return np.asarray(design @ self.coefficients.reshape(-1, 2).astype(np.float64))
+        return np.asarray(self.design(values, place) @ self.coefficients.reshape(-1, 2).astype(np.float64))
+
+    def design(self, values: Float32Array, place: Float64Array) -> Float64Array:
+        """Its features (N, M K) for colours (N, 3) at position variables (N, 2); see `design_matrix`."""
+        return design_matrix(self.colours, self.colour_degree, self.position_degree, values, place, self.waves)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays; `from_arrays` is its inverse."""
-        return {f"colour_{name}": array for name, array in self.colours.arrays().items()} | {
+        named = {f"colour_{name}": array for name, array in self.colours.arrays().items()}
+        named |= {f"wave_{name}": array for name, array in self.waves.arrays().items()}
+        return named | {
             "degrees": np.array([self.colour_degree, self.position_degree]),
             "coefficients": self.coefficients,
         }
@@ -76,24 +84,36 @@ class SlopeCurve:
         coefficients = np.asarray(arrays["coefficients"], np.float32)
         if not (0 <= colour_degree <= MOST_COLOUR_DEGREE and 0 <= position_degree <= MOST_POSITION_DEGREE):
             raise RecordError(f"{source}: degrees {colour_degree} and {position_degree}, which no map has")
-        expected = (len(colour_exponents(colour_degree)), len(position_exponents(position_degree)), 2)
+        waves = ColourWaves.from_arrays(with_prefix(arrays, "wave_"))
+        expected = (len(colour_exponents(colour_degree)) + waves.count, len(position_exponents(position_degree)), 2)
         if coefficients.shape != expected:
             raise RecordError(f"{source}: coefficients of shape {coefficients.shape}, not {expected}: calibrate again")
-        return cls(colours, colour_degree, position_degree, coefficients)
+        return cls(colours, colour_degree, position_degree, coefficients, waves)
 
 
 def design_matrix(
-    colours: ColourSpace, colour_degree: int, position_degree: int, values: Float32Array, place: Float64Array
+    colours: ColourSpace,
+    colour_degree: int,
+    position_degree: int,
+    values: Float32Array,
+    place: Float64Array,
+    waves: ColourWaves,
 ) -> Float64Array:
-    """Every colour monomial times every position monomial: float64 array of shape (N, M K).
+    """Every term of colour times every position monomial: float64 array of shape (N, M K).
 
     values : float32 array of shape (N, 3), colours
     place : float64 array of shape (N, 2), position variables
     """
     variables, _ = colours.variables(values)
-    by_colour = monomials(variables.astype(np.float64), colour_degree)
+    by_colour = colour_terms(variables.astype(np.float64), colour_degree, waves)
     by_place = monomials(place, position_degree)
     return np.asarray((by_colour[:, :, None] * by_place[:, None, :]).reshape(len(place), -1))
+
+
+def colour_terms(variables: NDArray[Any], degree: int, waves: ColourWaves) -> NDArray[Any]:
+    """Monomials up to `degree` and then waves of colours' variables (N, 3): array of shape (N, M) of their type."""
+    terms = monomials(variables, degree)
+    return np.concatenate([terms, waves.values(variables)], axis=-1) if waves.count else terms
 
 
 def with_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from device.ball import BallSamples
 from device.colour_space import ColourSpace
+from device.colour_waves import ColourWaves
 from device.held_out_ridge import HeldOutRidge
 from device.leverage import Leverage
 from device.light_field import LightField
@@ -28,25 +29,27 @@ class CurveForm:
 
     colour_degree, position_degree : its degrees
     place_penalty : how many times as dear a term is for every power of position
+    waves : its waves of colour, None for a polynomial
     """
 
     colour_degree: int
     position_degree: int
     place_penalty: float = 1.0
+    waves: ColourWaves = field(default_factory=ColourWaves.none)
 
     def term_scale(self) -> Float64Array:
         """What features are multiplied by so that one penalty serves all: float64 array of shape (M K,)."""
         powers = np.array([i + j for i, j in position_exponents(self.position_degree)])
         scale = self.place_penalty ** (-0.5 * powers)
-        return np.tile(scale, len(colour_exponents(self.colour_degree)))
+        return np.tile(scale, len(colour_exponents(self.colour_degree)) + self.waves.count)
 
 
 PLAIN_FORMS: Final = tuple(CurveForm(4, degree) for degree in (0, 1, 2))
-BENT_FORM: Final = CurveForm(5, 2, 10.0)
+WAVY_FORM: Final = CurveForm(2, 2, 10.0, ColourWaves.drawn())
 """A skin with metal flakes bends more over colour than over place."""
 
-BENT_GAIN: Final = 0.95
-"""Share of the plain forms' held-out error that the bent form must reach: near ties are chance."""
+WAVY_GAIN: Final = 0.95
+"""Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +81,7 @@ class SlopeLearner:
         form = self.form
         unscaled = solution * form.term_scale()[:, None]
         coefficients = unscaled.reshape(-1, len(position_exponents(form.position_degree)), 2).astype(np.float32)
-        return SlopeCurve(self.colours, form.colour_degree, form.position_degree, coefficients)
+        return SlopeCurve(self.colours, form.colour_degree, form.position_degree, coefficients, form.waves)
 
 
 def learner_of(
@@ -89,11 +92,12 @@ def learner_of(
     seen = _lit(samples.intensity, place, light)
     colours = ColourSpace.observed(seen, linear=light is not None)
     scale = form.term_scale()
-    design = design_matrix(colours, form.colour_degree, form.position_degree, seen, place) * scale
+    degrees = form.colour_degree, form.position_degree
+    design = design_matrix(colours, *degrees, seen, place, form.waves) * scale
     count = max(int(FLAT_SHARE * len(samples.p)), 1)
     anywhere = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 2))
     untouched = _lit(np.ones((count, 3), np.float32), anywhere, light)
-    flat = design_matrix(colours, form.colour_degree, form.position_degree, untouched, anywhere) * scale
+    flat = design_matrix(colours, *degrees, untouched, anywhere, form.waves) * scale
     return SlopeLearner(colours, form, light, penalty, HeldOutRidge(design, flat.T @ flat, samples.ball))
 
 
@@ -108,10 +112,10 @@ def preferred_learner(
     count : of balls
     light : for a curve that reads light
     """
-    tried = [_at_best_penalty(samples, slope, count, shape, form, light) for form in (*PLAIN_FORMS, BENT_FORM)]
-    *plain, bent = tried
+    tried = [_at_best_penalty(samples, slope, count, shape, form, light) for form in (*PLAIN_FORMS, WAVY_FORM)]
+    *plain, wavy = tried
     best = min(plain, key=lambda found: found[1])
-    return bent if bent[1] < BENT_GAIN * best[1] else best
+    return wavy if wavy[1] < WAVY_GAIN * best[1] else best
 
 
 def _at_best_penalty(

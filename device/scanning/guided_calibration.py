@@ -29,7 +29,7 @@ MOST_TRIES: Final = 3
 MOST_EXTRA: Final = 4
 """Presses beyond the planned ones, where a sector of the field is still uncovered."""
 
-FITTED_SAMPLES: Final = 20_000
+FITTED_SAMPLES: Final = 15_000
 
 Phase = Literal["reference", "press", "fitting", "passed", "failed"]
 

@@ -15,7 +15,7 @@ from numba import njit, prange
 from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
 from device.light_field import LightField
 from device.photometry import IntensityImage
-from device.polynomials import position_exponents
+from device.polynomials import colour_exponents, position_exponents
 from device.slope_curve import SlopeCurve
 from device.surface import Float32Array, GradientField, MaskArray
 from host_sync.reconstruction.colour_planes import as_stored, colour_rows
@@ -27,6 +27,7 @@ from host_sync.reconstruction.slope_run import (
     SLOPE,
     TRUST,
     ZERO,
+    add_waves_to_u,
     begin,
     load,
     load_light,
@@ -36,6 +37,7 @@ from host_sync.reconstruction.slope_run import (
     take_u,
     take_variables,
 )
+from host_sync.reconstruction.wave_run import tabled_waves, wave_factor
 
 POWERS: Final = 3
 """Powers 0 to 2 of a position variable."""
@@ -99,12 +101,16 @@ class _Curve(NamedTuple):
     degree, place : its degrees in colour, as tabled, and in position
     coefficients : by component, powers of column and row position, and colour term, times the curve's share: float32
         array of shape (2, 3, 3, M)
+    waves : as `tabled_waves` returns them
+    wave_coefficients : the same of its waves, float32 array of shape (2, 3, 3, W)
     """
 
     limits: Float32Array
     degree: int
     place: int
     coefficients: Float32Array
+    waves: Float32Array
+    wave_coefficients: Float32Array
 
 
 _DARK: Final = np.zeros((0, 3, 0), np.float32)
@@ -116,10 +122,14 @@ def _tabled(curve: SlopeCurve, share: float) -> _Curve:
     per_spread = np.full(3, 1.0 / colours.spread, np.float32)
     limits = np.stack([colours.low, colours.high, colours.centre, np.float32(1.0) / colours.scale, per_spread])
     numbers = term_numbers(curve.colour_degree)
-    table = np.zeros((2, POWERS, POWERS, max(numbers) + 1), np.float32)
+    degree, monomials = tabled_degree(curve.colour_degree), len(numbers)
+    table = np.zeros((2, POWERS, POWERS, len(colour_exponents(degree))), np.float32)
+    waves = np.zeros((2, POWERS, POWERS, curve.waves.count), np.float32)
     for term, (i, j) in enumerate(position_exponents(curve.position_degree)):
-        table[:, i, j, numbers] = np.float32(share) * curve.coefficients[:, term].T
-    return _Curve(limits, tabled_degree(curve.colour_degree), curve.position_degree, table)
+        own = np.float32(share) * curve.coefficients[:, term].T
+        table[:, i, j, numbers] = own[:, :monomials]
+        waves[:, i, j] = np.float32(wave_factor(curve.waves)) * own[:, monomials:]
+    return _Curve(limits, degree, curve.position_degree, table, tabled_waves(curve.waves), waves)
 
 
 def _light_by_column(field: LightField, columns: int) -> Float32Array:
@@ -140,6 +150,7 @@ def _evaluate(
     for row in prange(rows):
         down = np.float32((2.0 * row + 1.0) / rows - 1.0)
         along, light_along = _at_row(plain.coefficients, down), _at_row(lit.coefficients, down)
+        waves_along, light_waves_along = _at_row(plain.wave_coefficients, down), _at_row(lit.wave_coefficients, down)
         run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
         for start in range(0, columns, length):
             end = min(start + length, columns)
@@ -153,9 +164,11 @@ def _evaluate(
                 load_light(seen, start, light[top], light[top + 1], share, run)
                 take_variables(run, lit.limits)
                 take_u(run, lit.degree, lit.place, light_along, False)
+                add_waves_to_u(run, lit.waves, light_waves_along)
             load(seen, run)
             take_variables(run, plain.limits)
             take_u(run, plain.degree, plain.place, along, len(light) > 0)
+            add_waves_to_u(run, plain.waves, waves_along)
             take_slopes(run)
             take_trust(run)
             _store(

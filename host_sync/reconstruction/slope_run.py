@@ -14,6 +14,7 @@ from device.colour_space import DARK_OFFSET
 from device.inverse_map import TRUSTED_EXCESS
 from device.surface import Float32Array
 from host_sync.reconstruction.colour_polynomial import write_polynomial
+from host_sync.reconstruction.wave_run import add_waves
 
 RUN: Final = 512
 """Most pixels of a run: its planes stay in the first-level cache."""
@@ -132,6 +133,13 @@ def take_u(run: Any, degree: int, place: int, along: Any, more: bool) -> None:
             run[_POLYNOMIAL + power] = ZERO
         first, second, third = run[_POLYNOMIAL], run[_POLYNOMIAL + 1], run[_POLYNOMIAL + 2]
         _add_powers(across, first, second, third, more, run[_U + component])
+
+
+@njit(cache=True)
+def add_waves_to_u(run: Any, waves: Any, along: Any) -> None:
+    """Add the curve's waves to its stereographic slope; arguments as for `add_waves`."""
+    colours = run[_COLOURS], run[_COLOURS + 1], run[_COLOURS + 2]
+    add_waves(waves, along, colours[0], colours[1], colours[2], run[_ACROSS], run[_U], run[_U + 1])
 
 
 @njit(cache=True, fastmath=_CONTRACT)

@@ -1,11 +1,14 @@
 """The compiled evaluation of the inverse map against the portable one."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
 
 from device.colour_domain import ColourDomain
 from device.colour_space import ColourSpace
+from device.colour_waves import ColourWaves
 from device.errors import CalibrationMismatch
 from device.inverse_map import InverseMap, LightCurve
 from device.light_field import LightField
@@ -21,20 +24,23 @@ def colours(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).lognormal(0.0, 0.3, (4000, 3)).astype(np.float32)
 
 
-def curve_of(degree: int, position_degree: int, *, linear: bool = False) -> SlopeCurve:
+def curve_of(degree: int, position_degree: int, *, linear: bool = False, wavy: bool = False) -> SlopeCurve:
     random = np.random.default_rng(degree)
-    terms = (len(colour_exponents(degree)), len(position_exponents(position_degree)), 2)
+    waves = ColourWaves.drawn() if wavy else ColourWaves.none()
+    terms = (len(colour_exponents(degree)) + waves.count, len(position_exponents(position_degree)), 2)
     coefficients = (0.1 * random.standard_normal(terms)).astype(np.float32)
-    return SlopeCurve(ColourSpace.observed(colours(), linear=linear), degree, position_degree, coefficients)
+    return SlopeCurve(ColourSpace.observed(colours(), linear=linear), degree, position_degree, coefficients, waves)
 
 
-def map_of(shape: tuple[int, int] = SHAPE, position_degree: int = 2, *, lit: bool = False) -> InverseMap:
+def map_of(
+    shape: tuple[int, int] = SHAPE, position_degree: int = 2, *, lit: bool = False, wavy: bool = False
+) -> InverseMap:
     light = None
     if lit:
         down, across = np.mgrid[:7, :12].astype(np.float32)
         nodes = np.stack([1.2 - 0.05 * down, 0.6 + 0.06 * across, 1.0 + 0.02 * down * across], axis=-1)
-        light = LightCurve(LightField(nodes), curve_of(5, 1, linear=True), 0.6)
-    return InverseMap(shape, ColourDomain.observed(colours()), curve_of(4, position_degree), 0.8, light)
+        light = LightCurve(LightField(nodes), curve_of(5, 1, linear=True, wavy=wavy), 0.6)
+    return InverseMap(shape, ColourDomain.observed(colours()), curve_of(4, position_degree, wavy=wavy), 0.8, light)
 
 
 def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
@@ -46,9 +52,10 @@ def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
 
 
 @pytest.mark.parametrize("lit", [False, True])
+@pytest.mark.parametrize("wavy", [False, True])
 @pytest.mark.parametrize("position_degree", [0, 1, 2])
-def test_compiled_and_portable_evaluation_agree(position_degree: int, lit: bool) -> None:
-    inverse, image = map_of(position_degree=position_degree, lit=lit), image_of()
+def test_compiled_and_portable_evaluation_agree(position_degree: int, wavy: bool, lit: bool) -> None:
+    inverse, image = map_of(position_degree=position_degree, lit=lit, wavy=wavy), image_of()
     found, expected = evaluate(inverse, image), inverse.gradients(image)
     np.testing.assert_allclose(found.p, expected.p, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found.q, expected.q, rtol=1e-4, atol=1e-4)
@@ -56,6 +63,13 @@ def test_compiled_and_portable_evaluation_agree(position_degree: int, lit: bool)
     np.testing.assert_array_equal(found.valid, expected.valid)
     assert not expected.valid.all()
     assert (expected.weight[expected.valid] < 0.01).any()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 5, 6])
+def test_every_degree_is_read_alike(degree: int) -> None:
+    inverse = replace(map_of(), curve=curve_of(degree, 2, wavy=degree == 2))
+    image = image_of()
+    np.testing.assert_allclose(evaluate(inverse, image).p, inverse.gradients(image).p, rtol=1e-4, atol=1e-4)
 
 
 def test_one_and_two_threads_give_the_same_bits() -> None:
