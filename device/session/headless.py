@@ -21,8 +21,10 @@ from device.session.state import InstrumentState
 def run_headless(
     instrument: Instrument, tell: Callable[[str], None], complain: Callable[[object], None], go_on: Callable[[], bool]
 ) -> None:
-    """Serve the button until `go_on`, asked after every turn, says no; what fails is complained of, and the next push is
-    heard."""
+    """Serve the button until `go_on`, asked after every turn, says no.
+
+    What fails is complained of, and the next push is heard.
+    """
     is_announced, goes_on = False, True
     while goes_on:
         instrument.step()

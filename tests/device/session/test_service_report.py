@@ -32,7 +32,9 @@ def wired(bench: Bench) -> Wired:
     return wired_hardware(bench, "PCA9955B")
 
 
-def served(wired: Wired, store: BundleStore, for_s: float, at_s: dict[float, Callable[[], None]]) -> list[tuple[float, str]]:
+def served(
+    wired: Wired, store: BundleStore, for_s: float, at_s: dict[float, Callable[[], None]]
+) -> list[tuple[float, str]]:
     """Serves for so long, with what happens at which time; everything but the beats that the service manager heard."""
     clock, heard = wired.bench.clock, Heard(wired.bench)
     waiting = sorted(at_s.items())
