@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 import pytest
 from console_font import SCREEN_FONTS
 
+from device.session.service_report import PATIENCE_S
+
 SYSTEMD = Path(__file__).parent.parent / "systemd"
 PROGRAM = "/usr/local/bin/retroscan"
 INSTRUMENTS = ("retroscan.service", "retroscan-tui.service")
@@ -188,6 +190,20 @@ def test_users_and_folders_are_made(tmp_path: Path) -> None:
     assert modes["/srv/retrograph"] == ("0755", "root"), "sshd asks this of a chroot"
     assert modes["/var/lib/retroscan/receipts"][0] == modes["/var/lib/retroscan/inbox"][0] == "0770"
     assert modes["/var/lib/retroscan"] == ("0750", "retroscan"), "the offload's user reads, and writes nothing else"
+
+
+def test_the_boot_budget_adds_up_and_names_the_units_own_times() -> None:
+    """Of docs/boot.md: 25 s from power to ready, and what may make it longer."""
+    text = (SYSTEMD.parent / "docs/boot.md").read_text(encoding="utf-8")
+    steps = [int(seconds) for seconds in re.findall(r"^\| \d [^|]+\| (\d+) s \|", text, re.MULTILINE)]
+    assert (len(steps), sum(steps) <= 25) == (6, True)
+    assert f"its self-test, {settings('retrograph-trial.service')['TimeoutStartSec'][0]} s at most" in text
+    assert settings("system-retrograph.conf")["DefaultDeviceTimeoutSec"] == ["20s"]
+    assert text.count("| 20 s") == 2
+    assert f"| {PATIENCE_S:.0f} s, then [ready and out of order]" in text
+    for unit in INSTRUMENTS:
+        said = settings(unit)
+        assert f"| ended after {said['TimeoutStartSec'][0]} s, again after {said['RestartSec'][0]} s" in text
 
 
 def test_the_journal_is_bounded() -> None:
