@@ -16,8 +16,9 @@ install_packages() {
     done
     [ ${#missing[@]} = 0 ] || act "install ${missing[*]}" apt_install "${missing[@]}"
 }
+# What a power cut left half installed is finished first: apt-get would refuse to begin.
 apt_install() {
-    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; } ||
+    { dpkg --configure -a >/dev/null && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; } ||
         refuse "the packages $* could not be installed: is there a network? Run the same command again; what is done stays"
 }
 

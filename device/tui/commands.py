@@ -62,6 +62,8 @@ def run_screens(options: argparse.Namespace) -> int:
     depth = colour_depth(os.environ)
     if depth == "mono":
         os.environ["NO_COLOR"] = "1"
+    # libcamera's own lines would be written across the screens; "syslog" is the journal where there is one.
+    os.environ.setdefault("LIBCAMERA_LOG_FILE", "syslog")
     store_folder = options.store or default_store(os.environ)
     with sole_owner(profile):
         hardware = open_hardware(profile, SystemClock())
