@@ -18,8 +18,10 @@ install_packages() {
 }
 # What a power cut left half installed is finished first: apt-get would refuse to begin.
 apt_install() {
-    { dpkg --configure -a >/dev/null && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; } ||
+    export DEBIAN_FRONTEND=noninteractive
+    if ! { dpkg --configure -a && apt-get update -qq && apt-get install -y -qq --no-install-recommends "$@"; } >/dev/null; then
         refuse "the packages $* could not be installed: is there a network? Run the same command again; what is done stays"
+    fi
 }
 
 make_users() {

@@ -80,18 +80,6 @@ def test_a_part_that_goes_and_comes_back_is_told_in_the_status(board: Board) -> 
     board.scan()
 
 
-def test_an_update_that_is_interrupted_leaves_the_instrument_running(board: Board) -> None:
-    with board.stage("update, its line hung up"):
-        board.machine.run(
-            "retrograph-slot install /mnt/handover/release & updating=$!; "
-            "while systemctl is-active --quiet retroscan; do sleep 1; done; "
-            "kill -HUP $updating; wait $updating || true"
-        )
-    board.machine.wait_for("systemctl is-active retroscan")
-    assert "slot a: 0.1.0, in use" in board.machine.run("retrograph-slot status")
-    board.scan()
-
-
 def test_a_version_that_fails_its_self_test_is_refused(board: Board, release: Path) -> None:
     release_with(release, board.handover / "dark", "9.9.1", "def _selftest(", "    return 3\n")
     with board.stage("update that fails its self-test"):
