@@ -35,13 +35,15 @@ INSTALL = "/mnt/handover/release/board/install.sh --board /mnt/source/tests/syst
 PROGRAM = "runuser -u retroscan -- retroscan --board /etc/retrograph/board.toml --store /var/lib/retroscan"
 STATUS = "systemctl show -P StatusText retroscan"
 PUSHING = "(while :; do sleep 2; /usr/local/lib/virtual/press; done) & pushing=$!; trap 'kill $pushing' EXIT; "
-PWM_ALL, LEDOUT0 = 0x44, 0x02
+PWM_ALL, LEDOUT0 = 0x44, 0x82
+"""Where the stub has them: to it the bit that asks a chip to count on is part of the number."""
+
 SCAN_SAID = re.compile(r"^\w+: .* \(([\w-]+)\)$", re.MULTILINE)
 
 
-def register(number: int) -> str:
-    """A script that says what stands in a register of the stub."""
-    read = f"from smbus2 import SMBus; print(SMBus(1).read_byte_data(0x15, {number}))"
+def register(number: int, count: int = 1) -> str:
+    """A script that says what stands in so many of the stub's registers."""
+    read = f"from smbus2 import SMBus; print(*SMBus(1).read_i2c_block_data(0x15, {number}, {count}))"
     return f"/data/app/current/bin/python -c '{read}' 2>/dev/null"
 
 
