@@ -139,6 +139,7 @@ set_up_firmware
 enable_units
 install_program
 start_now
+[ "$changes" = 0 ] || [ "$dry" = yes ] || sync
 case $changes in
 0) say "Everything is in place." ;;
 *) if [ "$dry" = yes ]; then say "$changes things would be done."; else say "Done. Reboot."; fi ;;

@@ -32,6 +32,7 @@ from device.scanning.supervision import Supervisor
 from device.session.commands import add_shelf_commands
 from device.session.headless import run_headless
 from device.session.instrument import Instrument
+from device.session.service_report import ServiceReport
 from device.store_location import default_store
 from device.tui.commands import add_screen_command, run_screens
 from hal.board_profile import load_board_profile, profile_names
@@ -158,12 +159,7 @@ def _scan(options: argparse.Namespace) -> int:
 
 
 def _watch(options: argparse.Namespace) -> int:
-    profile, supervisor = load_board_profile(options.board), Supervisor.from_environment(os.environ)
-
-    def go_on() -> bool:
-        supervisor.alive()
-        return True
-
+    profile = load_board_profile(options.board)
     with sole_owner(profile):
         # Somebody is waited for: the twin's time passes like everybody's.
         hardware = open_hardware(profile, SystemClock())
@@ -171,12 +167,17 @@ def _watch(options: argparse.Namespace) -> int:
         take_inbox(store, _say)
         with Instrument(hardware, store) as instrument:
             instrument.set_sticky(_annotations(options))
-            supervisor.ready(instrument.state.sentence)
+            report = ServiceReport(Supervisor.from_environment(os.environ), hardware.clock)
             try:
-                run_headless(instrument, _say, _warn, go_on)
+                run_headless(instrument, _say, _warn, lambda: _goes_on(report, instrument))
             finally:
-                supervisor.stopping()
+                report.ended()
     return 0
+
+
+def _goes_on(report: ServiceReport, instrument: Instrument) -> bool:
+    report.turn(instrument.state)
+    return True
 
 
 def _selftest(options: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -105,5 +106,7 @@ def load_picamera2() -> CameraStack:
             "in the venv or stay on apt's numpy; else `apt install --reinstall python3-picamera2 python3-libcamera`"
         ) from error
 
+    # What it complains of is raised too, and told in a sentence: without this, Python writes it to the screen as well.
+    logging.getLogger("picamera2").addHandler(logging.NullHandler())
     stack: CameraStack = Picamera2
     return stack

@@ -9,13 +9,16 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from console_font import SCREEN_FONTS
+
+from device.session.service_report import PATIENCE_S
 
 SYSTEMD = Path(__file__).parent.parent / "systemd"
 PROGRAM = "/usr/local/bin/retroscan"
 INSTRUMENTS = ("retroscan.service", "retroscan-tui.service")
 UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
 MOST_EXPOSED = 25
-"""Of `systemd-analyze security`, in tenths: what an unprivileged unit may not exceed."""
+"""Of `systemd-analyze security`, in tenths: what no service may exceed. There are no exceptions."""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
@@ -55,6 +58,19 @@ def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
     assert shlex.split(said["ExecStopPost"][0])[-1] == "lights-off"
     assert said["User"] == ["retroscan"]
     assert said["StartLimitIntervalSec"] == ["0"]
+
+
+def test_becoming_ready_confirms_an_update_of_this_very_unit() -> None:
+    for unit in INSTRUMENTS:
+        assert settings(unit)["ExecStartPost"] == ["-+/usr/local/sbin/retrograph-slot confirm %n"]
+
+
+def test_the_screen_has_a_font_that_holds_what_it_draws() -> None:
+    """Set after the system's own, which has no half blocks."""
+    said = settings("retroscan-tui.service")
+    assert "RETROSCAN_FONT=" + SCREEN_FONTS[0] in said["Environment"]
+    assert "-+/usr/bin/setfont -C /dev/tty1 ${RETROSCAN_FONT}" in said["ExecStartPre"]
+    assert any("console-setup.service" in units for units in said["After"])
 
 
 def test_the_camera_has_one_owner() -> None:
@@ -99,6 +115,17 @@ def test_only_what_an_instrument_needs_of_the_devices() -> None:
         assert all("mem" not in device and "block" not in device for device in said.get("DeviceAllow", []))
 
 
+def test_root_keeps_only_the_rights_that_its_work_needs() -> None:
+    """Services without a user of their own: no place, device or right of the system beside those that they name."""
+    for path in unit_files():
+        said = settings(path.name)
+        if path.suffix == ".service" and "User" not in said:
+            assert (said["ProtectSystem"], said["NoNewPrivileges"]) == (["strict"], ["yes"]), path.name
+            assert said["CapabilityBoundingSet"][0], path.name
+            assert said.get("PrivateDevices") == ["yes"] or said["DevicePolicy"] == ["closed"], path.name
+            assert all(not place.strip("-").startswith(("/etc ", "/usr", "/boot")) for place in said["ReadWritePaths"])
+
+
 def test_a_stop_by_hand_powers_nothing_off() -> None:
     """SuccessAction= and FailureAction= act on `systemctl stop` and on skipped starts too."""
     assert [path.name for path in unit_files() if {"SuccessAction", "FailureAction"} & settings(path.name).keys()] == []
@@ -122,7 +149,7 @@ def test_systemd_accepts_all_of_them(units_of_this_machine: Path) -> None:
 
 
 @needs_systemd
-@pytest.mark.parametrize("unit", UNPRIVILEGED)
+@pytest.mark.parametrize("unit", [path.name for path in unit_files() if path.suffix == ".service"])
 def test_it_is_shut_in(units_of_this_machine: Path, unit: str) -> None:
     ran = subprocess.run(
         [
@@ -163,6 +190,20 @@ def test_users_and_folders_are_made(tmp_path: Path) -> None:
     assert modes["/srv/retrograph"] == ("0755", "root"), "sshd asks this of a chroot"
     assert modes["/var/lib/retroscan/receipts"][0] == modes["/var/lib/retroscan/inbox"][0] == "0770"
     assert modes["/var/lib/retroscan"] == ("0750", "retroscan"), "the offload's user reads, and writes nothing else"
+
+
+def test_the_boot_budget_adds_up_and_names_the_units_own_times() -> None:
+    """Of docs/boot.md: 25 s from power to ready, and what may make it longer."""
+    text = (SYSTEMD.parent / "docs/boot.md").read_text(encoding="utf-8")
+    steps = [int(seconds) for seconds in re.findall(r"^\| \d [^|]+\| (\d+) s \|", text, re.MULTILINE)]
+    assert (len(steps), sum(steps) <= 25) == (6, True)
+    assert f"its self-test, {settings('retrograph-trial.service')['TimeoutStartSec'][0]} s at most" in text
+    assert settings("system-retrograph.conf")["DefaultDeviceTimeoutSec"] == ["20s"]
+    assert text.count("| 20 s") == 2
+    assert f"| {PATIENCE_S:.0f} s, then [ready and out of order]" in text
+    for unit in INSTRUMENTS:
+        said = settings(unit)
+        assert f"| ended after {said['TimeoutStartSec'][0]} s, again after {said['RestartSec'][0]} s" in text
 
 
 def test_the_journal_is_bounded() -> None:

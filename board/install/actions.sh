@@ -26,7 +26,13 @@ quietly() {
 copy() {
     install -d -m 755 "$(dirname "$2")"
     install -m "$3" "$1" "$2.new"
-    mv "$2.new" "$2"
+    swap_in "$2"
+}
+# FILE.new, wholly on the disk, takes the place of FILE.
+swap_in() {
+    ! live || sync "$1.new"
+    mv -T "$1.new" "$1"
+    ! live || sync "$(dirname "$1")"
 }
 # put_text TARGET MODE: the same, from standard input.
 put_text() {

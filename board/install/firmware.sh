@@ -34,7 +34,7 @@ set_up_firmware() {
         act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
     [ "$read_only" = no ] || set_overlay "$root$boot/cmdline.txt" overlayroot=tmpfs:recurse=0
 }
-append() { { cat "$1" && printf '%s' "$2"; } >"$1.new" && mv "$1.new" "$1"; }
+append() { { cat "$1" && printf '%s' "$2"; } >"$1.new" && swap_in "$1"; }
 
 # The kernel's command line is one line; recurse=0 leaves the data partition as it is.
 set_overlay() {
@@ -44,7 +44,7 @@ set_overlay() {
     line="$line${2:+ $2}"
     [ "$(cat "$1")" = "$line" ] || act "write ${1#"$root"}" rewrite "$1" "$line"
 }
-rewrite() { printf '%s\n' "$2" >"$1.new" && mv "$1.new" "$1"; }
+rewrite() { printf '%s\n' "$2" >"$1.new" && swap_in "$1"; }
 
 # The exact undoing of `append`; where more was written after it, the one line goes.
 drop_include() {
@@ -55,5 +55,5 @@ drop_include() {
     *"$include") printf '%s' "${text%"$include"}" >"$1.new" ;;
     *) printf '%s' "$text" | sed '/^include retrograph\.txt$/d' >"$1.new" ;;
     esac
-    mv "$1.new" "$1"
+    swap_in "$1"
 }

@@ -6,6 +6,7 @@ install_packages() {
     [ -z "$(boot_folder)" ] || wanted+=(device-tree-compiler)
     ! grep -q '^driver = "picamera2"' "$(profile_file)" || wanted+=(python3-picamera2)
     [ "$read_only" = no ] || wanted+=(overlayroot)
+    [ "$screen" = none ] || wanted+=(kbd console-setup-linux)
     if ! live; then
         say "  (packages are not installed into --root: ${wanted[*]})"
         return
@@ -15,9 +16,12 @@ install_packages() {
     done
     [ ${#missing[@]} = 0 ] || act "install ${missing[*]}" apt_install "${missing[@]}"
 }
+# What a power cut left half installed is finished first: apt-get would refuse to begin.
 apt_install() {
-    apt-get update -qq
-    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+    export DEBIAN_FRONTEND=noninteractive
+    if ! { dpkg --configure -a && apt-get update -qq && apt-get install -y -qq --no-install-recommends "$@"; } >/dev/null; then
+        refuse "the packages $* could not be installed: is there a network? Run the same command again; what is done stays"
+    fi
 }
 
 make_users() {
@@ -62,7 +66,7 @@ keep_what_was_there() {
     take_over /etc/NetworkManager/system-connections network
     if [ -f "$root/etc/ssh/ssh_host_ed25519_key" ] && [ ! -L "$root/etc/ssh/ssh_host_ed25519_key" ] &&
         [ ! -e "$root/data/ssh/ssh_host_ed25519_key" ]; then
-        act "keep the host key" cp -a "$root/etc/ssh/ssh_host_ed25519_key" "$root/etc/ssh/ssh_host_ed25519_key.pub" "$root/data/ssh/"
+        act "keep the host key" keep_host_key
     fi
     local name
     name=$(cat "$root/etc/hostname" 2>/dev/null || true)
@@ -71,11 +75,27 @@ keep_what_was_there() {
         ;;
     esac
 }
+# The key last: where it is, its public half is too.
+keep_host_key() {
+    local part
+    for part in .pub ''; do
+        cp -a "$root/etc/ssh/ssh_host_ed25519_key$part" "$root/data/ssh/ssh_host_ed25519_key$part.new"
+        swap_in "$root/data/ssh/ssh_host_ed25519_key$part"
+    done
+}
 take_over() {
     local from=$root$1 to=$root/data/$2
     if [ -d "$from" ] && ! { live && mountpoint -q "$from"; } && [ -n "$(ls -A "$from")" ] && [ -z "$(ls -A "$to" 2>/dev/null)" ]; then
-        act "copy $1 to /data/$2" cp -a "$from/." "$to/"
+        act "copy $1 to /data/$2" copy_folder "$from" "$to"
     fi
+}
+# An empty folder becomes a copy, at once: half a copy would be taken for all of it by the next run.
+copy_folder() {
+    rm -rf "$2.new"
+    cp -a "$1" "$2.new"
+    sync -f "$2.new"
+    [ ! -d "$2" ] || rmdir "$2"
+    mv -T "$2.new" "$2"
 }
 
 put_files() {

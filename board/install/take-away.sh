@@ -30,8 +30,11 @@ take_away() {
             act "unmask $unit" systemctl ${root:+--root="$root"} --quiet unmask "$unit"
     done
     give_back_host_key
+    give_back_networks
     while read -r path; do
-        if [ -e "$root$path" ] || [ -L "$root$path" ]; then act "remove $path" rm -f "$root$path"; fi
+        for path in "$path" "$path.new"; do
+            if [ -e "$root$path" ] || [ -L "$root$path" ]; then act "remove $path" rm -f "$root$path"; fi
+        done
     done < <(installed_files)
     boot=$(boot_folder)
     if [ -n "$boot" ]; then
@@ -40,13 +43,29 @@ take_away() {
         set_overlay "$root$boot/cmdline.txt" ''
     fi
     [ ! -d "$root/data/app" ] || act "remove the program" rm -rf "$root/data/app"
-    say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync."
+    say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync and every package."
 }
 give_back_host_key() {
     local file
     for file in ssh_host_ed25519_key ssh_host_ed25519_key.pub; do
         [ -L "$root/etc/ssh/$file" ] || continue
-        act "give back /etc/ssh/$file" rm -f "$root/etc/ssh/$file"
-        [ "$dry" = yes ] || [ ! -f "$root/data/ssh/$file" ] || cp -a "$root/data/ssh/$file" "$root/etc/ssh/$file"
+        act "give back /etc/ssh/$file" give_back "$root/data/ssh/$file" "$root/etc/ssh/$file"
+    done
+}
+# The link becomes the file that it leads to, at once; one that leads nowhere goes.
+give_back() {
+    if [ -f "$1" ]; then cp -a "$1" "$2.new" && swap_in "$2"; else rm -f "$2"; fi
+}
+
+# Networks that were set up since, or the device could not be reached any more.
+give_back_networks() {
+    local file name place=/etc/NetworkManager/system-connections
+    # As long as ours is mounted there, what is copied would only come to where it is.
+    if live && [ "$dry" = no ] && mountpoint -q "$place"; then refuse "$place is still mounted: reboot and run this again"; fi
+    for file in "$root"/data/network/*.nmconnection; do
+        name=$(basename "$file")
+        if [ -e "$file" ] && [ "$name" != retrograph-usb.nmconnection ] && ! cmp -s "$file" "$root$place/$name"; then
+            act "give back the network $name" copy "$file" "$root$place/$name" 600
+        fi
     done
 }

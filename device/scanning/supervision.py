@@ -1,8 +1,8 @@
 """What a service manager is told: ready, still alive, about to stop. Without one, nobody is told and nothing fails.
 
 The watchdog is fed by the loop that does the work, and by nothing else: a loop that hangs falls silent, and is started
-again. Whoever runs such a loop (`device.session.headless`, the screen) makes one `Supervisor.from_environment`, calls
-`ready` once and `alive` in every turn, and lets no turn wait longer than `longest_wait_s`.
+again. Whoever runs such a loop (`device.session.headless`, the screen) makes one `Supervisor.from_environment`, has
+`device.session.service_report` call it in every turn, and lets no turn wait longer than `longest_wait_s`.
 
 Why an own module: the protocol is one datagram of text, see sd_notify(3).
 """
@@ -61,8 +61,12 @@ class Supervisor:
         return None if self._timeout_s is None else self._timeout_s / BEATS_PER_TIMEOUT
 
     def ready(self, status: str) -> None:
-        """The work loop begins: the start is over, and an update that was on trial is kept."""
+        """The start is over."""
         self._tell(f"READY=1\nSTATUS={_one_line(status)}\nWATCHDOG=1")
+
+    def status(self, status: str) -> None:
+        """How things stand now; `systemctl status` shows it."""
+        self._tell(f"STATUS={_one_line(status)}")
 
     def alive(self) -> None:
         """Another turn of the work loop was done."""

@@ -21,15 +21,19 @@ from device.session.state import InstrumentState
 def run_headless(
     instrument: Instrument, tell: Callable[[str], None], complain: Callable[[object], None], go_on: Callable[[], bool]
 ) -> None:
-    """Serve the button for as long as `go_on` says; what fails is complained of, and the next push is heard."""
-    is_announced = False
-    while go_on():
+    """Serve the button until `go_on`, asked after every turn, says no.
+
+    What fails is complained of, and the next push is heard.
+    """
+    is_announced, goes_on = False, True
+    while goes_on:
+        instrument.step()
         if not is_announced and instrument.state.activity != "out of order":
             is_announced = True
             _announce(instrument.state, tell, complain)
-        instrument.step()
         for event in instrument.take_events():
             say(event, tell, complain)
+        goes_on = go_on()
 
 
 def _announce(state: InstrumentState, tell: Callable[[str], None], complain: Callable[[object], None]) -> None:

@@ -17,6 +17,7 @@ from device.errors import StoreError, TerminalMissing
 from device.scanning.instrument_lock import SERVICE_FOLDER, sole_owner
 from device.scanning.supervision import Supervisor
 from device.session.instrument import Instrument
+from device.session.service_report import ServiceReport
 from device.store_location import default_store
 from device.tui.instrument_thread import InstrumentThread
 from device.tui.sheets import ProgramFacts
@@ -61,11 +62,14 @@ def run_screens(options: argparse.Namespace) -> int:
     depth = colour_depth(os.environ)
     if depth == "mono":
         os.environ["NO_COLOR"] = "1"
+    # libcamera's own lines would be written across the screens; "syslog" is the journal where there is one.
+    os.environ.setdefault("LIBCAMERA_LOG_FILE", "syslog")
     store_folder = options.store or default_store(os.environ)
     with sole_owner(profile):
         hardware = open_hardware(profile, SystemClock())
         instrument = Instrument(hardware, BundleStore(store_folder, hardware.clock))
-        with InstrumentThread(instrument, Supervisor.from_environment(os.environ)) as thread:
+        report = ServiceReport(Supervisor.from_environment(os.environ), hardware.clock)
+        with InstrumentThread(instrument, report) as thread:
             is_twin = profile.driver == "twin"
             program = ProgramFacts(version("retrograph"), store_folder)
             app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended)

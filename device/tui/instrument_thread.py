@@ -6,8 +6,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event as Flag
 from typing import Self
 
-from device.scanning.supervision import Supervisor
 from device.session.instrument import Instrument
+from device.session.service_report import ServiceReport
 
 
 class InstrumentThread:
@@ -16,12 +16,12 @@ class InstrumentThread:
     Parameters
     ----------
     instrument : not entered; the thread enters and leaves it
-    supervisor : told that it is ready, alive and stopping
+    report : hears of every turn
     """
 
-    def __init__(self, instrument: Instrument, supervisor: Supervisor) -> None:
+    def __init__(self, instrument: Instrument, report: ServiceReport) -> None:
         self._instrument = instrument
-        self._supervisor = supervisor
+        self._report = report
         self._stop = Flag()
         self._executor = ThreadPoolExecutor(1, "instrument")
         self._running: Future[None] | None = None
@@ -43,8 +43,7 @@ class InstrumentThread:
 
     def _run(self) -> None:
         with self._instrument as instrument:
-            self._supervisor.ready(instrument.state.sentence)
             while not self._stop.is_set():
                 instrument.step()
-                self._supervisor.alive()
-            self._supervisor.stopping()
+                self._report.turn(instrument.state)
+            self._report.ended()

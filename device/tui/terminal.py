@@ -1,4 +1,4 @@
-"""What a terminal can show, from its environment; which glyphs a console's font holds is said in docs/handheld.md."""
+"""What a terminal can show, from its environment; which glyphs a console's font holds is said in docs/screens.md."""
 
 from __future__ import annotations
 

@@ -62,6 +62,17 @@ def test_a_power_cut_in_the_middle_costs_nothing(fresh: Path, run: Run, program:
 
 
 @needs_ssh
+def test_a_public_key_that_was_lost_is_made_from_the_key(fresh: Path, run: Run, program: Path) -> None:
+    run("systemd/first-boot", RETROSCAN_BOARD="twin")
+    key = fresh / "data/ssh/ssh_host_ed25519_key"
+    public = key.with_name(key.name + ".pub")
+    before, secret = public.read_text().split()[:2], key.read_bytes()
+    public.write_text("")
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").returncode == 0
+    assert (public.read_text().split()[:2], key.read_bytes()) == (before, secret)
+
+
+@needs_ssh
 def test_a_name_that_is_none_is_refused(fresh: Path, run: Run, program: Path) -> None:
     program.write_text("#!/bin/bash\necho 'rg1; reboot'\n")
     ran = run("systemd/first-boot", RETROSCAN_BOARD="twin")

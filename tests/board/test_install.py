@@ -142,6 +142,38 @@ def test_what_a_card_held_before_is_kept(fresh: Path, run: Run) -> None:
     assert scan.read_text() == "old"
 
 
+def test_a_copy_that_was_interrupted_is_made_again(fresh: Path, run: Run) -> None:
+    """Half of the scans of an earlier life, or a public key without its key, are not taken for the whole."""
+    for name in ("a", "b"):
+        scan = fresh / f"var/lib/retroscan/scans/{name}/scan.json"
+        scan.parent.mkdir(parents=True)
+        scan.write_text(name)
+    half = fresh / "data/store.new/scans/a"
+    half.mkdir(parents=True)
+    key = fresh / "etc/ssh/ssh_host_ed25519_key"
+    key.parent.mkdir(parents=True)
+    key.write_text("secret")
+    key.with_name(key.name + ".pub").write_text("public")
+    (fresh / "data/ssh").mkdir()
+    (fresh / "data/ssh/ssh_host_ed25519_key.pub").write_text("pub")
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    assert {path.read_text() for path in (fresh / "data/store/scans").glob("*/scan.json")} == {"a", "b"}
+    assert not half.exists()
+    assert [(fresh / f"data/ssh/{key.name}{end}").read_text() for end in ("", ".pub")] == ["secret", "public"]
+
+
+def test_uninstall_gives_back_networks_and_leaves_nothing_half_written(fresh: Path, run: Run) -> None:
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--usb"))
+    (fresh / "data/network/lab.nmconnection").write_text("[wifi]\n")
+    (fresh / "etc/systemd/system/retroscan.service.new").write_text("[Un")
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    network = fresh / "etc/NetworkManager/system-connections/lab.nmconnection"
+    assert network.read_text() == "[wifi]\n"
+    assert network.stat().st_mode & 0o777 == 0o600
+    assert [path.name for path in network.parent.iterdir()] == [network.name]
+    assert list(fresh.rglob("*.new")) == []
+
+
 def test_a_named_device_is_mounted_and_checked(fresh: Path, run: Run) -> None:
     done(run("board/install.sh", "--root", fresh, *BOARD, "--data", "/dev/disk/by-id/usb-x_1-part2"))
     mount = (fresh / "etc/systemd/system/data.mount").read_text()

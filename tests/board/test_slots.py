@@ -1,5 +1,6 @@
 """Two slots for the program: an update takes over only when it proves itself, and otherwise nothing has changed."""
 
+import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -105,14 +106,41 @@ def test_by_hand_back_and_forth(app: Path, run: Run, release: Release) -> None:
         assert version_in_use(app) == version
 
 
-def test_after_a_power_cut_an_update_proves_itself_at_boot(app: Path, run: Run, release: Release) -> None:
+@pytest.fixture
+def status(tmp_path: Path) -> Callable[[str], dict[str, str]]:
+    """The environment in which the service manager knows this status of an instrument."""
+
+    def make(text: str) -> dict[str, str]:
+        systemctl = tmp_path / "bin/systemctl"
+        systemctl.parent.mkdir()
+        systemctl.write_text(f"#!/bin/bash\n[ \"${{*: -1}}\" = retroscan.service ] && echo '{text}'\n")
+        systemctl.chmod(0o755)
+        return {"PATH": f"{systemctl.parent}:{os.environ['PATH']}"}
+
+    return make
+
+
+def test_after_a_power_cut_an_update_proves_itself_at_boot(
+    app: Path, run: Run, release: Release, status: Callable[[str], dict[str, str]]
+) -> None:
     run(SLOT, "install", release("1.0"))
     run(SLOT, "install", release("1.1"))
     put_on_trial(app)
     assert run(SLOT, "trial").returncode == 0
     assert version_in_use(app) == "1.1"
-    assert run(SLOT, "confirm").returncode == 0
+    assert run(SLOT, "confirm", "retroscan.service", **status("ready: room for 9 scans")).returncode == 0
     assert not (app / "trial").exists()
+
+
+def test_one_that_starts_out_of_order_is_not_confirmed(
+    app: Path, run: Run, release: Release, status: Callable[[str], dict[str, str]]
+) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    ran = run(SLOT, "confirm", "retroscan.service", **status("out of order: no chip answers at 0x15"))
+    assert (ran.returncode, (app / "trial").exists()) == (0, True)
+    assert "version 1.1 is not confirmed: out of order: no chip answers" in ran.stderr
 
 
 def test_after_a_power_cut_one_that_fails_goes_back(app: Path, run: Run, release: Release) -> None:
@@ -145,7 +173,7 @@ def test_a_confirmed_one_stays_however_often_it_starts(app: Path, run: Run, rele
     assert version_in_use(app) == "1.1"
 
 
-@pytest.mark.parametrize("arguments", [[], ["install"], ["install", ".", "--force"], ["frob"]])
+@pytest.mark.parametrize("arguments", [[], ["install"], ["install", ".", "--force"], ["confirm"], ["frob"]])
 def test_usage(app: Path, run: Run, arguments: list[str]) -> None:
     ran = run(SLOT, *arguments)
     assert (ran.returncode, ran.stderr.startswith("usage: retrograph-slot")) == (2, True)

@@ -1,20 +1,22 @@
-"""The virtual board's cache, and how long each stage took."""
+"""The virtual board: its cache, the machine, and how long each stage took."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
+from virtual_board import DATA_MIB, SHARES, Board, Stage
+from virtual_machine import VirtualMachine
 
 TREE = Path(__file__).parents[2]
 STAGES = pytest.StashKey[list[tuple[str, float]]]()
-Stage = Callable[[str], AbstractContextManager[None]]
 
 
 @pytest.fixture(scope="session")
@@ -49,6 +51,39 @@ def stage(request: pytest.FixtureRequest) -> Stage:
         seconds.append((name, time.monotonic() - began))
 
     return measured
+
+
+@pytest.fixture(scope="session")
+def release(system_cache: Path, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A release folder with the wheels that a device without a network needs; the heavy ones are in its root."""
+    folder = tmp_path_factory.mktemp("handover") / "release"
+    folder.mkdir()
+    shutil.copy(wheel, folder)
+    shutil.copy(TREE / "requirements-device.lock", folder)
+    for part in ("board", "systemd"):
+        shutil.copytree(TREE / part, folder / part)
+    (folder / "wheels").mkdir()
+    for needed in (system_cache / "wheels" / "device").iterdir():
+        if not needed.name.startswith(("numpy", "scipy", "opencv", "imagecodecs")):
+            shutil.copy(needed, folder / "wheels")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def board(system_cache: Path, release: Path, tmp_path_factory: pytest.TempPathFactory, stage: Stage) -> Iterator[Board]:
+    folder = tmp_path_factory.mktemp("vm")
+    data, blank = folder / "data.img", folder / "blank.img"
+    with data.open("wb") as stream:
+        stream.truncate(DATA_MIB << 20)
+    subprocess.run(["mkfs.ext4", "-q", "-L", "retrograph-data", "-m", "0", data], check=True)
+    subprocess.run(["cp", "--sparse=always", data, blank], check=True)
+    shares = {"source": TREE, "handover": release.parent}
+    with ExitStack() as held:
+        with stage("first boot"):
+            machine = held.enter_context(VirtualMachine(system_cache, folder, shares, data=data))
+            machine.run("systemctl is-system-running --wait || true")
+            machine.run(SHARES)
+        yield Board(machine, stage, blank, release.parent)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -61,4 +61,4 @@ def test_clauses_of_a_camera_on_libcameras_virtual_pipeline(
     assert answer.code == 0, answer.text
     assert sum(line.startswith("PASSED") for line in lines) == PASSED, answer.text
     assert sum(line.startswith("XFAIL") for line in lines) == REFUSED, answer.text
-    assert not any(line.startswith(("SKIPPED", "XPASS", "ERROR")) for line in lines), answer.text
+    assert not any(line.startswith(("SKIPPED", "XPASS", "ERROR clauses")) for line in lines), answer.text

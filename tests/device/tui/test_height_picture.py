@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from console_font import DRAWN
 
 from device.surface import HeightMap
 from device.tui.cells import OWN
@@ -12,9 +13,6 @@ from device.tui.profile import ProfileCursor, profile_cells, profile_um, reading
 from device.tui.relief import HeightRange, relief_cells
 from device.tui.resampling import fitted_shape, resampled
 from device.tui.scale import height_text, length_text, round_step, ticks
-
-CONSOLE_FONT = set(" ▀▄█▌▐░▒▓─│┌┐└┘├┤┼■·•○▲▼←↑→↓…±µ°×") | {chr(code) for code in range(32, 127)}
-"""What FullGreek-Terminus, the font that docs/handheld.md names for a plain console, holds of what is drawn here."""
 
 
 def dome(rows: int = 96, columns: int = 128, pitch_um: float = 50.0) -> HeightMap:
@@ -88,7 +86,7 @@ def test_a_plain_console_has_every_glyph(depth: str) -> None:
     height.z_um[:30, :30] = np.nan
     for cursor in (None, ProfileCursor(), ProfileCursor("column")):
         lines = height_picture(height, RoomForHeight(24, 60, depth), cursor).lines()
-        assert set("".join(lines)) <= CONSOLE_FONT
+        assert set("".join(lines)) <= DRAWN
 
 
 def test_the_legend_stands_where_its_heights_are() -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from device.scanning.supervision import Supervisor
+from device.session.service_report import ServiceReport
+from device.session.state import CalibrationState
 from device.tui.instrument_thread import InstrumentThread
+from hal.clock import SystemClock
 
 
 class Stepped:
     """An instrument that counts its steps, or breaks at one."""
 
     def __init__(self, breaks: bool = False) -> None:
-        self.state = type("State", (), {"sentence": "ready"})
+        self.state = SimpleNamespace(activity="ready", calibration=CalibrationState(), scans_left=None)
         self.stepped, self.left = Event(), Event()
         self._breaks = breaks
 
@@ -31,8 +35,8 @@ class Stepped:
             raise RuntimeError("broken")
 
 
-def nobody() -> Supervisor:
-    return Supervisor(None, None)
+def nobody() -> ServiceReport:
+    return ServiceReport(Supervisor(None, None), SystemClock())
 
 
 def test_it_steps_until_it_is_left() -> None:
