@@ -150,8 +150,8 @@ def _scan(options: argparse.Namespace) -> int:
         store = _calibrated_store(options, hardware)
         scanner = Scanner(with_mounted_gel(hardware, store.root), store)
         scanner.check_room()
-        _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
+        _say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
         _report(scanner.scan(_annotations(options), _cue_lift))
     return 0

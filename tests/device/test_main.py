@@ -32,6 +32,34 @@ def test_scanning_before_calibrating_says_what_to_run(tmp_path: Path, capsys: py
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_object_that_the_twin_lacks_is_refused_before_anybody_is_asked_to_press(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(calibrated_root, tmp_path / "store")
+    arguments = ["--board", str(small_board), "--store", str(tmp_path / "store"), "scan", "--object", "nosuch"]
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert "the twin has no object 'nosuch'" in said.err
+    assert said.out == ""
+
+
+def test_a_damaged_choice_of_calibration_is_mended_as_its_complaint_says(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(calibrated_root, store)
+    (store / "active.json").write_text("{")
+    retroscan = ["--board", str(small_board), "--store", str(store)]
+    assert "`retroscan shelf use ID`" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").unlink()
+    (store / "active.json").mkdir()
+    assert "remove it, then" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").rmdir()
+    (calibration,) = (store / "calibrations").iterdir()
+    assert main([*retroscan, "shelf", "use", calibration.name]) == 0
+    assert main([*retroscan, "scan", "--object", "coin"]) == 0
+
+
 def test_an_empty_name_is_no_store(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--board", "twin", "--store", "", "calibrate"])
