@@ -37,6 +37,7 @@ RESULT_FILES = {
 }  # fmt: skip
 RADIUS_MM = 3.0
 PITCH_UM = 48.0
+pytestmark = pytest.mark.usefixtures("calibrated_once")
 PLACES = [(column, row) for row in (0.2, 0.5, 0.8) for column in (0.2, 0.5, 0.8)]
 
 
@@ -272,7 +273,8 @@ def test_results_that_cannot_be_written_are_refused(
 ) -> None:
     path = frames.copy(tmp_path / "set")
     (tmp_path / "out").write_text("in the way")
-    assert "cannot be written" in refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
+    sentence = refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
+    assert f"cannot be written: {tmp_path / 'out'} is no folder" in sentence
     assert leftovers(tmp_path) == []
 
 
@@ -348,7 +350,7 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
         hardware.operator.ask(PressObject("coin"))
         hardware.button.wait_for_press(None)
         scan = scanner.scan(Annotations()).bundle
-    job = LibraryJob(Library(root))  # calibrates once for all that follows
+    job = LibraryJob(Library(root))
     _, folder = job.run(scan)
     monkeypatch.setattr("host_sync.reconstruction.library_job.LibraryJob", lambda _: job)
     assert main(["reprocess", "--library", str(root)]) == 0
