@@ -48,7 +48,7 @@ class Vouch:
         self._preparing = threading.Lock()
 
     def for_bundle(self, source: Source, offer: Offer) -> None:
-        """Receipt a bundle that was just read back, stored now or before; a source that takes none costs nothing else."""
+        """Receipt a bundle that was just read back; a source that takes none costs nothing else."""
         if self.fault is not None:
             return
         receipt = Receipt(
