@@ -37,9 +37,7 @@ from host_sync.measurement.recipe import Recipe
 from host_sync.measurement.result_surface import ResultSurface, read_result
 
 DIRECTION: Final = "Std"
-NO_SHAPE_SIGMA: Final = (
-    "± not stated: without an L-filter this is the waviness's, which slopes know least: set l_filter_um"
-)
+NO_SHAPE_SIGMA: Final = "± not stated: without an L-filter waviness rules it, which slopes know least: set l_filter_um"
 
 Numbers = Mapping[str, float]
 
