@@ -100,7 +100,7 @@ class CalibrationRun:
             self.press()
         if happening or self._thinking:
             self._awaited_ns = now_ns
-        if self._by_button and happening == "long":
+        if self._by_button and happening == "long" and self._guide.progress.phase != "fitting":
             self.cancel()
         elif self._by_button and now_ns - self._awaited_ns > PATIENCE_S * 1e9:
             self.cancel("Nobody pushed for three minutes: the calibration was stopped; the one before stays in force.")

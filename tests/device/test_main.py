@@ -1,5 +1,6 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
+import argparse
 import os
 import shutil
 import signal
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from device.__main__ import main
+from device.__main__ import _parser, main
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.pairing_card import leave_host_card, read_device_card
@@ -80,12 +81,34 @@ def test_the_twin_is_never_taken_unasked(capsys: pytest.CaptureFixture[str]) -> 
     assert "--board" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "ssh"])
+def test_a_port_is_one_of_those_there_are(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "pair", "--port", port])
+    assert ended.value.code == 2
+    assert "is no port: give one of 1 to 65535" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("radius", ["0", "-3", "nan", "ball"])
 def test_a_ball_needs_a_radius(radius: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--board", "twin", "calibrate", "--ball-radius-mm", radius])
     assert ended.value.code == 2
     assert "is not a length above 0 mm" in capsys.readouterr().err
+
+
+def _unexplained(parser: argparse.ArgumentParser, name: str) -> list[str]:
+    found = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found += [one for n, sub in action.choices.items() for one in _unexplained(sub, f"{name} {n}")]
+        elif not action.help:
+            found.append(f"{name} {action.dest}")
+    return found
+
+
+def test_help_explains_every_argument_of_every_command() -> None:
+    assert _unexplained(_parser(), "retroscan") == []
 
 
 def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
