@@ -14,7 +14,8 @@ from device.store_access import FILE_MODE
 ACTIVE_FILE: Final = "active.json"
 ACTIVE_SCHEMA: Final = "retrograph.active/1"
 _REMEDY: Final = (
-    "put a calibration in force again with `retroscan shelf use ID` (`retroscan shelf` lists them), or calibrate anew"
+    "put a calibration in force again with `retroscan shelf use ID` (`retroscan shelf` lists them), or run "
+    "`retroscan calibrate`"
 )
 
 

@@ -51,7 +51,8 @@ class Difference:
         if self.agreement >= LEAST_AGREEMENT:
             return ""
         return (
-            f"their slopes agree by {max(self.agreement, 0.0):.0%} only (the same thing: over {LEAST_AGREEMENT:.0%}): "
+            f"their slopes agree by {100.0 * max(self.agreement, 0.0):.0f} % only (one thing seen twice: over "
+            f"{100.0 * LEAST_AGREEMENT:.0f} %): "
             "they may show different things, and the difference says nothing then"
         )
 

@@ -142,9 +142,9 @@ def calibrating(bench: Bench, tmp_path: Path) -> Iterator[Watched]:
     board = dataclasses.replace(wired, hardware=dataclasses.replace(wired.hardware, operator=Hand(wired)))
     watched = Watched(board, BundleStore(tmp_path / "new", bench.clock))
     with watched.instrument:
-        for at_s in (1.0, 5.0):
-            watched.push(at_s, held_s=2.5)
-        watched.run(8.0)
+        for at_s in (0.1, 2.6):
+            watched.push(at_s, held_s=2.1)
+        watched.run(5.0)
         assert watched.instrument.state.activity == "calibrating"
         assert watched.said[-1] == "Touch nothing with the gel, then push the button."
         yield watched
@@ -155,8 +155,8 @@ def test_held_twice_the_button_alone_calibrates_and_scans(calibrating: Watched) 
     show = calibrating.wired.hardware.indicator.show
     calibrating.wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
     while calibrating.instrument.state.activity == "calibrating":
-        calibrating.push(0.5)
-        calibrating.run(2.0)
+        calibrating.push(0.1)
+        calibrating.run(0.6)
     assert any("passed and is in force" in line for line in calibrating.said)
     assert shown[:3] == ["busy", "may lift", "good"]
     assert shown[-3:] == ["busy", "may lift", "calibration"]
@@ -175,17 +175,20 @@ def test_a_calibration_by_the_button_is_given_up_by_a_long_push(calibrating: Wat
 
 
 def test_a_calibration_that_nobody_goes_on_with_ends(calibrating: Watched) -> None:
-    calibrating.run(PATIENCE_S - 10.0)
+    calibrating.wired.bench.clock.sleep(PATIENCE_S - 10.0)
+    calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "calibrating"
-    calibrating.run(15.0)
+    calibrating.wired.bench.clock.sleep(15.0)
+    calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "ready"
     assert any("Nobody pushed for three minutes" in line for line in calibrating.said)
 
 
 def test_long_pushes_far_apart_begin_no_calibration(watched: Watched) -> None:
-    for at_s in (1.0, 15.0):
-        watched.push(at_s, held_s=2.5)
-    watched.run(19.0)
+    for _ in range(2):
+        watched.push(0.1, held_s=2.1)
+        watched.run(2.5)
+        watched.wired.bench.clock.sleep(10.0)
     assert watched.instrument.state.activity == "ready"
     assert watched.instrument.state.guide is None
 
