@@ -19,9 +19,10 @@ from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationRecord
 from device.ending_signals import ending_like_ctrl_c
 from device.errors import DeviceError, FrameNotProven, InstrumentBusy
+from device.exposure_levels import Brightness
 from device.pairing.commands import add_offload_commands, take_inbox
 from device.scan_bundle import Annotations
-from device.scanning.balance import balance, warning
+from device.scanning.balance import balance
 from device.scanning.calibrate import calibrate
 from device.scanning.instrument_lock import owned_hardware, sole_owner
 from device.scanning.mounting import with_mounted_gel
@@ -31,7 +32,7 @@ from device.scanning.service_commands import add_service_commands
 from device.scanning.supervision import Supervisor
 from device.session.commands import add_shelf_commands
 from device.session.headless import run_headless
-from device.session.instrument import Instrument
+from device.session.instrument import BALL_RADIUS_MM, Instrument
 from device.session.service_report import ServiceReport
 from device.store_location import default_store
 from device.tui.commands import add_screen_command, run_screens
@@ -41,7 +42,8 @@ from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.hardware import Hardware, open_hardware
 from hal.interfaces import PressObject
 
-DEFAULT_BALL_RADIUS_MM = 3.0
+DESCRIPTION = "Scan surfaces with a gel at the push of a button."
+EXIT_CODES = "exit codes: 0 done, 2 bad input or a state that is refused, 3 hardware, 130 stopped by Ctrl-C"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="retroscan", description="Scan surfaces with a gel at the push of a button.")
+    parser = argparse.ArgumentParser(prog="retroscan", description=DESCRIPTION, epilog=EXIT_CODES)
     parser.add_argument("--version", action="version", version=f"retrograph {version('retrograph')}")
     known = ", ".join(profile_names())
     parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
@@ -76,8 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     add_screen_command(commands)
 
     guided = commands.add_parser("calibrate", help="guided: a reference, then a ball pressed all over the field")
-    radius = f"radius of the ball, {DEFAULT_BALL_RADIUS_MM:g} mm when not given"
-    guided.add_argument("--ball-radius-mm", type=_positive, default=DEFAULT_BALL_RADIUS_MM, metavar="MM", help=radius)
+    _add_ball(guided)
     guided.add_argument("--balance", action="store_true", help="first set exposure and currents for gel and lights")
     guided.set_defaults(command=_calibrate)
 
@@ -88,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
 
     watch = commands.add_parser("watch", help="scan at every press of the button, without a screen")
     _add_annotations(watch)
+    _add_ball(watch)
     watch.set_defaults(command=_watch)
 
     add_offload_commands(commands, _folder, _say)
@@ -106,6 +108,11 @@ def _parser() -> argparse.ArgumentParser:
 def _add_annotations(parser: argparse.ArgumentParser) -> None:
     for name in ("job", "part", "operator", "note"):
         parser.add_argument(f"--{name}", type=_text, help="kept with the scan")
+
+
+def _add_ball(parser: argparse.ArgumentParser) -> None:
+    radius = f"radius of the ball to calibrate with, {BALL_RADIUS_MM:g} mm when not given"
+    parser.add_argument("--ball-radius-mm", type=_positive, default=BALL_RADIUS_MM, metavar="MM", help=radius)
 
 
 def _text(text: str) -> str:
@@ -151,8 +158,8 @@ def _scan(options: argparse.Namespace) -> int:
         store = _calibrated_store(options, hardware)
         scanner = Scanner(with_mounted_gel(hardware, store.root), store)
         scanner.check_room()
-        _say("Press the object into the gel, then push the button.")
         hardware.operator.ask(PressObject(options.object))
+        _say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
         _report(scanner.scan(_annotations(options), _cue_lift))
     return 0
@@ -165,7 +172,7 @@ def _watch(options: argparse.Namespace) -> int:
         hardware = open_hardware(profile, SystemClock())
         store = _store(options, hardware)
         take_inbox(store, _say)
-        with Instrument(hardware, store) as instrument:
+        with Instrument(hardware, store, ball_radius_mm=options.ball_radius_mm) as instrument:
             instrument.set_sticky(_annotations(options))
             report = ServiceReport(Supervisor.from_environment(os.environ), hardware.clock)
             try:
@@ -218,15 +225,11 @@ def _report(outcome: ScanOutcome) -> None:
 
 
 def _say_levels(record: CalibrationRecord) -> None:
-    """The flat level, and the brightest that ball presses reached."""
-    figures = record.figures
-    flat, peak = (
-        tuple(figures[f"{what}_level_{colour}"] or 0.0 for colour in ("red", "green", "blue"))
-        for what in ("flat", "brightest")
-    )
-    _say("Flat skin at " + ", ".join(f"{level:.0%}" for level in flat) + " of full scale (R, G, B).")
-    if told := warning((peak[0], peak[1], peak[2])):
-        _say(f"Note: {told}.")
+    """How much of the sensor's range the calibration uses."""
+    if found := Brightness.of_figures(record.figures):
+        _say(f"Levels: {found.sentence}.")
+        if found.warning:
+            _say(f"Note: {found.warning}.")
 
 
 def _say(line: str) -> None:

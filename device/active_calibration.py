@@ -13,7 +13,10 @@ from device.store_access import FILE_MODE
 
 ACTIVE_FILE: Final = "active.json"
 ACTIVE_SCHEMA: Final = "retrograph.active/1"
-_REMEDY: Final = "remove it and run `retroscan calibrate`"
+_REMEDY: Final = (
+    "put a calibration in force again with `retroscan shelf use ID` (`retroscan shelf` lists them), or run "
+    "`retroscan calibrate`"
+)
 
 
 class ActiveCalibration(Record, frozen=True, tag_field="schema", tag=ACTIVE_SCHEMA):
@@ -35,7 +38,9 @@ def read_active(root: Path) -> CalibrationBundle:
     path = root / ACTIVE_FILE
     if not path.exists():
         raise NoCalibration(f"no calibration is active in {root}: run `retroscan calibrate` first")
-    calibration_id = decode_record(read_small(path, _REMEDY), ActiveCalibration, path, _REMEDY).calibration_id
+    calibration_id = decode_record(
+        read_small(path, f"remove it, then {_REMEDY}"), ActiveCalibration, path, _REMEDY
+    ).calibration_id
     directory = root / "calibrations" / calibration_id
     if not directory.is_dir():
         raise NoCalibration(f"the active calibration {calibration_id} is gone: run `retroscan calibrate` again")

@@ -177,7 +177,7 @@ class Button(Protocol):
 
 
 Refusal = Literal["refused", "refused: calibration", "refused: full", "refused: hardware"]
-Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "pairing", Refusal]
+Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "pairing", "calibration", Refusal]
 """What an indicator can say; "refused" alone is: busy, push again."""
 
 

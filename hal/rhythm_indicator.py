@@ -22,6 +22,7 @@ RHYTHMS: Final[dict[Cue, tuple[tuple[float, float], ...]]] = {
     "refused: full": (_SHORT, _LONG),
     "refused: hardware": (_SHORT, _SHORT, _LONG),
     "pairing": (_SHORT, _LONG, _SHORT),
+    "calibration": (_LONG, _SHORT),
 }
 """Times on and off, in seconds, of each cue."""
 

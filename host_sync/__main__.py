@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 app = App(
     name="retrosync",
     version=lambda: f"retrograph {version('retrograph')}",
-    help="Fetch scans from a handheld, prove them, reconstruct, measure and show their surfaces.",
+    help="Fetch scans from a handheld, prove them, reconstruct, measure and show their surfaces. "
+    "Exit codes: 0 done, 1 partly done (what failed is named), 2 bad input, 3 connection, 130 stopped.",
     help_format="plaintext",
     default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -120,11 +120,20 @@ def publish_calibration(fingerprint: Fingerprint) -> Callable[[BundleStore], Cal
 
 
 @pytest.fixture(scope="session")
-def small_twin() -> BoardProfile:
-    """The reference twin with a quarter of its resolution over the same field."""
-    reference = load_board_profile("twin")
-    sensor = msgspec.structs.replace(reference.sensor, columns=364, rows=272, pixel_pitch_um=48.0)
-    return msgspec.structs.replace(reference, sensor=sensor)
+def small_board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference twin with a quarter of its resolution over the same field, as a file."""
+    text = (Path(__file__).parents[1] / "board" / "twin.toml").read_text(encoding="utf-8")
+    for key, value in (("columns", "364"), ("rows", "272"), ("pixel_pitch_um", "48.0")):
+        text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, count=1, flags=re.MULTILINE)
+    path = tmp_path_factory.mktemp("board") / "small-twin.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_twin(small_board: Path) -> BoardProfile:
+    """The board profile in that file."""
+    return load_board_profile(str(small_board))
 
 
 @pytest.fixture(scope="session")

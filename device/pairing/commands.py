@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from device.bundle_store import BundleStore
 from device.inbox import Delivery
@@ -18,6 +19,7 @@ from device.store_location import default_store
 from hal.clock import SystemClock
 
 Say = Callable[[str], None]
+MOST_PORT: Final = 65535
 
 
 def add_offload_commands(
@@ -29,8 +31,8 @@ def add_offload_commands(
     say : shows one line
     """
     pair = commands.add_parser("pair", help="let a workstation fetch scans: show a code for two minutes")
-    pair.add_argument("--port", type=int, default=PAIRING_PORT, help="where the workstation's call is awaited")
-    pair.add_argument("--ssh-port", type=int, default=22, help="where sshd listens")
+    pair.add_argument("--port", type=_port, default=PAIRING_PORT, help="where the workstation's call is awaited")
+    pair.add_argument("--ssh-port", type=_port, default=22, help="where sshd listens")
     pair.add_argument("--user", default=OFFLOAD_USER, help="whom sshd lets in to fetch scans")
     pair.add_argument("--keys", type=folder, help="folder of the workstations' keys, as sshd's configuration names it")
     pair.add_argument("--host-key", type=folder, default=SSHD_HOST_KEY, help="sshd's public key")
@@ -40,6 +42,12 @@ def add_offload_commands(
     receive = commands.add_parser("receive", help="take the calibrations that a workstation pushed")
     receive.add_argument("--activate", action="store_true", help="put the last one taken in force")
     receive.set_defaults(command=partial(_receive, say))
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and 1 <= int(text) <= MOST_PORT):
+        raise argparse.ArgumentTypeError(f"{text!r} is no port: give one of 1 to {MOST_PORT}")
+    return int(text)
 
 
 def take_inbox(store: BundleStore, say: Say) -> list[Delivery]:

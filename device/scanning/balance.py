@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from device.errors import CalibrationError
-from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Levels, channel_levels
+from device.exposure_levels import BRIGHTEST_PERCENTILE, Levels, channel_levels
 from device.scanning.capture import CapturePlan, capture
 from device.scanning.pushing import await_push
 from device.scanning.shining import check_shines
@@ -115,11 +115,3 @@ def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[floa
         )
     asked = {name: dose / exposure_us for name, dose in zip(lights.names, doses, strict=True)}
     return CapturePlan(CameraSettings(exposure_us, settings.analogue_gain), lights.granted_ma(asked))
-
-
-def warning(levels: Levels) -> str:
-    """What to tell somebody whose ball presses are too bright, or an empty text."""
-    if max(levels) <= HIGHEST_LEVEL:
-        return ""
-    shares = ", ".join(f"{colour} {level:.0%}" for colour, level in zip("RGB", levels, strict=True))
-    return f"the brightest reach {shares} of full scale, over {HIGHEST_LEVEL:.0%}: calibrate with --balance"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
+from device.exposure_levels import Brightness
 from device.inverse_fit import InverseFit
 from device.scanning.calibration_files import publish
 from device.scanning.capture import CapturePlan, capture
@@ -84,5 +85,5 @@ def finish(hardware: Hardware, store: BundleStore, plan: CapturePlan, guide: Gui
     fit = guide.fit()
     bundle = publish(hardware, store, plan, guide.reference, guide.presses, fit, guide.ball_radius_mm)
     store.activate(bundle.calibration_id)
-    guide.succeed(bundle.calibration_id)
+    guide.succeed(bundle.calibration_id, Brightness.of_figures(bundle.record.figures))
     return CalibrationOutcome(bundle, fit)

@@ -14,7 +14,7 @@ from device.ball_finder import RejectedBall
 from device.bundle_store import BundleStore
 from device.calibration_bundle import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
 from device.dropped_ball import dropped_ball
-from device.exposure_levels import BRIGHTEST_PERCENTILE, brightest, channel_levels
+from device.exposure_levels import Brightness
 from device.fingerprint import Fingerprint
 from device.inverse_fit import InverseFit
 from device.model_file import MODEL_FILE, write_model
@@ -72,7 +72,7 @@ def publish(
         reference_file=REFERENCE_FILE,
         presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
         model_files=(MODEL_FILE,),
-        figures=report_figures(fit) | level_figures(reference, [press.frame for press in presses]),
+        figures=report_figures(fit) | Brightness.of_frames(reference, [press.frame for press in presses]).figures(),
     )
 
     def write(directory: Path) -> None:
@@ -113,14 +113,3 @@ def report_figures(fit: InverseFit) -> dict[str, float | None]:
     }
     bands = {f"error_from_{band.from_deg:.0f}_deg": band.error_deg for band in fit.bands}
     return figures | bands
-
-
-def level_figures(reference: RawFrame, presses: Sequence[RawFrame]) -> dict[str, float | None]:
-    """How bright the flat skin is, and how bright all but a thousandth of any press's pixels, by channel."""
-    flat = channel_levels(reference, 50.0)
-    peak = brightest([channel_levels(frame, BRIGHTEST_PERCENTILE) for frame in presses])
-    figures: dict[str, float | None] = {}
-    for colour, flat_level, peak_level in zip(("red", "green", "blue"), flat, peak, strict=True):
-        figures[f"flat_level_{colour}"] = flat_level
-        figures[f"brightest_level_{colour}"] = peak_level
-    return figures

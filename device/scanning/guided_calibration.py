@@ -14,6 +14,7 @@ from device.calibration_checks import Check, check_fit, fit_checks
 from device.calibration_coverage import Coverage, measure_coverage
 from device.calibration_limits import FEWEST_BALLS
 from device.errors import CalibrationError
+from device.exposure_levels import Brightness
 from device.inverse_fit import InverseFit, fit_inverse_map
 from device.photometry import bin_bayer, blurred_reference, check_exposed
 from device.scanning.calibration_files import AcceptedPress
@@ -46,7 +47,7 @@ class CalibrationProgress:
     coverage : of field and slopes so far; None before the first ball
     next_presses : what is still uncovered, one sentence each
     checks : the numbers that decide, once fitted
-    calibration_id : of the published calibration, once passed
+    calibration_id, brightness : of the published calibration, once passed
     """
 
     phase: Phase
@@ -61,6 +62,7 @@ class CalibrationProgress:
     next_presses: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
     calibration_id: str | None = None
+    brightness: Brightness | None = None
 
     @property
     def is_over(self) -> bool:
@@ -144,12 +146,17 @@ class GuidedCalibration:
         self.progress = replace(self.progress, checks=checks)
         return fit
 
-    def succeed(self, calibration_id: str) -> None:
-        """The calibration was published under that id."""
+    def succeed(self, calibration_id: str, brightness: Brightness | None) -> None:
+        """The calibration was published under that id, and uses so much of the sensor's range."""
         weak = [check.name for check in self.progress.checks if not check.passed]
         doubt = f" Weak in: {', '.join(weak)}." if weak else ""
-        sentence = f"Calibration passed and is in force.{doubt}"
-        self.progress = replace(self.progress, phase="passed", instruction=sentence, calibration_id=calibration_id)
+        self.progress = replace(
+            self.progress,
+            phase="passed",
+            instruction=f"Calibration passed and is in force.{doubt}",
+            calibration_id=calibration_id,
+            brightness=brightness,
+        )
 
     def fail(self, sentence: str) -> None:
         """It ends here; the calibration before stays in force."""

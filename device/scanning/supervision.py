@@ -51,11 +51,6 @@ class Supervisor:
         return cls(address, int(microseconds) * 1e-6 if watches else None, Path(folder) if folder else None)
 
     @property
-    def is_there(self) -> bool:
-        """Whether anybody listens."""
-        return self._address is not None
-
-    @property
     def longest_wait_s(self) -> float | None:
         """The longest that a turn of the loop may wait, s; None when nobody watches."""
         return None if self._timeout_s is None else self._timeout_s / BEATS_PER_TIMEOUT

@@ -10,8 +10,9 @@ from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.calibration_shelf import CalibrationShelf
 from device.errors import DeviceError
+from device.exposure_levels import Brightness
 from device.gel_log import mounted_gel
-from device.session.state import CalibrationState, GelState
+from device.session.state import CalibrationState, GelState, InstrumentState
 from hal.hardware import Hardware
 
 Choice = tuple[str, float, bytes]
@@ -37,6 +38,7 @@ def calibration_state(calibration: CalibrationBundle, shelf: CalibrationShelf, s
         slot=entry.slot if entry else None,
         age_s=calibration_age_s(calibration, store),
         held_out_deg=record.figures.get("held_out_error_deg"),
+        brightness=Brightness.of_figures(record.figures),
     )
 
 
@@ -44,6 +46,13 @@ def calibration_age_s(calibration: CalibrationBundle, store: BundleStore) -> flo
     """How old a calibration is by the wall clock; None when that clock says something impossible."""
     age_s = (store.wall_time() - calibration.record.created).total_seconds()
     return age_s if age_s >= 0.0 else None
+
+
+def standing(state: InstrumentState) -> str:
+    """Room, battery and complaints in sentences, each with a blank before it."""
+    room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
+    battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
+    return room + battery + "".join(f" {complaint}." for complaint in state.power.complaints)
 
 
 def gel_state(root: Path, hardware: Hardware) -> GelState:

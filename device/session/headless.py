@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from device.session.events import (
+    CalibrationStep,
     Event,
     Failed,
     PairingChanged,
@@ -40,7 +41,7 @@ def _announce(state: InstrumentState, tell: Callable[[str], None], complain: Cal
     room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
     if state.calibration.fault:
         complain(f"no scans yet: {state.calibration.fault}")
-    tell(f"Ready:{room} Push the button to scan, hold it to pair, Ctrl-C to stop.")
+    tell(f"Ready:{room} Push the button to scan, hold it to pair, twice to calibrate; Ctrl-C stops.")
 
 
 def say(event: Event, tell: Callable[[str], None], complain: Callable[[object], None]) -> None:
@@ -54,6 +55,12 @@ def say(event: Event, tell: Callable[[str], None], complain: Callable[[object], 
             complain(event.sentence)
         case Told() | PairingChanged() | ZeroChecked():
             tell(event.sentence)
+        case CalibrationStep(progress):
+            if progress.complaint:
+                complain(f"{progress.complaint}.")
+            (complain if progress.phase == "failed" else tell)(progress.instruction)
+            if progress.brightness and progress.brightness.warning:
+                complain(progress.brightness.warning)
         case PowerOffAsked():
             tell("The power may be switched off.")
         case _:

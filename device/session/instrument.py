@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 from threading import Event as Flag
-from typing import Self
+from typing import Final, Self
 
 from device.bundle_store import BundleStore
 from device.calibration_shelf import CalibrationShelf, Shelved
@@ -31,6 +31,9 @@ from hal.clock import VirtualClock
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, PressObject
 
+BALL_RADIUS_MM: Final = 3.0
+"""Radius of the ball where none is stated."""
+
 
 class Instrument:
     """The handheld without a face. A context manager: entering makes it ready, leaving waits for what is in work.
@@ -41,6 +44,7 @@ class Instrument:
     store : where scans and calibrations are
     executor : does what takes the processor; a thread of its own when none is given, and none in virtual time
     pairing : how workstations reach it; as the installed service has it when none is given
+    ball_radius_mm : of the ball of a calibration that the button alone begins
     """
 
     def __init__(
@@ -49,6 +53,7 @@ class Instrument:
         store: BundleStore,
         executor: Executor | None = None,
         pairing: PairingSetup | None = None,
+        ball_radius_mm: float = BALL_RADIUS_MM,
     ) -> None:
         self._hardware = hardware
         self._setup = pairing or PairingSetup()
@@ -57,7 +62,7 @@ class Instrument:
         self._board = Noticeboard(_first_state(hardware, store))
         working = executor or (AtOnce() if virtual else ThreadPoolExecutor(1, "processing"))
         window = PairingRun(self._board, store, hardware.clock, self._setup)
-        self._loop = InstrumentLoop(hardware, store, self._board, working, window)
+        self._loop = InstrumentLoop(hardware, store, self._board, working, window, ball_radius_mm)
 
     # What it is and what happens: from any thread.
 

@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
 from device.bundle_store import BundleStore
 from device.errors import DeviceError
-from device.scanning.capture import CapturePlan
-from device.scanning.guided_calibration import GuidedCalibration
 from device.scanning.selftest import selftest
+from device.session.button_watch import LONG_PUSH_S
 from device.session.calibration_run import CalibrationRun
 from device.session.cues import show
-from device.session.events import ButtonPushed, Failed, PowerOffAsked, SelfTested, Told
+from device.session.events import ButtonPushed, Failed, PowerOffAsked, SelfTested
 from device.session.in_force import InForce
 from device.session.live_loop import LiveLoop
+from device.session.long_push import LongPush
 from device.session.noticeboard import Noticeboard
 from device.session.pairing_run import PairingRun
-from device.session.press_cycle import LONG_PUSH_S, PressCycle, Source
+from device.session.press_cycle import PressCycle, Source
 from hal.errors import HalError
 from hal.hardware import Hardware
 
@@ -39,7 +40,13 @@ class InstrumentLoop:
     """What only one thread may do; commands are queued by any thread and carried out by the next step."""
 
     def __init__(
-        self, hardware: Hardware, store: BundleStore, board: Noticeboard, executor: Executor, pairing: PairingRun
+        self,
+        hardware: Hardware,
+        store: BundleStore,
+        board: Noticeboard,
+        executor: Executor,
+        pairing: PairingRun,
+        ball_radius_mm: float,
     ) -> None:
         self.hardware = hardware
         self.board = board
@@ -52,9 +59,10 @@ class InstrumentLoop:
         self._presses = PressCycle(
             hardware, board, executor, self._in_force.scanner_for_press, self._live.motion, self._long_push
         )
+        calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
+        self._held = LongPush(board, hardware.clock, self.open_pairing, calibrate)
         self._run: CalibrationRun | None = None
-        self._is_open = False
-        self._long_lent = self._short_lent = False
+        self._is_open = self._long_lent = self._short_lent = False
         self._house_ns: int | None = None
 
     def ask(self, command: Command) -> None:
@@ -118,15 +126,16 @@ class InstrumentLoop:
         """Tell a face of long pushes from now on, and of short ones in the place of a scan."""
         self._long_lent, self._short_lent = True, short_too
 
-    def start_calibration(self, ball_radius_mm: float) -> None:
-        """Begin the guided calibration."""
+    def start_calibration(self, ball_radius_mm: float, *, by_button: bool = False) -> None:
+        """Begin the guided calibration; begun by the button, a long push ends it, or none for a while."""
         if self._run or not self._is_open:
             self.board.tell(Failed(NOT_NOW))
             return
-        plan, fitted = CapturePlan.of_board(self.hardware), self._in_force.fitted()
-        guide = GuidedCalibration(fitted.profile, ball_radius_mm)
-        self._run = CalibrationRun(fitted, self._store, self.board, self._executor, guide, plan, self._end_calibration)
-        self._live.begin(plan, None)
+        if by_button:
+            self._pairing.close()
+        fitted, done = self._in_force.fitted(), self._end_calibration
+        self._run = CalibrationRun(fitted, self._store, self.board, self._executor, ball_radius_mm, done, by_button)
+        self._live.begin(self._run.plan, None)
         self._run.begin()
 
     def cancel_calibration(self) -> None:
@@ -207,8 +216,8 @@ class InstrumentLoop:
         self._disturbed()
 
     def _step_calibration(self, run: CalibrationRun) -> None:
-        if self.hardware.button.wait_for_push(self._live.wait_s()) is not None:
-            run.press()
+        if run.watch_button(self._live.wait_s()):
+            self._live.wake()
             self._live.darkened()
         run.step()
 
@@ -218,16 +227,11 @@ class InstrumentLoop:
         self._in_force.prepare()
 
     def _long_push(self) -> None:
-        """Say how things stand, and let a workstation come; a face is led through its screens."""
+        """Tell a face, which leads through its screens; without one it asks for something itself."""
         if self._long_lent:
             self.board.tell(ButtonPushed(held_long=True))
-            return
-        state = self.board.state
-        room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
-        battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
-        complaints = "".join(f" {complaint}." for complaint in state.power.complaints)
-        self.board.tell(Told(f"Held {LONG_PUSH_S:.0f} s, no scan.{room}{battery}{complaints}"))
-        self.open_pairing()
+        else:
+            self._held.happened()
 
     def _out_of_order(self, error: Exception) -> None:
         """A part does not answer: let go of everything and try again later."""

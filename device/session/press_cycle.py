@@ -11,12 +11,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Literal
 
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.scanning.scanner import Scanner, ScanOutcome, TakenPress
+from device.session.button_watch import ButtonWatch
 from device.session.cues import REFUSALS, show
 from device.session.events import Failed, MayLift, PressRefused, PressSeen, RefusalReason, ScanFinished
 from device.session.noticeboard import Noticeboard
@@ -27,9 +27,6 @@ from hal.hardware import Hardware
 
 MOST_IN_WORK: Final = 2
 """Frames in memory that wait for the disk: more presses are refused until one is safe."""
-
-LONG_PUSH_S: Final = 2.0
-"""A button held this long asks for something else than a scan."""
 
 LATEST_CUE_MS: Final = 100.0
 """A cue for a press that is older than this is dropped: it would answer to nothing."""
@@ -67,8 +64,7 @@ class PressCycle:
         self._long_push = long_push
         self._works: deque[Work] = deque()
         self._held: Taken | None = None
-        self._began_ns: int | None = None
-        self._waiting_ns: int | None = None
+        self._button = ButtonWatch(hardware)
         self._busy_until_ns = 0
 
     def watch_button(self, wait_s: float) -> bool:
@@ -79,18 +75,13 @@ class PressCycle:
         ButtonError
             The button cannot be read.
         """
-        button, held = self._hardware.button, self._began_ns is not None
-        if not held:
-            began_ns = self._waiting_ns or button.wait_for_push(wait_s)
-            self._waiting_ns = None
-            if began_ns is None:
-                return False
-            self._pushed(began_ns)
-        if press := button.wait_for_press(wait_s if held else 0.0):
-            self._released(press.held_s >= LONG_PUSH_S)
-        elif self._hardware.clock.monotonic_ns() - (self._began_ns or 0) >= LONG_PUSH_S * 1e9:
-            self._released(was_long=True)
-        return True
+        happening = self._button.look(wait_s)
+        if happening == "pushed":
+            self._pushed(self._button.began_ns or 0)
+            happening = self._button.look(0.0)
+        if happening in {"short", "long"}:
+            self._released(was_long=happening == "long")
+        return happening is not None or self._button.began_ns is not None
 
     def scan(self, source: Source) -> None:
         """A press that did not come from the button."""
@@ -155,7 +146,6 @@ class PressCycle:
 
     def _pushed(self, began_ns: int) -> None:
         """The button goes down: take the frame now, and let the release decide what becomes of it."""
-        self._began_ns = began_ns
         if began_ns < self._busy_until_ns:
             self.refuse("busy", "a push came while the frame was being taken and did nothing: push again")
         else:
@@ -163,7 +153,7 @@ class PressCycle:
 
     def _released(self, was_long: bool) -> None:
         """The press is over, or long already: its frame counts, or something else was asked for."""
-        taken, self._held, self._began_ns = self._held, None, None
+        taken, self._held = self._held, None
         if was_long:
             self._long_push()
         elif taken:
@@ -201,12 +191,6 @@ class PressCycle:
         )
         now_ns = self._hardware.clock.monotonic_ns()
         self._board.tell(ScanFinished(now_ns, record.scan_id, record.verdict, height, fault, cpu_ms))
-        if not self._somebody_pushes():
+        # Whoever pushes on does not wait for a rhythm to end.
+        if not self._button.is_waiting():
             show(self._hardware, record.verdict.level)
-
-    def _somebody_pushes(self) -> bool:
-        """Whether the next press has begun: whoever pushes on does not wait for a rhythm to end."""
-        if self._began_ns is None and self._waiting_ns is None:
-            with suppress(HalError):
-                self._waiting_ns = self._hardware.button.wait_for_push(0.0)
-        return self._waiting_ns is not None

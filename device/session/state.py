@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.coaching.coach_reading import CoachReading
+from device.exposure_levels import Brightness
 from device.health_limits import OLD_CALIBRATION_S
 from device.scan_bundle import Annotations, VerdictLevel, VerdictRecord
 from device.scanning.guided_calibration import CalibrationProgress
@@ -38,6 +39,7 @@ class CalibrationState:
 
     version, slot : of the calibration among those for this instrument, gel and lights; None when unknown
     age_s : by the wall clock, which may be wrong; None when it says something impossible
+    brightness : how much of the sensor's range it uses; None when it does not say
     """
 
     calibration_id: str | None = None
@@ -46,6 +48,7 @@ class CalibrationState:
     slot: Literal["factory", "user"] | None = None
     age_s: float | None = None
     held_out_deg: float | None = None
+    brightness: Brightness | None = None
     fault: str = ""
 
     @property

@@ -123,7 +123,10 @@ class CalibrationScreen(InstrumentScreen):
         if guide is None:
             return [(line, 0) for line in _INTRODUCTION]
         if guide.is_over:
-            return [(line, 6) for line in check_lines(guide.checks)] + [(line, 2) for line in guide.next_presses]
+            bright = guide.brightness
+            notes = (bright.warning or bright.sentence,) if bright else ()
+            checks = [(line, 6) for line in check_lines(guide.checks)]
+            return checks + [(line, 2) for line in (*notes, *guide.next_presses)]
         return [(line, 2) for line in self._last_press(guide)]
 
     def _last_press(self, guide: CalibrationProgress) -> list[str]:

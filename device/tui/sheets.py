@@ -36,6 +36,7 @@ def instrument_sheet(state: InstrumentState, program: ProgramFacts, network: Net
         ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
         ("Skin", skin_text(state.health)),
         ("Calibration", calibration.fault or f"{calibration_text(calibration)}{_version(calibration)}{error}"),
+        *_brightness_lines(calibration),
         ("Lights", lights_text(state.health)),
         ("Power", battery_text(state)),
         ("Storage", f"{stored}{left}"),
@@ -47,6 +48,12 @@ def instrument_sheet(state: InstrumentState, program: ProgramFacts, network: Net
 
 def _version(calibration: CalibrationState) -> str:
     return "" if calibration.version is None else f", version {calibration.version} ({calibration.slot})"
+
+
+def _brightness_lines(calibration: CalibrationState) -> list[tuple[str, str]]:
+    """How much of the sensor's range the calibration uses, where it says so."""
+    found = calibration.brightness
+    return [] if found is None else [("Brightness", found.warning or found.sentence)]
 
 
 def lights_text(health: HealthState) -> str:

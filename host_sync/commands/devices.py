@@ -112,7 +112,8 @@ def status_command() -> int:
             say("  never synced")
             continue
         clock = _clock_in_words(state.clock_offset_s)
-        say(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {state.verified} verified, {state.failed} failed; {clock}")
+        counted = f"{state.verified} in the library, {state.failed} failed"
+        say(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {counted}; {clock}")
     if not known:
         say("No device is paired: `retrosync pair HOST` makes one known.")
     return DONE

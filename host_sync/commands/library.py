@@ -57,6 +57,8 @@ def search_command(
     until
         Last day, by the device's clock.
     """
+    if since is not None and until is not None and since > until:
+        raise HostError(f"--since {since} is later than --until {until}: no day lies between them, swap them")
     query = Query(job, part, operator, verdict, gel, device, since, until)
     for hit in search(Library(library or default_library()), query):
         say("  ".join((hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel)))

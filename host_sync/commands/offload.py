@@ -40,7 +40,7 @@ def register(app: App) -> None:
     app.command(push_command, name="push-calibration")
 
 
-def pull_command(source: str, *, library: Folder | None = None, at: str | None = None) -> int:
+def pull_command(source: str, *, library: Folder | None = None, at: str | None = None, verify: bool = False) -> int:
     """Copy every scan and calibration that the library lacks, prove each by re-reading it, and leave receipts.
 
     Parameters
@@ -51,6 +51,8 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
         Where to; ~/Retrograph when not given.
     at
         Where the device is now, HOST or HOST:PORT, when it is not where it was paired.
+    verify
+        Hash again what an earlier pull has verified; a copy that rotted since is named and its receipt taken back.
     """
     target = Library(library or default_library())
     devices = known_devices()
@@ -58,7 +60,9 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
     with _progress() as show:
         if is_folder(source):
             opened = DirectorySource(Path(source))
-            report = pull(opened, target, lambda state: show(opened.name, state), Vouch(this_host(), utc_now))
+            report = pull(
+                opened, target, lambda state: show(opened.name, state), Vouch(this_host(), utc_now), verify=verify
+            )
         else:
             device = devices.find(source)
             with target.writing():
@@ -68,11 +72,12 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
                     devices,
                     lambda device: open_device(device, devices, address),
                     lambda state: show(device.device_id, state),
+                    verify=verify,
                 )
     return _tell(report, str(target.root))
 
 
-def sync_command(*names: str, library: Folder | None = None) -> int:
+def sync_command(*names: str, library: Folder | None = None, verify: bool = False) -> int:
     """Pull from every paired device, or from those named, side by side.
 
     Parameters
@@ -81,6 +86,8 @@ def sync_command(*names: str, library: Folder | None = None) -> int:
         Paired devices; all when none is named.
     library
         Where to; ~/Retrograph when not given.
+    verify
+        Hash again what an earlier pull has verified; a copy that rotted since is named and its receipt taken back.
     """
     target, devices = Library(library or default_library()), known_devices()
     wanted = [devices.find(name) for name in names] or devices.all()
@@ -93,6 +100,7 @@ def sync_command(*names: str, library: Folder | None = None) -> int:
             devices,
             lambda device: open_device(device, devices),
             lambda device, state: show(device.device_id, state),
+            verify=verify,
         )
     codes = []
     for device, outcome in zip(wanted, outcomes, strict=True):
@@ -130,7 +138,8 @@ def _tell(report: PullReport, where: str) -> int:
     """Say what a pull did; returns the exit code."""
     total = report.here + len(report.failed)
     say(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {where}")
-    say(f"{report.here} of {total} verified")
+    earlier = f", {len(report.unread)} by an earlier pull (--verify hashes them again)" if report.unread else ""
+    say(f"{report.here - len(report.unread)} of {total} verified{earlier}")
     for scan in report.without_calibration:
         say(f"Note: scan {scan} has no calibration here.")
     if report.unreceipted is not None:

@@ -41,5 +41,9 @@ FUNCTIONAL: Final = {
     "Vvc": _PER_AREA,
     "Vvv": _PER_AREA,
 }
+SHAPE: Final = frozenset({"Ssk", "Spk", "Smr1", "Str"})
+"""Numbers of a surface's shape: without an L-filter they are those of its waviness, which slopes know least and whose
+error the draws do not hold. No ± of theirs would be right."""
+
 GROUPS: Final = {"height": HEIGHT, "hybrid": HYBRID, "spatial": SPATIAL, "functional": FUNCTIONAL}
 AREAL: Final = HEIGHT | HYBRID | SPATIAL | FUNCTIONAL

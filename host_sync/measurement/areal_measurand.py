@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from device.surface import Float32Array, HeightMap, MaskArray
-from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, ParameterKind
+from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHAPE, ParameterKind
 from host_sync.measurement.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
 from host_sync.measurement.geometry import Region
 from host_sync.measurement.height_parameters import height_parameters
@@ -47,12 +47,13 @@ class ArealMeasurand:
         shape = (height.z_um.shape[0], height.z_um.shape[1])
         whole = (slice(0, shape[0]), slice(0, shape[1]))
         self._window = Region(*recipe.region_um).pixels(shape, height.pitch_um) if recipe.region_um else whole
-        part = HeightMap(np.ascontiguousarray(height.z_um[self._window]), height.pitch_um)
-        self._preparation = Preparation(part, recipe)
+        beyond = None if extrapolated is None else extrapolated[self._window]
+        self._left_out = None if recipe.keep_extrapolated else beyond
+        self._preparation = Preparation(HeightMap(self._cut(height.z_um), height.pitch_um), recipe)
         self._wanted = _wanted(recipe)
         self._correlation = Autocorrelation(self._preparation.valid) if self._asks("spatial") else None
         self.masked_share = 1.0 - float(self._preparation.valid.mean())
-        self._beyond_share = 0.0 if extrapolated is None else float(extrapolated[self._window].mean())
+        self._beyond_share = 0.0 if beyond is None else float(beyond.mean())
         self._decay: Decay | None = None
 
     @property
@@ -60,10 +61,21 @@ class ArealMeasurand:
         """Pixels of the region with a height: bool array."""
         return self._preparation.valid
 
+    @property
+    def without_sigma(self) -> frozenset[str]:
+        """Parameters whose ± the draws cannot tell."""
+        return frozenset() if self._recipe.l_filter_um is not None else SHAPE
+
     def surface(self, z_um: Float32Array) -> HeightMap:
         """The scale-limited surface of a height map of shape (H, W)."""
-        part = np.ascontiguousarray(z_um[self._window])
-        return HeightMap(self._preparation.apply(part), self._pitch_um)
+        return HeightMap(self._preparation.apply(self._cut(z_um)), self._pitch_um)
+
+    def _cut(self, z_um: Float32Array) -> Float32Array:
+        """The region of a height map of shape (H, W), NaN too where slopes lie beyond the calibration's."""
+        part = np.array(z_um[self._window], np.float32)
+        if self._left_out is not None:
+            part[self._left_out] = np.nan
+        return part
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """The parameters that the recipe asks for."""
@@ -99,15 +111,20 @@ class ArealMeasurand:
         if self.masked_share > MASKED_SHARE:
             every.append(f"{self.masked_share:.0%} of the area is masked: what is under the mask may differ")
         if self._beyond_share > BEYOND_SHARE:
-            every.append(f"{self._beyond_share:.1%} of the area has slopes beyond what the calibration's balls taught")
+            done = "kept" if self._left_out is None else "left out"
+            beyond = f"{self._beyond_share:.1%} of the area has slopes beyond what the calibration's balls taught"
+            every.append(f"{beyond}: {done}")
         return {"": tuple(every)} | self._spatial_doubts()
 
     def notes(self) -> tuple[str, ...]:
-        """What there is to say of the filters themselves."""
+        """What there is to say of region and filters themselves."""
+        found = []
+        if self._recipe.region_um is None:
+            found.append("region: the whole field, untouched skin too: set region_um to measure a part of it")
         s_um = self._recipe.s_filter_um
         if s_um is not None and s_um < FINEST_PX * self._pitch_um:
-            return (f"S-filter: {s_um:g} µm is less than {FINEST_PX:g} pixels of {self._pitch_um:g} µm: no effect",)
-        return ()
+            found.append(f"S-filter: {s_um:g} µm is less than {FINEST_PX:g} pixels of {self._pitch_um:g} µm: no effect")
+        return tuple(found)
 
     def _asks(self, group: str) -> bool:
         return not self._wanted.keys().isdisjoint(GROUPS[group])

@@ -37,6 +37,7 @@ from host_sync.measurement.recipe import Recipe
 from host_sync.measurement.result_surface import ResultSurface, read_result
 
 DIRECTION: Final = "Std"
+NO_SHAPE_SIGMA: Final = "± not stated: without an L-filter waviness rules it, which slopes know least: set l_filter_um"
 
 Numbers = Mapping[str, float]
 
@@ -173,6 +174,8 @@ def _quantities(
             if known and known[0] == 0.0:
                 known = None  # it hangs on nothing that the draws vary: a length along the skin whose pitch has no ±
             words = (*doubts.get("", ()), *doubts.get(name, ()))
+            if known and measurand is instrument.areal and name in instrument.areal.without_sigma:
+                known, words = None, (*words, NO_SHAPE_SIGMA)
             if known and abs(known[1]) > max(NOISE_DOUBT * known[0], NOISE_SHARE * abs(value)):
                 verb = "raises" if known[1] > 0.0 else "lowers"
                 words += (f"noise of the measurement {verb} it by about {abs(known[1]):.2g} {kind.unit}".rstrip(),)

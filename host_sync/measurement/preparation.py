@@ -38,7 +38,9 @@ class Preparation:
     def __init__(self, height: HeightMap, recipe: Recipe) -> None:
         valid = np.isfinite(height.z_um)
         if not valid.any():
-            raise MeasurementError("every pixel of the region is masked: choose another")
+            raise MeasurementError(
+                "every pixel of the region is masked or beyond the calibration: choose another, or keep_extrapolated"
+            )
         self._form = _form(recipe.form, height)
         formless = height.z_um if self._form is None else self._form.remove(height.z_um)
         self.valid = np.isfinite(formless)

@@ -46,13 +46,14 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def number(self) -> str:
         """Such as "1.83 ± 0.06 µm": two digits of the uncertainty, the value to the same place."""
-        unit = f" {self.unit}" if self.unit else ""
         if self.value is None:
             return "not defined"
+        factor, name = shown_in(self.unit, self.value)
+        unit = f" {name}" if name else ""
         if self.uncertainty is None:
-            return f"{self.value:.4g}{unit}, ± not known"
-        places = decimals(self.uncertainty)
-        value, uncertainty = (round(one, places) for one in (self.value, self.uncertainty))
+            return f"{factor * self.value:.4g}{unit}, ± not known"
+        places = decimals(factor * self.uncertainty)
+        value, uncertainty = (round(factor * one, places) for one in (self.value, self.uncertainty))
         shown = max(places, 0)
         return f"{value:.{shown}f} ± {uncertainty:.{shown}f}{unit}"
 
@@ -61,6 +62,11 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
         """Such as "Sa 1.83 ± 0.06 µm (k = 1), 4 % masked"."""
         known = "" if self.uncertainty is None else f" (k = {self.coverage_factor})"
         return f"{self.name} {self.number}{known}, {100.0 * self.masked_share:.2g} % masked"
+
+
+def shown_in(unit: str, value: float) -> tuple[float, str]:
+    """The unit in which a number is shown, and the factor to it: volumes from a hundredth of a mm³ on in mm³."""
+    return (1e-9, "mm³") if unit == "µm³" and abs(value) >= 1e7 else (1.0, unit)
 
 
 def decimals(uncertainty: float) -> int:

@@ -13,11 +13,11 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from device.records import explain_validation
 from host_sync.errors import MeasurementError
 from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
 from host_sync.measurement.form import HIGHEST_DEGREE
 from host_sync.measurement.height_draws import StatedScale
+from host_sync.measurement.recipe_words import recipe_problem
 from host_sync.measurement.step_height import StepKind
 
 FORMS: Final = ("none", "mean", "plane", "sphere", *(f"polynomial-{degree}" for degree in range(2, HIGHEST_DEGREE + 1)))
@@ -97,6 +97,7 @@ class Recipe(_Table, frozen=True):
     """The whole file.
 
     coverage_factor : k, by which standard uncertainties are multiplied
+    keep_extrapolated : measure pixels too whose slopes lie beyond what the calibration taught
     form : what is taken off first, by least squares
     s_filter_um, l_filter_um : nesting indices of the areal Gaussian filters
     parameters : groups or single names; those of `smr_um` and `smc_percent` come with the functional ones
@@ -109,6 +110,7 @@ class Recipe(_Table, frozen=True):
     name: str = ""
     coverage_factor: Literal[1, 2] = 1
     region_um: Rectangle | None = None
+    keep_extrapolated: bool = False
     form: str = "plane"
     s_filter_um: Length | None = None
     l_filter_um: Length | None = None
@@ -136,8 +138,7 @@ def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
     try:
         return msgspec.convert(msgspec.to_builtins(recipe) | dict(given), Recipe)
     except msgspec.ValidationError as error:
-        problem = explain_validation(error)
-        raise MeasurementError(f"options: {problem}{_accepted(problem)}") from error
+        raise MeasurementError(f"options: {_told(error)}") from error
 
 
 _TABLES: Final = {
@@ -166,8 +167,7 @@ def read_recipe(path: Path) -> Recipe:
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a recipe in TOML") from error
     except msgspec.ValidationError as error:
-        problem = explain_validation(error)
-        raise MeasurementError(f"{path}: {problem}{_accepted(problem)}") from error
+        raise MeasurementError(f"{path}: {_told(error)}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(f"{path}: is not TOML: {error}") from error
     return checked(recipe, str(path))
@@ -219,11 +219,13 @@ def _check_names(recipe: Recipe, source: str) -> None:
         seen.add(table.name)
 
 
-def _accepted(problem: str) -> str:
-    """What may stand at the key that a problem names."""
-    key = re.sub(r"\[.*?\]", "", problem.partition(": ")[0]) if ": " in problem else ""
-    if "unknown field" in problem:
-        fields = _TABLES.get(key, Recipe).__struct_fields__
-        return f"; accepted keys are {', '.join(fields)}"
-    last = key.rpartition(".")[2]
-    return f"; accepted are {_ACCEPTED[last]}" if last in _ACCEPTED else ""
+def _told(error: msgspec.ValidationError) -> str:
+    """The key, what is wrong there, and what may stand there."""
+    key, problem = recipe_problem(error)
+    table = re.sub(r"\[.*?\]", "", key)
+    last = table.rpartition(".")[2]
+    if problem.endswith("is no key"):
+        problem += f"; accepted keys are {', '.join(_TABLES.get(table, Recipe).__struct_fields__)}"
+    elif last in _ACCEPTED:
+        problem += f"; accepted are {_ACCEPTED[last]}"
+    return f"{key}: {problem}" if key else problem

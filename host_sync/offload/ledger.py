@@ -25,6 +25,7 @@ class PullFailure:
 class PullReport:
     """What a pull did, by ids.
 
+    unread : of those already there, what a receipt of an earlier pull and its sizes stand for; not hashed again
     without_calibration : scans whose calibration neither the source nor the library holds
     copied_bytes : that came from the source, what an earlier pull had left not counted
     unreceipted : why the source could not be given receipts, None when it has them all
@@ -33,6 +34,7 @@ class PullReport:
 
     copied: tuple[str, ...]
     already_there: tuple[str, ...]
+    unread: tuple[str, ...]
     failed: tuple[PullFailure, ...]
     without_calibration: tuple[str, ...]
     copied_bytes: int
@@ -56,6 +58,7 @@ class Ledger:
 
     copied: list[str] = field(default_factory=list)
     already_there: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
     failed: list[PullFailure] = field(default_factory=list)
     needs: dict[str, str] = field(default_factory=dict)
     copied_bytes: int = 0
@@ -79,6 +82,7 @@ class Ledger:
         return PullReport(
             copied=tuple(self.copied),
             already_there=tuple(self.already_there),
+            unread=tuple(self.unread),
             failed=tuple(self.failed),
             without_calibration=tuple(orphans),
             copied_bytes=self.copied_bytes,

@@ -5,20 +5,20 @@ A bundle that is damaged is named and left behind; the others go on. A second pu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from device.bundle_layout import MANIFESTS, BundleKind
 from device.errors import RecordError
-from device.receipts import RECEIPTS, bundle_of
+from device.receipts import RECEIPTS, bundle_of, receipt_name
 from device.records import read_small
 from host_sync.errors import LibraryError, SourceError, SourceLost
 from host_sync.library import Library
 from host_sync.offload.assembly import Assembly
 from host_sync.offload.bundle_transfer import Offer, read_offer
 from host_sync.offload.ledger import Ledger, PullFailure, PullReport
-from host_sync.offload.receipting import Vouch
+from host_sync.offload.receipting import Vouch, reread
 from host_sync.offload.source import Source
 
 _ORDER: Final[tuple[BundleKind, ...]] = ("calibrations", "scans")
@@ -39,10 +39,13 @@ def pull(
     library: Library,
     progress: Callable[[PullProgress], None] = lambda _: None,
     vouch: Vouch | None = None,
+    *,
+    verify: bool = False,
 ) -> PullReport:
     """The report of copying everything that the library lacks.
 
     vouch : writes the receipts; without it the source gets none
+    verify : hash again what an earlier pull has left a receipt of
 
     Raises
     ------
@@ -52,17 +55,23 @@ def pull(
         The library is full, cannot be written, or is being filled by another program.
     """
     with library.writing():
-        return pull_into(library, source, progress, vouch)
+        return pull_into(library, source, progress, vouch, verify=verify)
 
 
 def pull_into(
-    library: Library, source: Source, progress: Callable[[PullProgress], None], vouch: Vouch | None
+    library: Library,
+    source: Source,
+    progress: Callable[[PullProgress], None],
+    vouch: Vouch | None,
+    *,
+    verify: bool = False,
 ) -> PullReport:
     """The same for a library that the caller holds for writing; several sources may fill it side by side."""
     ledger = Ledger()
     receipted = {bundle_of(name) for name in source.names(RECEIPTS)} if vouch else set()
     try:
-        offers = _fitting(_survey(source, library, ledger, receipted, vouch), library, ledger)
+        survey = _Survey(source, library, ledger, receipted, vouch, verify)
+        offers = _fitting(survey.wanted(), library, ledger)
         if offers:
             _copy(offers, Assembly(source, library, ledger, vouch), ledger, progress)
     except SourceLost as error:
@@ -70,31 +79,67 @@ def pull_into(
     return ledger.report(library, vouch.fault if vouch else None)
 
 
-def _survey(
-    source: Source, library: Library, ledger: Ledger, receipted: set[str | None], vouch: Vouch | None
-) -> list[Offer]:
-    """The offers that the library lacks; what it has and what is damaged goes to the ledger."""
-    wanted = []
-    for kind in _ORDER:
-        for bundle_id in source.bundle_ids(kind):
-            if bundle_id in receipted and library.looks_whole(kind, bundle_id):
-                ledger.already_there.append(bundle_id)
-                continue
-            try:
-                offer = read_offer(source, kind, bundle_id)
-                if offer.calibration_id is not None:
-                    ledger.needs[bundle_id] = offer.calibration_id
-                if not _holds(library, offer):
-                    wanted.append(offer)
-                    continue
-                if vouch:
-                    vouch.after_rereading(source, library, offer)
-                ledger.already_there.append(bundle_id)
-            except SourceLost:
-                raise
-            except (RecordError, SourceError) as error:
-                ledger.failed.append(PullFailure(bundle_id, str(error)))
-    return wanted
+@dataclass(frozen=True, slots=True)
+class _Survey:
+    """What a source offers beside what the library holds.
+
+    receipted : ids that the source has receipts of
+    verify : hash what is here although a receipt says that this was done
+    """
+
+    source: Source
+    library: Library
+    ledger: Ledger
+    receipted: Collection[str | None]
+    vouch: Vouch | None
+    verify: bool
+
+    def wanted(self) -> list[Offer]:
+        """The offers that the library lacks; what it has and what is damaged goes to the ledger."""
+        wanted = []
+        for kind in _ORDER:
+            for bundle_id in self.source.bundle_ids(kind):
+                try:
+                    if offer := self._wanted(kind, bundle_id):
+                        wanted.append(offer)
+                except SourceLost:
+                    raise
+                except (RecordError, SourceError) as error:
+                    self.ledger.failed.append(PullFailure(bundle_id, str(error)))
+        return wanted
+
+    def _wanted(self, kind: BundleKind, bundle_id: str) -> Offer | None:
+        """The offer, unless the library holds it and that was noted."""
+        if not self.verify and bundle_id in self.receipted and self.library.looks_whole(kind, bundle_id):
+            self.ledger.already_there.append(bundle_id)
+            self.ledger.unread.append(bundle_id)
+            return None
+        offer = read_offer(self.source, kind, bundle_id)
+        if offer.calibration_id is not None:
+            self.ledger.needs[bundle_id] = offer.calibration_id
+        if not _holds(self.library, offer):
+            return offer
+        try:
+            reread(self.library, offer)
+        except RecordError as error:
+            raise RecordError(f"{error}{self._withdrawn(bundle_id)}") from error
+        if self.vouch:
+            self.vouch.for_bundle(self.source, offer)
+        self.ledger.already_there.append(bundle_id)
+        return None
+
+    def _withdrawn(self, bundle_id: str) -> str:
+        """Take the receipt of a damaged copy back, so that the device keeps its own; says when that failed."""
+        if bundle_id not in self.receipted:
+            return ""
+        place = f"{RECEIPTS}/{receipt_name(bundle_id)}"
+        try:
+            self.source.rename(place, f"{place}.withdrawn")
+        except SourceLost:
+            raise
+        except SourceError as error:
+            return f"; its receipt could not be taken back ({error}): the device may free its own copy"
+        return ""
 
 
 def _holds(library: Library, offer: Offer) -> bool:

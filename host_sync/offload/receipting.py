@@ -15,6 +15,20 @@ from host_sync.offload.bundle_transfer import Offer
 from host_sync.offload.source import Source
 
 
+def reread(library: Library, offer: Offer) -> None:
+    """Return when the library's copy of a bundle, hashed once more, is what its manifest promises.
+
+    Raises
+    ------
+    RecordError
+        It is damaged; names the file.
+    """
+    directory = library.root / offer.kind / offer.bundle_id
+    with library.translating("read"):
+        read_manifest(directory, MANIFESTS[offer.kind])
+        verify_files(directory, offer.files)
+
+
 class Vouch:
     """Writes receipts to one source in this workstation's name.
 
@@ -33,22 +47,8 @@ class Vouch:
         self._has_folder = False
         self._preparing = threading.Lock()
 
-    def after_rereading(self, source: Source, library: Library, offer: Offer) -> None:
-        """Receipt a bundle that the library holds already, hashed once more.
-
-        Raises
-        ------
-        RecordError
-            The library's copy is damaged: no receipt.
-        """
-        directory = library.root / offer.kind / offer.bundle_id
-        with library.translating("read"):
-            read_manifest(directory, MANIFESTS[offer.kind])
-            verify_files(directory, offer.files)
-        self.for_bundle(source, offer)
-
     def for_bundle(self, source: Source, offer: Offer) -> None:
-        """Receipt a bundle that was just stored and read back; a source that takes none costs nothing else."""
+        """Receipt a bundle that was just read back; a source that takes none costs nothing else."""
         if self.fault is not None:
             return
         receipt = Receipt(

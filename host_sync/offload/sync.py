@@ -26,9 +26,17 @@ def utc_now() -> datetime:
 
 
 def sync(
-    wanted: Sequence[PairedDevice], library: Library, devices: PairedDevices, open_device: Opener, tell: Tell
+    wanted: Sequence[PairedDevice],
+    library: Library,
+    devices: PairedDevices,
+    open_device: Opener,
+    tell: Tell,
+    *,
+    verify: bool = False,
 ) -> list[PullReport | HostError | DeviceError]:
     """What became of each device, in the order in which they were given.
+
+    verify : hash again what an earlier pull has left a receipt of
 
     Raises
     ------
@@ -38,7 +46,7 @@ def sync(
 
     def one(device: PairedDevice) -> PullReport | HostError | DeviceError:
         try:
-            return sync_one(device, library, devices, open_device, lambda state: tell(device, state))
+            return sync_one(device, library, devices, open_device, lambda state: tell(device, state), verify=verify)
         except (HostError, DeviceError) as error:
             return error
 
@@ -52,10 +60,12 @@ def sync_one(
     devices: PairedDevices,
     open_device: Opener,
     tell: Callable[[PullProgress], None],
+    *,
+    verify: bool = False,
 ) -> PullReport:
     """Pull from one device into a library that the caller holds, and note how it went and what its clock says."""
     with open_device(device) as source:
-        report = pull_into(library, source, tell, Vouch(this_host(), utc_now))
+        report = pull_into(library, source, tell, Vouch(this_host(), utc_now), verify=verify)
         offset_s = None if report.lost else source.clock_offset_s()
     devices.save_sync_state(
         SyncState(

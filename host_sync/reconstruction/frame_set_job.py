@@ -10,13 +10,14 @@ from device.errors import DeviceError
 from host_sync.calibration.ball_location import GridSpacing, PressFrame
 from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.full_calibration import Calibration, Method
-from host_sync.calibration.report import write_report
+from host_sync.calibration.report import REPORT_FILE, write_report
 from host_sync.detail_band import DetailBand
 from host_sync.errors import FrameSetError, HostError
 from host_sync.frame_reading import read_frame
 from host_sync.frame_set import FrameSet, PressSpec, ScanSpec
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.results import write_result
+from host_sync.reconstruction.whole_directory import check_replaceable
 
 CALIBRATION_FOLDER = "calibration"
 NO_REFERENCE_FRAMES = 24
@@ -115,6 +116,7 @@ def reconstruct_frame_set(
         Nothing can be written to `out`.
     """
     scans = chosen_scans(frame_set, names)
+    check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)  # before minutes of work
     calibration = calibrate_frame_set(frame_set, tell)
     write_report(out / CALIBRATION_FOLDER, calibration)
     calibrated(calibration)

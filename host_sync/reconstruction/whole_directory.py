@@ -24,7 +24,7 @@ def whole_directory(target: Path, marker: str) -> Iterator[Path]:
     partial = target.with_name(f".{target.name}.partial")
     replaced = target.with_name(f".{target.name}.replaced")
     try:
-        _check_replaceable(target, marker)
+        check_replaceable(target, marker)
         shutil.rmtree(partial, ignore_errors=True)
         if replaced.is_dir() and not target.exists():
             replaced.rename(target)  # an earlier run ended between its two renames
@@ -43,9 +43,18 @@ def whole_directory(target: Path, marker: str) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _check_replaceable(target: Path, marker: str) -> None:
-    """Refuse a place that holds what nobody asked to be replaced."""
+def check_replaceable(target: Path, marker: str) -> None:
+    """Refuse a place that cannot take a directory, or holds what nobody asked to be replaced.
+
+    Raises
+    ------
+    ResultError
+        Names the place.
+    """
     if not target.exists():
+        nearest = next(folder for folder in target.absolute().parents if folder.exists())
+        if not nearest.is_dir():
+            raise ResultError(f"{target} cannot be written: {nearest} is no folder; choose another")
         return
     if not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file()):
         raise ResultError(f"{target} cannot be written: it holds something else than results; choose another folder")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from host_sync.measurement.measurement import Measurement
@@ -40,11 +41,20 @@ def compose(measurement: Measurement) -> Report:
     )
 
 
+def _place(folder: Path, origin: Origin) -> Path:
+    """The result's folder for readers elsewhere: within its library, else as seen from here or by its last names."""
+    if origin.scan is not None:
+        return Path(*folder.absolute().parts[-4:])
+    if not folder.is_absolute():
+        return folder
+    return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else Path(*folder.parts[-2:])
+
+
 def _facts(measurement: Measurement, origin: Origin) -> Iterator[tuple[str, str]]:
     record = measurement.record
     height = measurement.height
     rows, columns = height.z_um.shape
-    yield "result", str(measurement.folder)
+    yield "result", str(_place(measurement.folder, origin))
     yield "recipe", measurement.recipe.name
     if origin.scan is not None:
         scan = origin.scan.record

@@ -19,7 +19,7 @@ from host_sync.viewer.pyramid import Level
 _FACTS: Final = (
     "name", "method", "calibration_id", "program", "written_utc", "warnings", "calibration_passed", "masked_share",
     "height_sigma_median_um", "height_min_um", "height_max_um", "clipped_share", "frame_set", "reference",
-    "shift_um", "turn_deg", "offset_um", "tilt", "residual_um", "median_um", "overlap_share",
+    "shift_um", "turn_deg", "offset_um", "tilt", "residual_um", "median_um", "overlap_share", "agreement_share",
 )  # fmt: skip
 """Entries of a record that the page shows."""
 

@@ -29,6 +29,8 @@ from host_sync.viewer.profile import Line, Profile, profile
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
 
 HEAVY: Final = 2
+_DIFFERENCE: Final = 2
+"""Version of a stored difference: what the cache holds of another is made anew."""
 
 
 class Desk:
@@ -112,7 +114,7 @@ class Desk:
             "steep": steep,
             "masked_share": float(np.isnan(sample).mean()),
             "has_frame": entry.kind != "difference" and (entry.scan is not None or entry.title in self._frames),
-            "has_sigma": entry.kind == "result" and (entry.folder / SIGMA_FILE).is_file(),
+            "has_sigma": entry.kind in {"result", "difference"} and (entry.folder / SIGMA_FILE).is_file(),
             "has_draws": entry.kind == "result" and (entry.folder / DRAWS_FILE).is_file(),
         }
 
@@ -127,7 +129,7 @@ class Desk:
         first, second = self.catalogue.find(first_key), self.catalogue.find(second_key)
         if first.key == second.key:
             raise ViewError("a scan does not differ from itself: choose another to compare it with")
-        name = hashlib.sha256(f"{first.stamp()}:{second.stamp()}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}".encode()).hexdigest()[:32]
         folder = self._cache.folder(name)
         with self._turn():
             record = _stored_difference(folder)
@@ -156,7 +158,9 @@ class Desk:
         found = difference(
             HeightMap(self._heights.read(first, first.pages // 2), first.pitch_um),
             HeightMap(self._heights.read(second, second.pages // 2), second.pitch_um),
+            (self._heights.beside(first, SIGMA_FILE, 2), self._heights.beside(second, SIGMA_FILE, 2)),
         )
+        sigma_um = found.sigma_um
         record = {
             "name": "difference",
             "first": first.key,
@@ -168,10 +172,15 @@ class Desk:
             "residual_um": found.residual_um,
             "median_um": found.median_um,
             "overlap_share": found.overlap_share,
+            "agreement_share": found.agreement,
+            "warnings": [found.doubt] if found.doubt else [],
+            "height_sigma_median_um": None if sigma_um is None else float(np.nanmedian(sigma_um)),
         }
         try:
             folder.mkdir(parents=True, exist_ok=True)
             write_field(folder / "difference_um.tif", found.z_um, first.pitch_um, "height difference, um")
+            if sigma_um is not None:
+                write_field(folder / SIGMA_FILE, sigma_um, first.pitch_um, "standard uncertainty, um")
             (folder / "difference.json").write_bytes(msgspec.json.encode(record))
         except OSError as error:
             raise ViewError(

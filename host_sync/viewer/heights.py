@@ -41,7 +41,7 @@ class Heights:
         return self._holding((entry.stamp(), page), lambda: _read(entry, page))
 
     def beside(self, entry: Entry, name: str, dimensions: int) -> Float32Array | None:
-        """A float32 TIFF beside the heights of a result, or None when there is none.
+        """A float32 TIFF beside the heights of a result or a difference, or None when there is none.
 
         Raises
         ------
@@ -49,7 +49,7 @@ class Heights:
             It is damaged.
         """
         path = entry.folder / name
-        if entry.kind != "result" or not path.is_file():
+        if entry.kind not in {"result", "difference"} or not path.is_file():
             return None
         return self._holding((entry.stamp(), name), lambda: _tiff(path, dimensions))
 

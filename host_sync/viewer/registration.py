@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.errors import ViewError
-from host_sync.viewer.resampling import between_pixels
+from host_sync.viewer.difference import FIT_PX, Difference, slope_agreement
+from host_sync.viewer.resampling import between_pixels, reduced
 
 COARSE_PX: Final = 768
-FIT_PX: Final = 1024
 ROUNDS: Final = 20
 MOST_EQUATIONS: Final = 30_000
 SETTLED_PX: Final = 0.002
@@ -34,29 +34,6 @@ LEAST_SHARE: Final = 0.02
 Float64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Difference:
-    """The second height map minus the first, on the grid of the first.
-
-    z_um : float32 array of shape (H, W), NaN where either is invalid
-    shift_um : (rows, columns) by which the second shows the same thing further down and to the right, at the centre
-    turn_deg : by which it shows it turned, clockwise on the screen
-    offset_um, tilt : height (µm) and tilt (rows, columns; µm/µm) that were taken off
-    residual_um : root mean square of what remains
-    median_um : median of its size, which a few strangers do not move
-    overlap_share : the common field as a share of the first map
-    """
-
-    z_um: Float32Array
-    shift_um: tuple[float, float]
-    turn_deg: float
-    offset_um: float
-    tilt: tuple[float, float]
-    residual_um: float
-    median_um: float
-    overlap_share: float
-
-
 @dataclass(frozen=True, slots=True)
 class _Pose:
     """Place in the second map, px of the first's pitch: turned about the centre, then shifted."""
@@ -66,8 +43,14 @@ class _Pose:
     turn: float = 0.0
 
 
-def difference(first: HeightMap, second: HeightMap) -> Difference:
+def difference(
+    first: HeightMap,
+    second: HeightMap,
+    sigmas_um: tuple[Float32Array | None, Float32Array | None] = (None, None),
+) -> Difference:
     """The second height map minus the first, after registration and levelling.
+
+    sigmas_um : standard uncertainty of each, of its height map's shape, where it is known
 
     Raises
     ------
@@ -94,7 +77,24 @@ def difference(first: HeightMap, second: HeightMap) -> Difference:
         residual_um=float(np.sqrt(np.mean(rest[known] ** 2))),
         median_um=float(np.median(np.abs(rest[known]))),
         overlap_share=float(known.mean()),
+        agreement=slope_agreement(first.z_um, moved),
+        sigma_um=_both(sigmas_um, second.pitch_um, pitch_um, pose, known),
     )
+
+
+def _both(
+    sigmas_um: tuple[Float32Array | None, Float32Array | None],
+    pitch_um: float,
+    wanted_um: float,
+    pose: _Pose,
+    known: MaskArray,
+) -> Float32Array | None:
+    """Both uncertainties as if independent, on the grid of the first; NaN where the difference is unknown."""
+    first, second = sigmas_um
+    if first is None or second is None:
+        return None
+    moved = _moved(_at_pitch(HeightMap(second, pitch_um), wanted_um), pose, first.shape, 1)
+    return np.where(known, np.hypot(first, moved), np.float32(np.nan)).astype(np.float32)
 
 
 def _at_pitch(height: HeightMap, pitch_um: float) -> Float32Array:
@@ -112,7 +112,7 @@ def _at_pitch(height: HeightMap, pitch_um: float) -> Float32Array:
 def _coarse(first: Float32Array, second: Float32Array) -> _Pose:
     """The shift to a cell, by phase correlation of the slopes of both, padded to one size."""
     step = max(1, int(np.ceil(max(*first.shape, *second.shape) / COARSE_PX)))
-    small = [_reduced(z_um, step) for z_um in (first, second)]
+    small = [reduced(z_um, step) for z_um in (first, second)]
     rows, columns = (cv2.getOptimalDFTSize(2 * max(one.shape[axis] for one in small)) for axis in (0, 1))
     spectra = [np.fft.fft2(_complex_slopes(one), (rows, columns)) for one in small]
     cross = np.conj(spectra[0]) * spectra[1]
@@ -139,7 +139,7 @@ def _complex_slopes(z_um: Float32Array) -> NDArray[np.complex128]:
 def _refined(first: Float32Array, second: Float32Array, pose: _Pose, *, turning: bool) -> tuple[_Pose, Float64, float]:
     """Shift and turn to a part of a pixel, level (height, tilts; µm, µm/px), and the median of what remains, µm."""
     step = max(1, int(np.ceil(max(first.shape) / FIT_PX)))
-    fixed = _reduced(first, step)
+    fixed = reduced(first, step)
     row, column = _centred(fixed.shape, first.shape, step)
     level, left_um = np.zeros(3), 0.0
     for _ in range(ROUNDS):
@@ -183,7 +183,7 @@ def _robust(design: Float64, target: Float64) -> tuple[Float64, float]:
 
 def _moved(z_um: Float32Array, pose: _Pose, shape: tuple[int, ...], step: int) -> Float32Array:
     """The second map where the first one's pixels (reduced by `step`) lie on it; NaN beyond it and beside its holes."""
-    small = _reduced(z_um, step)
+    small = reduced(z_um, step)
     full = (shape[0] * step, shape[1] * step)
     row, column = _centred(shape, full, step)
     centre = (0.5 * (full[0] - 1), 0.5 * (full[1] - 1))
@@ -206,11 +206,3 @@ def _centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[
     ]
     row, column = np.meshgrid(*places, indexing="ij")
     return row, column
-
-
-def _reduced(z_um: Float32Array, step: int) -> Float32Array:
-    if step == 1:
-        return z_um
-    rows, columns = (size // step for size in z_um.shape)
-    part = z_um[: rows * step, : columns * step]
-    return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -51,3 +52,12 @@ def _convolve(z_um: Any, row: Any, column: Any, found: Any) -> None:
                     line += right[j] * z_um[at_row - 1 + i, at_column - 1 + j]
                 total += down[i] * line
             found[r, c] = total
+
+
+def reduced(z_um: Float32Array, step: int) -> Float32Array:
+    """The means over squares of so many pixels; rows and columns beyond the last whole square are left out."""
+    if step == 1:
+        return z_um
+    rows, columns = (size // step for size in z_um.shape)
+    part = z_um[: rows * step, : columns * step]
+    return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)

@@ -1,5 +1,6 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
+import argparse
 import os
 import shutil
 import signal
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from device.__main__ import main
+from device.__main__ import _parser, main
 from device.bundle_store import BundleStore
 from device.calibration_bundle import CalibrationBundle
 from device.pairing_card import leave_host_card, read_device_card
@@ -30,6 +31,34 @@ def test_scanning_before_calibrating_says_what_to_run(tmp_path: Path, capsys: py
     store = str(tmp_path / "store")
     assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, "scan"], 2)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_object_that_the_twin_lacks_is_refused_before_anybody_is_asked_to_press(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(calibrated_root, tmp_path / "store")
+    arguments = ["--board", str(small_board), "--store", str(tmp_path / "store"), "scan", "--object", "nosuch"]
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert "the twin has no object 'nosuch'" in said.err
+    assert said.out == ""
+
+
+def test_a_damaged_choice_of_calibration_is_mended_as_its_complaint_says(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(calibrated_root, store)
+    (store / "active.json").write_text("{")
+    retroscan = ["--board", str(small_board), "--store", str(store)]
+    assert "`retroscan shelf use ID`" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").unlink()
+    (store / "active.json").mkdir()
+    assert "remove it, then" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").rmdir()
+    (calibration,) = (store / "calibrations").iterdir()
+    assert main([*retroscan, "shelf", "use", calibration.name]) == 0
+    assert main([*retroscan, "scan", "--object", "coin"]) == 0
 
 
 def test_an_empty_name_is_no_store(capsys: pytest.CaptureFixture[str]) -> None:
@@ -52,12 +81,34 @@ def test_the_twin_is_never_taken_unasked(capsys: pytest.CaptureFixture[str]) -> 
     assert "--board" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "ssh"])
+def test_a_port_is_one_of_those_there_are(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "pair", "--port", port])
+    assert ended.value.code == 2
+    assert "is no port: give one of 1 to 65535" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("radius", ["0", "-3", "nan", "ball"])
 def test_a_ball_needs_a_radius(radius: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--board", "twin", "calibrate", "--ball-radius-mm", radius])
     assert ended.value.code == 2
     assert "is not a length above 0 mm" in capsys.readouterr().err
+
+
+def _unexplained(parser: argparse.ArgumentParser, name: str) -> list[str]:
+    found = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found += [one for n, sub in action.choices.items() for one in _unexplained(sub, f"{name} {n}")]
+        elif not action.help:
+            found.append(f"{name} {action.dest}")
+    return found
+
+
+def test_help_explains_every_argument_of_every_command() -> None:
+    assert _unexplained(_parser(), "retroscan") == []
 
 
 def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,8 @@
 """A twin of the reference field at a quarter of its resolution, so that a press takes milliseconds."""
 
-import msgspec
 import pytest
 
-from hal.board_profile import BoardProfile, load_board_profile
+from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware
 from hal.twin.bench import Bench, build
@@ -11,10 +10,8 @@ from hal.twin.hardware import twin_hardware
 
 
 @pytest.fixture
-def profile() -> BoardProfile:
-    reference = load_board_profile("twin")
-    sensor = msgspec.structs.replace(reference.sensor, columns=364, rows=272, pixel_pitch_um=48.0)
-    return msgspec.structs.replace(reference, sensor=sensor)
+def profile(small_twin: BoardProfile) -> BoardProfile:
+    return small_twin
 
 
 @pytest.fixture

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from host_sync.__main__ import main
-from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.calibration_frames import CalibrationFrames
 from host_sync.calibration.full_calibration import Calibration
 from host_sync.library import Library
 from host_sync.offload.directory import DirectorySource
@@ -18,6 +19,7 @@ from host_sync.reconstruction.figures_job import frames_to_draw
 from host_sync.reconstruction.held_out_ball import BallError, held_out_ball_errors
 from host_sync.render.ball_error_figure import ball_error_figure
 
+pytestmark = pytest.mark.usefixtures("calibrated_once")
 NAMES = ("reflectance-maps", "ambiguous-bins", "ball-errors")
 
 
@@ -34,12 +36,12 @@ def frames(library: Library) -> CalibrationFrames:
 
 
 @pytest.fixture(scope="module")
-def calibration(frames: CalibrationFrames) -> Calibration:
-    return calibrate_frames(frames)
+def calibration(frames: CalibrationFrames, calibrated_so_far: Any) -> Calibration:
+    return calibrated_so_far.calibrate(frames)
 
 
 @pytest.fixture(scope="module")
-def errors(frames: CalibrationFrames, calibration: Calibration) -> tuple[BallError, ...]:
+def errors(frames: CalibrationFrames, calibration: Calibration, calibrated_once: None) -> tuple[BallError, ...]:
     return held_out_ball_errors(frames, calibration)
 
 

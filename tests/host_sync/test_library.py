@@ -191,5 +191,6 @@ def test_searching_from_the_command_line(
     assert main(["search", "--job", "j-*", "--since", "1970-01-01", "--library", str(library.root)]) == 0
     assert scan.scan_id in capsys.readouterr().out
     assert main(["search", "--job", "other", "--library", str(library.root)]) == 0
+    assert main(["search", "--since", "2026-02-01", "--until", "2026-01-01", "--library", str(library.root)]) == 2
     assert capsys.readouterr().out == ""
     assert main(["search", "--library", str(library.root / "absent")]) == 2

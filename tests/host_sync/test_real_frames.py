@@ -46,6 +46,7 @@ def test_every_labelled_ball_is_reconstructed(name: str, tmp_path: Path) -> None
     assert verdict["radius_ratio_median"] == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_ball_grid_without_labels_calibrates_as_well(tmp_path: Path) -> None:
     folder = DATA / "oem-bga"
     text = (folder / "frameset.toml").read_text()

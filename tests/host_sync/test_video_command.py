@@ -97,7 +97,7 @@ def test_bad_input_is_refused_in_one_sentence(
 def test_an_interrupted_command_says_so_and_ends_with_130(
     calibrated_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(*_arguments: object) -> None:
+    def interrupt(*_arguments: object, **_options: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("host_sync.commands.offload.pull", interrupt)

@@ -58,7 +58,12 @@ class ComparePage {
     this.shift = { row: down / this.both[1].pitch_um, column: right / this.both[1].pitch_um };
     this.words.textContent = `The second lies ${way(down, "down", "up")}, ${way(right, "right", "left")}, turned by ` +
       `${record.turn_deg.toFixed(2).replace("-", "−")}°. After levelling ${micrometres(record.residual_um)} rms remain ` +
-      `(median ${micrometres(record.median_um)}) over ${percent(record.overlap_share)} of the first.`;
+      `(median ${micrometres(record.median_um)}) over ${percent(record.overlap_share)} of the first, ` +
+      (Number.isFinite(record.height_sigma_median_um)
+        ? `where the difference is known to ± ${micrometres(record.height_sigma_median_um)} (k = 1, median; both scans' ± together).`
+        : "and no ± is known, as one of them states none.");
+    const doubts = (record.warnings ?? []).map((words) => h("strong", { class: "warning" }, ` Doubtful: ${words}.`));
+    this.words.append(...doubts);
     this.views[1].disabled = false;
     this.follow(0, this.stages[0].relief.eye);
   }

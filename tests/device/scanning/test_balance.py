@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from device.errors import CalibrationError
-from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, channel_levels
-from device.scanning.balance import AIMED_LEVEL, FEWEST_STEPS, balance, warning
+from device.exposure_levels import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Brightness, channel_levels
+from device.scanning.balance import AIMED_LEVEL, FEWEST_STEPS, balance
 from device.scanning.capture import capture
 from device.scanning.guided_calibration import press_places
 from hal.board_profile import BoardProfile
@@ -97,8 +97,12 @@ def test_daylight_that_saturates_is_told(bench: Bench, hardware: Hardware) -> No
         balance(floodlit, BALL_RADIUS_MM, lambda _: None)
 
 
-def test_the_warning_names_the_level_and_what_to_do() -> None:
-    assert warning((0.5, 0.9, 0.8)) == ""
-    assert warning((0.5, 0.95, 0.8)) == "the brightest reach R 50%, G 95%, B 80% of full scale, over 90%: " + (
-        "calibrate with --balance"
+def test_the_levels_of_a_calibration_are_told_and_those_that_are_too_high_warned_of() -> None:
+    found = Brightness((0.32, 0.28, 0.27), (0.5, 0.9, 0.8))
+    assert found.sentence == "flat skin at R 32%, G 28%, B 27%, brightest R 50%, G 90%, B 80% of full scale"
+    assert found.warning == ""
+    assert Brightness.of_figures(found.figures()) == found
+    assert Brightness.of_figures(found.figures() | {"flat_level_red": None}) is None
+    assert Brightness(found.flat, (0.5, 0.95, 0.8)).warning == (
+        "the brightest reach R 50%, G 95%, B 80% of full scale, over 90%: run `retroscan calibrate --balance`"
     )

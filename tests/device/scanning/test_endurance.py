@@ -1,6 +1,6 @@
 """Scripted presses with random faults on the real drivers: every good press published once, nothing leaks.
 
-300 presses in the gate; 10,000 with `-m slow`.
+150 presses in the gate; 10,000 with `-m slow`.
 """
 
 import resource
@@ -113,7 +113,7 @@ def press_for_a_while(wired: Wired, store: BundleStore, presses: int) -> tuple[i
 
 
 @pytest.mark.parametrize(
-    ("presses", "most_growth_mb"), [(300, 40.0), pytest.param(10_000, 40.0, marks=pytest.mark.slow)]
+    ("presses", "most_growth_mb"), [(150, 20.0), pytest.param(10_000, 40.0, marks=pytest.mark.slow)]
 )
 def test_every_good_press_is_published_once_and_nothing_leaks(
     bench: Bench, calibrated: BundleStore, presses: int, most_growth_mb: float

@@ -69,7 +69,6 @@ def test_without_a_service_manager_nothing_is_told(said: dict[str, str]) -> None
     supervisor = Supervisor.from_environment(said)
     supervisor.ready("ready")
     supervisor.alive()
-    assert not supervisor.is_there
     assert supervisor.longest_wait_s is None
     assert not supervisor.power_off()
 

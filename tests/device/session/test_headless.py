@@ -9,10 +9,11 @@ import pytest
 from device.bundle_store import BundleStore
 from device.pairing.opening import PairingSetup
 from device.scanning.selftest import selftest
+from device.session.calibration_run import PATIENCE_S
 from device.session.headless import run_headless
 from device.session.instrument import Instrument
 from hal.errors import IndicatorError
-from hal.interfaces import ButtonPress
+from hal.interfaces import ButtonPress, OperatorRequest
 from hal.rhythm_indicator import RhythmIndicator
 from hal.twin.bench import Bench
 from hal.twin.wired.gpio_wire import Edge
@@ -120,6 +121,76 @@ def test_a_long_push_tells_the_state_and_does_not_scan(watched: Watched) -> None
     assert watched.scans == 1
     assert any("Held 2 s, no scan. Room for" in line and "Battery 50%" in line for line in watched.said)
     assert any("sshd's public key cannot be read" in line for line in watched.said)
+
+
+class Hand:
+    """An operator who presses what a calibration asks for and leaves the button to the test."""
+
+    def __init__(self, wired: Wired) -> None:
+        self._bench, self._operator = wired.bench, wired.hardware.operator
+
+    def ask(self, request: OperatorRequest) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self._bench, "schedule_button", lambda _press: None)
+            self._operator.ask(request)
+
+
+@pytest.fixture
+def calibrating(bench: Bench, tmp_path: Path) -> Iterator[Watched]:
+    """A new board whose button has been held twice."""
+    wired = wired_hardware(bench, "PCA9955B")
+    board = dataclasses.replace(wired, hardware=dataclasses.replace(wired.hardware, operator=Hand(wired)))
+    watched = Watched(board, BundleStore(tmp_path / "new", bench.clock))
+    with watched.instrument:
+        for at_s in (0.1, 2.6):
+            watched.push(at_s, held_s=2.1)
+        watched.run(5.0)
+        assert watched.instrument.state.activity == "calibrating"
+        assert watched.said[-1] == "Touch nothing with the gel, then push the button."
+        yield watched
+
+
+def test_held_twice_the_button_alone_calibrates_and_scans(calibrating: Watched) -> None:
+    shown: list[str] = []
+    show = calibrating.wired.hardware.indicator.show
+    calibrating.wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
+    while calibrating.instrument.state.activity == "calibrating":
+        calibrating.push(0.1)
+        calibrating.run(0.6)
+    assert any("passed and is in force" in line for line in calibrating.said)
+    assert shown[:3] == ["busy", "may lift", "good"]
+    assert shown[-3:] == ["busy", "may lift", "calibration"]
+    assert shown.count("may lift") >= 13
+    calibrating.push(0.5)
+    calibrating.run(2.0)
+    assert calibrating.scans == 1
+
+
+def test_a_calibration_by_the_button_is_given_up_by_a_long_push(calibrating: Watched) -> None:
+    calibrating.push(0.5, held_s=2.5)
+    calibrating.run(4.0)
+    assert calibrating.instrument.state.activity == "ready"
+    assert "The calibration was stopped; the one before stays in force." in calibrating.said
+    assert calibrating.scans == 0
+
+
+def test_a_calibration_that_nobody_goes_on_with_ends(calibrating: Watched) -> None:
+    calibrating.wired.bench.clock.sleep(PATIENCE_S - 10.0)
+    calibrating.run(1.0)
+    assert calibrating.instrument.state.activity == "calibrating"
+    calibrating.wired.bench.clock.sleep(15.0)
+    calibrating.run(1.0)
+    assert calibrating.instrument.state.activity == "ready"
+    assert any("Nobody pushed for three minutes" in line for line in calibrating.said)
+
+
+def test_long_pushes_far_apart_begin_no_calibration(watched: Watched) -> None:
+    for _ in range(2):
+        watched.push(0.1, held_s=2.1)
+        watched.run(2.5)
+        watched.wired.bench.clock.sleep(10.0)
+    assert watched.instrument.state.activity == "ready"
+    assert watched.instrument.state.guide is None
 
 
 def _lights_unplugged(wired: Wired) -> Callable[[], None]:

@@ -56,17 +56,6 @@ class Terminal:
 
 
 @pytest.fixture
-def small_board(tmp_path: Path) -> Path:
-    """The twin with a quarter of its resolution, as a file."""
-    text = (ROOT / "board" / "twin.toml").read_text(encoding="utf-8")
-    for key, value in (("columns", "364"), ("rows", "272"), ("pixel_pitch_um", "48.0"), ("name", '"small-twin"')):
-        text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, count=1, flags=re.MULTILINE)
-    path = tmp_path / "small-twin.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-@pytest.fixture
 def terminal(tmp_path: Path, small_board: Path) -> Iterator[Terminal]:
     command = [sys.executable, "-m", "device", "--board", str(small_board), "--store", str(tmp_path / "store")]
     opened = Terminal(tmp_path / "tmux", command)

@@ -18,8 +18,8 @@ def test_facts_name_device_network_key_gel_lights_and_storage(play: Callable[...
     async def scenario(stage: Stage) -> None:
         await _choose(stage, "facts")
         shown = stage.text()
-        for word in ("Device", "Name", "Address", "Key", "Gel", "Calibration", "Lights", "Storage", "0.1.0"):
-            assert word in shown
+        words = ("Device", "Name", "Address", "Key", "Gel", "Calibration", "Brightness", "Lights", "Storage", "0.1.0")
+        assert [word for word in words if word not in shown] == []
 
     play(scenario, root, size=(100, 30))
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from device.bundle_store import BundleStore
+from device.receipts import is_receipted
+from device.scan_bundle import ScanBundle
 from host_sync.__main__ import main
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState
 
@@ -30,6 +32,34 @@ def test_a_folder_is_pulled_and_receipted(
     assert "1 of 1 verified" in said
     assert "[red]lib" in said
     assert len(list((store.root / "receipts").iterdir())) == 1
+
+
+def test_a_copy_that_rotted_is_not_called_verified_and_its_receipt_is_taken_back(
+    store: BundleStore, publish_scan: Callable[..., ScanBundle], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan, library = publish_scan(store), tmp_path / "library"
+    pull = ["pull", str(store.root), "--library", str(library)]
+    assert main(pull) == 0
+    copy = library / "scans" / scan.scan_id
+    good = (copy / "raw.tif").read_bytes()
+    (copy / "raw.tif").write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+    capsys.readouterr()
+    assert main(pull) == 0
+    assert "0 of 1 verified, 1 by an earlier pull (--verify hashes them again)" in capsys.readouterr().out
+    manifest = (scan.directory / "scan.json").read_bytes()
+    assert is_receipted(store.root, scan.scan_id, manifest)
+    for arguments in ([*pull, "--verify"], pull):  # without its receipt it is looked at again
+        assert main(arguments) == 1
+        told = capsys.readouterr()
+        assert "0 of 1 verified\n" in told.out
+        assert "raw.tif is damaged" in told.err
+        assert not is_receipted(store.root, scan.scan_id, manifest)
+    copy.rename(tmp_path / "moved-away")
+    assert main(pull) == 0
+    assert (copy / "raw.tif").read_bytes() == good
+    assert is_receipted(store.root, scan.scan_id, manifest)
+    assert main([*pull, "--verify"]) == 0
+    assert capsys.readouterr().out.count("1 of 1 verified\n") == 2
 
 
 @pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["sync"], ["pair"]])
@@ -69,7 +99,7 @@ def test_the_devices_clock_is_told_in_words(
     seen = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
     devices.save_sync_state(SyncState(device_id="rg1", synced=seen, clock_offset_s=offset_s, verified=41, failed=0))
     assert main(["status"]) == 0
-    assert f"synced 2026-11-21 12:00 UTC: 41 verified, 0 failed; {words}\n" in capsys.readouterr().out
+    assert f"synced 2026-11-21 12:00 UTC: 41 in the library, 0 failed; {words}\n" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

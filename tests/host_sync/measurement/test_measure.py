@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -178,8 +179,44 @@ def test_doubts_are_said(write_result: Write, wave: np.ndarray) -> None:
     found = measure_result(folder, Recipe(l_filter_um=600.0))
     doubts = " ".join(number(found, "Sa").doubts)
     assert "within half the L-filter's nesting index" in doubts
-    assert "50.0% of the area has slopes beyond what the calibration's balls taught" in doubts
+    assert "50.0% of the area has slopes beyond what the calibration's balls taught: left out" in doubts
+    assert number(found, "Sa").masked_share == pytest.approx(0.5 + 60 * 60 / torn.size)
     assert "at most this" in " ".join(number(found, "Str").doubts)
+
+
+def test_slopes_beyond_the_calibration_are_left_out_unless_they_are_asked_for(
+    write_result: Write, wave: np.ndarray
+) -> None:
+    wild = wave.copy()
+    wild[40:50, 40:50] += 500.0
+    folder = write_result(wild)
+    beyond = np.zeros(SHAPE, np.uint8)
+    beyond[35:55, 35:55] = 255
+    cv2.imwrite(str(folder / "extrapolated.png"), beyond)
+    assert number(measure_result(folder, Recipe()), "Sz").value < 10.0
+    kept = number(measure_result(folder, Recipe(keep_extrapolated=True)), "Sz")
+    assert kept.value > 450.0
+    assert any(doubt.endswith("balls taught: kept") for doubt in kept.doubts)
+
+
+def test_a_shape_without_an_l_filter_states_no_uncertainty_and_says_why(write_result: Write, wave: np.ndarray) -> None:
+    folder = write_result(wave)
+    plain, filtered = (measure_result(folder, one) for one in (Recipe(), Recipe(l_filter_um=600.0)))
+    for name in ("Ssk", "Spk", "Smr1", "Str"):
+        assert number(plain, name).uncertainty is None
+        assert any("set l_filter_um" in doubt for doubt in number(plain, name).doubts)
+        assert not any("set l_filter_um" in doubt for doubt in number(filtered, name).doubts)
+    assert number(filtered, "Ssk").uncertainty is not None
+    assert number(plain, "Sa").uncertainty is not None
+
+
+def test_large_volumes_are_shown_in_cubic_millimetres() -> None:
+    volume = Quantity(
+        subject="pit", name="void volume", unit="µm³", value=2.345e8, uncertainty=1.2e7, coverage_factor=1, offset=None,
+        draws=16, masked_share=0.0,
+    )  # fmt: skip
+    assert volume.number == "0.235 ± 0.012 mm³"
+    assert msgspec.structs.replace(volume, value=2345.0, uncertainty=12.0).number == "2345 ± 12 µm³"
 
 
 def test_lines_and_steps_carry_their_own_uncertainty(write_result: Write, wave: np.ndarray) -> None:

@@ -60,8 +60,13 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ("l_fliter_um = 3", ("l_fliter_um", "accepted keys are name, coverage_factor")),
         ('parameters = ["Sx"]', ("parameters", "'Sx'", "height, hybrid, spatial, functional, Sa")),
         ("s_filter_um = 30\nl_filter_um = 20", ("s_filter_um", "less than that")),
-        ("l_filter_um = -1", ("l_filter_um", "> 0")),
+        ("l_filter_um = -1", ("l_filter_um: is out of range; accepted is a number above 0",)),
         ("l_filter_um = nan", ("l_filter_um",)),
+        ('l_filter_um = "fine"', ("l_filter_um: is a text; accepted is a number or nothing",)),
+        ("region_um = [1, 2]", ("region_um: is a list of 2; accepted is a list of 4",)),
+        ("spectrum = 1", ("spectrum: is a whole number; accepted is true or false",)),
+        ("[[distance]]", ("distance[0]: name is missing: state it",)),
+        ('[[distance]]\nname = ""', ("distance[0].name: is too short; accepted is at least 1 characters",)),
         ('[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nkind = "hole"', ("step", "'groove', 'step'")),
         ('[[profile]]\nname = "a"\nfrom_um = [0, 0]', ("profile", "to_um")),
         (
@@ -78,6 +83,8 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
 def test_others_are_refused_by_key(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
     with pytest.raises(MeasurementError) as refused:
         read_recipe(write(tmp_path, text))
+    assert "Expected" not in str(refused.value)
+    assert "Object" not in str(refused.value)
     for word in ("recipe.toml", *words):
         assert word in str(refused.value)
 

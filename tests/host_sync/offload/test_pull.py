@@ -282,7 +282,9 @@ def test_what_the_library_has_is_not_fetched_again_and_not_linked(
     held.write_bytes(b"rot!")
     library.find(second.scan_id).verify()
     third = publish()
-    assert pull(DirectorySource(store.root), library).complete
+    report = pull(DirectorySource(store.root), library)
+    assert [failure.bundle_id for failure in report.failed] == [first.scan_id]
+    assert report.copied == (third.scan_id,)
     library.find(third.scan_id).verify()
 
 

@@ -329,7 +329,7 @@ def test_sync_status_and_push_by_the_devices_name(
     assert main(["status"]) == 0
     said = capsys.readouterr().out
     assert "rg00c0ffee" in said
-    assert "1 verified, 0 failed; its clock was" in said
+    assert "1 in the library, 0 failed; its clock was" in said
     other = BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01")
     calibration = publish_calibration(other)
     assert main(["pull", str(other.root), *library]) == 0

@@ -131,6 +131,8 @@ def test_compare_says_shift_and_residual_and_can_be_opened(served: Any) -> None:
     found = served.json(f"/api/compare?first={keys['hill']}&second={keys['moved']}", "POST")
     assert found["record"]["shift_um"] == pytest.approx([48.0, -84.0], abs=2.0)
     assert found["record"]["residual_um"] < 1.0
+    assert found["record"]["agreement_share"] > 0.9
+    assert "height_sigma_median_um" not in found["record"]  # one of the two states no ±
     assert served.json(f"/api/scan/{found['key']}")["kind"] == "difference"
     again = served.json(f"/api/compare?first={keys['hill']}&second={keys['moved']}", "POST")
     assert again == found

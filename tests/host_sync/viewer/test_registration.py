@@ -1,8 +1,10 @@
+import cv2
 import numpy as np
 import pytest
 
 from device.surface import HeightMap
 from host_sync.errors import ViewError
+from host_sync.viewer.difference import LEAST_AGREEMENT
 from host_sync.viewer.registration import difference
 
 SHAPE = (300, 400)
@@ -77,6 +79,30 @@ def test_another_pitch_is_brought_to_the_first() -> None:
     assert found.z_um.shape == SHAPE
     assert found.shift_um == pytest.approx((48.0, 72.0), abs=6.0)
     assert found.median_um < 0.5
+
+
+def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
+    assert difference(seen(), seen(13.4, -22.7, 0.5, noise_um=0.3)).doubt == ""
+    worn = seen(2.0, 3.0, noise_um=0.3)
+    worn.z_um[150:230, 60:200] = 0.0
+    assert difference(seen(), worn).doubt == ""
+    random = np.random.default_rng(11)
+    for size_px in (3.0, 10.0):
+        rough = [cv2.GaussianBlur(random.standard_normal(SHAPE).astype(np.float32), (0, 0), size_px) for _ in range(2)]
+        others = [HeightMap(20.0 * z_um / z_um.std(), PITCH_UM) for z_um in rough]
+        for first, second in ((seen(), others[0]), (others[0], others[1])):
+            found = difference(first, second)
+            assert found.agreement < LEAST_AGREEMENT, size_px
+            assert "may show different things" in found.doubt
+
+
+def test_the_difference_is_as_uncertain_as_both_together() -> None:
+    sigmas = (np.full(SHAPE, 3.0, np.float32), np.full(SHAPE, 4.0, np.float32))
+    found = difference(seen(), seen(5.0, 5.0), sigmas)
+    assert found.sigma_um is not None
+    np.testing.assert_array_equal(np.isfinite(found.sigma_um), np.isfinite(found.z_um))
+    assert np.nanmax(np.abs(found.sigma_um - 5.0)) < 1e-3
+    assert difference(seen(), seen(5.0, 5.0), (sigmas[0], None)).sigma_um is None
 
 
 def test_nothing_in_common_is_refused() -> None:
