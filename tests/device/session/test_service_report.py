@@ -35,7 +35,10 @@ def wired(bench: Bench) -> Wired:
 def served(
     wired: Wired, store: BundleStore, for_s: float, at_s: dict[float, Callable[[], None]]
 ) -> list[tuple[float, str]]:
-    """Serves for so long, with what happens at which time; everything but the beats that the service manager heard."""
+    """Serves for so long, with what happens at which time; what the service manager heard.
+
+    Without the beats, and without that others on this disk took some of its room.
+    """
     clock, heard = wired.bench.clock, Heard(wired.bench)
     waiting = sorted(at_s.items())
 
@@ -50,7 +53,13 @@ def served(
         report = ServiceReport(heard, clock)
         run_headless(instrument, lambda _line: None, lambda _what: None, go_on)
         report.ended()
-    return heard.said
+    first, *later = heard.said
+    return [first] + [new for old, new in zip([first, *later], later, strict=False) if not only_room(old[1], new[1])]
+
+
+def only_room(before: str, after: str) -> bool:
+    """Whether both say that it is ready."""
+    return "STATUS=ready: room for" in before and after.startswith("STATUS=ready: room for")
 
 
 def test_it_is_ready_once_frames_come(wired: Wired, calibrated: BundleStore) -> None:
