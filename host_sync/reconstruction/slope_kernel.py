@@ -138,7 +138,7 @@ def _evaluate(
     light: Float32Array, p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray,
     first: int, last: int,
 ) -> None:  # fmt: skip
-    """Fill the rows `first` to `last` - 1 of p, q, weight, valid; `light` by places and columns, empty where none is."""
+    """Fill the rows `first` to `last` - 1 of p, q, weight, valid; `light` by places and columns, or empty."""
     rows, columns = p.shape
     length = run_length(columns)
     run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
