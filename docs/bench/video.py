@@ -1,4 +1,4 @@
-"""A sequence of raw frames in memory to height maps, frame by frame."""
+"""A sequence of raw frames in memory to height maps, frame by frame, and how far they are from converged ones."""
 
 from __future__ import annotations
 
@@ -15,11 +15,17 @@ from timing import Stopwatch
 
 from device.photometry import demosaic
 from device.raw_file import read_raw
+from device.surface import Float32Array, GradientField
+from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration
 from host_sync.frame_sequence import StoredFrame
 from host_sync.reconstruction.frame_solver import FrameSolver
+from host_sync.reconstruction.intensity_kernel import raw_intensity
+from host_sync.reconstruction.multigrid import integrate
+from host_sync.reconstruction.pipeline import estimate
 
 STEP_PX = 16
+EXACT_TOLERANCE_PX = 1e-6
 
 
 def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
@@ -37,8 +43,20 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
             watch.run(partial(solver.solve, frame, out))
         times = watch.figures
         rates = {"best_fps": 1e3 / times["min_ms"], "median_fps": 1e3 / times["median_ms"]}
-        figures[name] = times | rates
+        figures[name] = times | rates | {"rmse_px": _error_px(frames[-1], full, out, weighted=weighted)}
     return figures
+
+
+def _error_px(frame: StoredFrame, calibration: Calibration, z_um: Float32Array, *, weighted: bool) -> float:
+    """Root mean square difference of a frame's heights to those of the same slopes run until nothing is left, px."""
+    assert isinstance(frame.pixels, RawFrame)  # noqa: S101 - `sequence` made it
+    slopes = estimate(raw_intensity(frame.pixels, calibration.divisor), calibration, "direct")
+    if not weighted:
+        p, q = (np.where(slopes.valid, slope, np.float32(0.0)) for slope in (slopes.p, slopes.q))
+        slopes = GradientField(p, q, np.ones(p.shape, np.bool_), np.ones(p.shape, np.float32))
+    converged, _ = integrate(slopes, calibration.pitch_um, tolerance_px=EXACT_TOLERANCE_PX)
+    difference = (z_um - converged.z_um)[slopes.valid].astype(np.float64)
+    return float(difference.std() / calibration.pitch_um)
 
 
 def sequence(calibration: Calibration, folder: Path, shape: Shape, count: int) -> tuple[list[StoredFrame], Calibration]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, MaskArray
@@ -24,6 +24,7 @@ from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import Integrator
 from host_sync.reconstruction.pipeline import estimate, refuse_doubtful
 from host_sync.reconstruction.plausibility import SAMPLES_ALONG, frame_doubts, rest_doubts
+from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.slope_kernel import SlopeKernel, empty_gradients
 
 CHECK_COARSENESS: Final = 2
@@ -143,7 +144,7 @@ class FrameSolver:
             found = estimate(intensity, self._calibration, self._method)
         if self._equal is None:
             return found
-        _flatten(found.p, found.q, found.valid)
+        in_bands(_flatten, self.shape, found.p, found.q, found.valid)
         return replace(found, valid=self._equal[0], weight=self._equal[1])
 
 
@@ -153,24 +154,27 @@ def _sampled(image: IntensityImage) -> IntensityImage:
     return IntensityImage(np.ascontiguousarray(image.values[every]), image.valid[every], image.clipped[every])
 
 
-@njit(cache=True, parallel=True)
-def _flatten(p: Float32Array, q: Float32Array, valid: MaskArray) -> None:
+@njit(cache=True, nogil=True)
+def _flatten(p: Float32Array, q: Float32Array, valid: MaskArray, first: int, last: int) -> None:
     """Make slopes nought where they mean nothing."""
-    for r in prange(valid.shape[0]):
+    for r in range(first, last):
         for c in range(valid.shape[1]):
             if not valid[r, c]:
                 p[r, c] = np.float32(0.0)
                 q[r, c] = np.float32(0.0)
 
 
-@njit(cache=True, parallel=True)
 def _lower(z_um: Float32Array, zero_um: Any, out: Float32Array) -> tuple[Any, int]:
     """Write heights above `zero_um`, also in place; returns the largest and how many are known."""
-    rows = out.shape[0]
-    highest, known = np.full(rows, -np.inf, np.float32), np.zeros(rows, np.int64)
-    for r in prange(rows):
+    highest, known = np.empty(len(out), np.float32), np.empty(len(out), np.int64)
+    in_bands(_lower_rows, out.shape, z_um, zero_um, out, highest, known)
+    return highest.max(), int(known.sum())
+
+
+@njit(cache=True, nogil=True)
+def _lower_rows(z_um: Any, zero_um: Any, out: Any, highest: Any, known: Any, first: int, last: int) -> None:
+    for r in range(first, last):
         highest[r], known[r] = _lower_row(z_um[r], zero_um, out[r])
-    return highest.max(), known.sum()
 
 
 @njit(cache=True)

@@ -11,15 +11,15 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.photometry import DARK_FLOOR, SATURATED, IntensityImage, check_same_size, demosaic, divide
 from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.image_file import Pixels
 from host_sync.reconstruction.colour_planes import as_stored, colour_rows, empty_planes
+from host_sync.reconstruction.row_bands import in_bands
 
-_BAND_ROWS: Final = 32
 _LEAST_SIDE: Final = 4
 """Smaller mosaics have no pixel with all its neighbours; the portable path takes them."""
 
@@ -46,7 +46,8 @@ def raw_intensity(frame: RawFrame, divisor: Float32Array, out: IntensityImage | 
     scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
     limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
     red = frame.bayer_order.index("R")
-    _fill_from_mosaic(
+    in_bands(
+        _fill_from_mosaic, frame.shape,
         np.ascontiguousarray(frame.mosaic), red // 2, red % 2, np.float32(frame.black_level_dn), scale,
         math.ceil(limit), *as_stored(divisor), np.moveaxis(image.values, -1, 0), image.valid, image.clipped,
     )  # fmt: skip
@@ -69,37 +70,40 @@ def stored_intensity(
     """
     check_same_size(pixels.shape[:2], divisor)
     image = out or empty_intensity((pixels.shape[0], pixels.shape[1]))
-    _fill_from_stored(
+    in_bands(
+        _fill_from_stored, image.shape,
         np.ascontiguousarray(pixels), light, *as_stored(divisor), np.moveaxis(image.values, -1, 0), image.valid,
         image.clipped,
     )  # fmt: skip
     return image
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _fill_from_mosaic(
     mosaic: Any, red_row: int, red_column: int, black: Any, scale: Any, limit: int,
-    divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any,
+    divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any, begin: int, end: int,
 ) -> None:  # fmt: skip
-    """Write intensity, validity and clipping of every pixel; red stands at (red_row, red_column) of each 2x2 block."""
+    """Write intensity, validity and clipping of the rows `begin` to `end` - 1.
+
+    red_row, red_column : where red stands in each 2x2 block
+    """
     rows, columns = mosaic.shape
-    for band in prange((rows + _BAND_ROWS - 1) // _BAND_ROWS):
-        counts, rest = np.empty((3, columns), np.float32), np.empty((3, columns), np.float32)
-        highest = np.empty(columns, np.uint16)
-        for r in range(band * _BAND_ROWS, min((band + 1) * _BAND_ROWS, rows)):
-            inner = min(max(r, 1), rows - 2)
-            own = 0 if inner % 2 == red_row else 2
-            first = red_column if own == 0 else 1 - red_column
-            _interpolate_row(
-                mosaic[inner - 1], mosaic[inner], mosaic[inner + 1], first, counts[own], counts[1], counts[2 - own]
-            )
-            red, green, blue = colour_rows(divisor, by_plane, int(r), 0, columns, rest)
-            _divide_row(counts[0], black, scale, red, values[0, r])
-            _divide_row(counts[1], black, scale, green, values[1, r])
-            _divide_row(counts[2], black, scale, blue, values[2, r])
-            _lit_row(red, green, blue, valid[r])
-            _highest_row(mosaic[max(r - 1, 0)], mosaic[r], mosaic[min(r + 1, rows - 1)], highest)
-            _clip_row(highest, limit, clipped[r])
+    counts, rest = np.empty((3, columns), np.float32), np.empty((3, columns), np.float32)
+    highest = np.empty(columns, np.uint16)
+    for r in range(begin, end):
+        inner = min(max(r, 1), rows - 2)
+        own = 0 if inner % 2 == red_row else 2
+        first = red_column if own == 0 else 1 - red_column
+        _interpolate_row(
+            mosaic[inner - 1], mosaic[inner], mosaic[inner + 1], first, counts[own], counts[1], counts[2 - own]
+        )
+        red, green, blue = colour_rows(divisor, by_plane, r, 0, columns, rest)
+        _divide_row(counts[0], black, scale, red, values[0, r])
+        _divide_row(counts[1], black, scale, green, values[1, r])
+        _divide_row(counts[2], black, scale, blue, values[2, r])
+        _lit_row(red, green, blue, valid[r])
+        _highest_row(mosaic[max(r - 1, 0)], mosaic[r], mosaic[min(r + 1, rows - 1)], highest)
+        _clip_row(highest, limit, clipped[r])
 
 
 @njit(cache=True)
@@ -157,15 +161,15 @@ def _clip_row(highest: Any, limit: Any, clipped: Any) -> None:
     clipped[last] = max(highest[last - 1], highest[last]) >= limit
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _fill_from_stored(
-    pixels: Any, light: Any, divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any
+    pixels: Any, light: Any, divisor: Any, by_plane: bool, values: Any, valid: Any, clipped: Any, begin: int, end: int
 ) -> None:  # fmt: skip
-    """Write intensity, validity and clipping of every pixel of an RGB image."""
-    rows, columns, _ = pixels.shape
-    for r in prange(rows):
-        spare = np.empty((3, columns), np.float32)
-        red, green, blue = colour_rows(divisor, by_plane, int(r), 0, columns, spare)
+    """Write intensity, validity and clipping of the rows `begin` to `end` - 1 of an RGB image."""
+    columns = pixels.shape[1]
+    spare = np.empty((3, columns), np.float32)
+    for r in range(begin, end):
+        red, green, blue = colour_rows(divisor, by_plane, r, 0, columns, spare)
         clipped[r, :] = False
         _stored_row(pixels[r], 0, light, red, values[0, r], clipped[r])
         _stored_row(pixels[r], 1, light, green, values[1, r], clipped[r])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.inverse_map import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
 from device.light_field import LightField
@@ -20,6 +20,7 @@ from device.slope_curve import SlopeCurve
 from device.surface import Float32Array, GradientField, MaskArray
 from host_sync.reconstruction.colour_planes import as_stored, colour_rows
 from host_sync.reconstruction.colour_polynomial import tabled_degree, term_numbers
+from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.slope_run import (
     EXCESS,
     ONE,
@@ -73,7 +74,9 @@ class SlopeKernel:
         """As the function `evaluate`."""
         self._map.check_size(image.shape)
         out = self._out or empty_gradients(image.shape)
-        _evaluate(
+        in_bands(
+            _evaluate,
+            image.shape,
             *as_stored(image.values),
             np.ascontiguousarray(image.valid),
             np.ascontiguousarray(image.clipped),
@@ -139,23 +142,24 @@ def _light_by_column(field: LightField, columns: int) -> Float32Array:
     return np.ascontiguousarray(np.moveaxis(field.rows(across, down), 2, 1))
 
 
-@njit(parallel=True, cache=True)
+@njit(cache=True, nogil=True)
 def _evaluate(
     values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, plain: _Curve, lit: _Curve,
     light: Float32Array, p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray,
+    first: int, last: int,
 ) -> None:  # fmt: skip
-    """Fill p, q, weight and valid; `light` by places and columns, empty where there is none."""
+    """Fill the rows `first` to `last` - 1 of p, q, weight, valid; `light` by places and columns, or empty."""
     rows, columns = p.shape
     length = run_length(columns)
-    for row in prange(rows):
+    run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
+    for row in range(first, last):
         down = np.float32((2.0 * row + 1.0) / rows - 1.0)
         along, light_along = _at_row(plain.coefficients, down), _at_row(lit.coefficients, down)
         waves_along, light_waves_along = _at_row(plain.wave_coefficients, down), _at_row(lit.wave_coefficients, down)
-        run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
         for start in range(0, columns, length):
             end = min(start + length, columns)
             part = slice(start, end)
-            seen = colour_rows(values, by_plane, int(row), start, end, spare)
+            seen = colour_rows(values, by_plane, row, start, end, spare)
             begin(start, columns, run)
             if len(light):
                 at = (down + ONE) * np.float32(0.5 * (len(light) - 1))

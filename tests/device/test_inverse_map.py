@@ -108,6 +108,16 @@ def test_block_evaluation_agrees_with_prediction_of_single_pixels() -> None:
     np.testing.assert_allclose(gradients.q[row, column], single[:, 1], atol=1e-4)
 
 
+def test_a_grid_of_places_is_read_as_whole_rows_are() -> None:
+    found = fitted(near=True).map
+    image = press(balls()[5], near=True)
+    gradients = found.gradients(image)
+    row, column = np.arange(2, 240, 3), np.array([0, 7, 200, 319])
+    slopes = found.on_grid(image.values[np.ix_(row, column)], column, row)
+    np.testing.assert_allclose(slopes[..., 0], gradients.p[np.ix_(row, column)], atol=1e-6)
+    np.testing.assert_allclose(slopes[..., 1], gradients.q[np.ix_(row, column)], atol=1e-6)
+
+
 def test_a_binned_image_is_read_at_the_same_places() -> None:
     found = fitted(near=True).map
     image = press(balls()[5], near=True, noise=0.0)

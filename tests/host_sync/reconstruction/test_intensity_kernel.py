@@ -12,6 +12,7 @@ from device.errors import CalibrationMismatch
 from device.photometry import IntensityImage, LinearFrame, demosaic, divide
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 from host_sync.frame_reading import light_of_values
+from host_sync.reconstruction.colour_planes import in_planes
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
 
 SHAPES = [(4, 4), (6, 4), (4, 10), (2, 2), (2, 8), (66, 70), (98, 130)]
@@ -42,6 +43,7 @@ def assert_same(one: IntensityImage, other: IntensityImage) -> None:
 def test_a_raw_frame_becomes_what_the_portable_path_makes_of_it(shape: tuple[int, int], order: BayerOrder) -> None:
     frame, rest = mosaic(shape, order), divisor(shape)
     assert_same(raw_intensity(frame, rest), divide(demosaic(frame), rest))
+    assert_same(raw_intensity(frame, in_planes(rest)), divide(demosaic(frame), rest))
 
 
 def test_clipping_reaches_as_far_as_demosaicing_mixes() -> None:
@@ -61,6 +63,7 @@ def test_a_stored_image_becomes_what_the_portable_path_makes_of_it(dtype: Any, e
     rgb = light[pixels]
     expected = divide(LinearFrame(rgb, (rgb >= np.float32(0.98)).any(axis=-1)), rest)
     assert_same(stored_intensity(pixels, light, rest), expected)
+    assert_same(stored_intensity(pixels, light, in_planes(rest)), expected)
 
 
 def test_an_image_is_filled_again_without_a_trace_of_what_it_held() -> None:
