@@ -20,6 +20,7 @@ set_up_firmware() {
         say "  (no config.txt: this is no Raspberry Pi, its firmware is left alone)"
         return
     fi
+    put "$here/systemd/modules-retrograph.conf" /etc/modules-load.d/retrograph.conf
     put_text "$boot/retrograph.txt" 755 < <(
         cat "$here/board/config.txt"
         [ "$usb" = no ] || echo "dtoverlay=dwc2,dr_mode=peripheral"

@@ -55,6 +55,7 @@ def test_a_second_run_finds_everything_in_place(fresh: Path, run: Run) -> None:
 def test_what_is_installed(fresh: Path, run: Run) -> None:
     done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
     assert (fresh / "etc/default/retroscan").read_text() == "RETROSCAN_BOARD=pi5-imx296\n"
+    assert "i2c-dev" in (fresh / "etc/modules-load.d/retrograph.conf").read_text().splitlines()
     assert "include retrograph.txt" in (fresh / "boot/firmware/config.txt").read_text()
     assert "dtoverlay=dwc2,dr_mode=peripheral" in (fresh / "boot/firmware/retrograph.txt").read_text()
     line = (fresh / "boot/firmware/cmdline.txt").read_text()
@@ -68,6 +69,13 @@ def test_what_is_installed(fresh: Path, run: Run) -> None:
     users = (fresh / "etc/passwd").read_text()
     assert {line.split(":")[0] for line in users.splitlines()} == {"retroscan", "retrosync"}
     assert all(line.endswith("/nologin") for line in users.splitlines())
+
+
+def test_whoever_asks_the_light_driver_at_boot_waits_for_its_bus(fresh: Path, run: Run) -> None:
+    """The trial too, or an update that a power cut left unconfirmed would be undone for a late bus."""
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    waiting = {path.parent.name for path in (fresh / "etc/systemd/system").glob("*.service.d/i2c.conf")}
+    assert waiting == {"retroscan.service.d", "retroscan-tui.service.d", "retrograph-trial.service.d"}
 
 
 def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh: Path, run: Run) -> None:
