@@ -45,6 +45,12 @@ set_overlay() {
     line="$line${2:+ $2}"
     [ "$(cat "$1")" = "$line" ] || act "write ${1#"$root"}" rewrite "$1" "$line"
 }
+make_writable() {
+    local boot
+    boot=$(boot_folder)
+    [ -n "$boot" ] || refuse "no config.txt: this is no Raspberry Pi, and --read-only did nothing here"
+    set_overlay "$root$boot/cmdline.txt" ''
+}
 rewrite() { printf '%s\n' "$2" >"$1.new" && swap_in "$1"; }
 
 # The exact undoing of `append`; where more was written after it, the one line goes.

@@ -120,6 +120,20 @@ def test_uninstall_leaves_the_card_as_it_was_and_every_scan(fresh: Path, run: Ru
     assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == []
 
 
+def test_a_read_only_root_becomes_writable_and_nothing_else_is_touched(fresh: Path, run: Run) -> None:
+    """What an install or an uninstall on a device with a read-only root begins with."""
+    line = (fresh / "boot/firmware/cmdline.txt").read_bytes()
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only"))
+    before = tree(fresh)
+    promised = done(run("board/install.sh", "--root", fresh, "--writable", "--dry-run"))
+    assert tree(fresh) == before
+    assert (
+        done(run("board/install.sh", "--root", fresh, "--writable")) == promised == ["write /boot/firmware/cmdline.txt"]
+    )
+    assert tree(fresh) == before | {"boot/firmware/cmdline.txt": line}
+    assert done(run("board/install.sh", "--root", fresh, "--writable")) == []
+
+
 def test_uninstall_keeps_what_was_added_to_the_configuration_since(fresh: Path, run: Run) -> None:
     done(run("board/install.sh", "--root", fresh, *BOARD))
     config = fresh / "boot/firmware/config.txt"
