@@ -4,7 +4,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 UV_VERSION := 0.13.8
-# What `make system-test` boots: Debian root, kernel and disk, kept between runs; about 6 GB, some of it only while building.
+# What `make system-test` boots: Debian root, kernel and disk, kept between runs; 3 GB, 5 while it is made.
 SYSTEM_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-system
 
 SHELL := /bin/bash

@@ -10,6 +10,7 @@ usage() {
     cat >&2 <<'END'
 usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel|none] [--usb] [--read-only] [...]
        sudo board/install.sh --uninstall
+       sudo board/install.sh --writable
 
   --board NAME        board profile, such as pi5-imx296, or a .toml file
   --data DEVICE       the data partition (ext4); `folder`: a folder of the root file system, for trying out
@@ -20,6 +21,7 @@ usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel
   --release FOLDER    wheel, requirements-device.lock and maybe wheels/ [the one that this script is in, else dist/release]
   --no-app            everything but the program
   --uninstall         take away what this script put in place; scans, calibrations, keys and users stay
+  --writable          from the next boot on the root file system is writable again; nothing else is done
   --root DIR          work on the tree DIR instead of this machine (starts nothing, installs no package)
   --dry-run           say what would be done, and do nothing
 END
@@ -27,7 +29,7 @@ END
 }
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-root='' board='' data='' screen=none release='' dry=no usb=no read_only=no with_app=yes uninstall=no changes=0
+root='' board='' data='' screen=none release='' dry=no usb=no read_only=no writable=no with_app=yes uninstall=no changes=0
 
 # shellcheck disable=SC2034 # what is set here is read in install/
 while [ $# -gt 0 ]; do
@@ -41,6 +43,7 @@ while [ $# -gt 0 ]; do
     --read-only) read_only=yes ;;
     --no-app) with_app=no ;;
     --uninstall) uninstall=yes ;;
+    --writable) writable=yes ;;
     --dry-run) dry=yes ;;
     *) usage ;;
     esac
@@ -75,8 +78,9 @@ check_machine() {
     aarch64 | x86_64) ;;
     *) refuse "this system is $(uname -m): flash the 64-bit Raspberry Pi OS Lite" ;;
     esac
-    if [ "$(findmnt -n -o SOURCE / 2>/dev/null)" = overlayroot ] && [ "$dry" = no ]; then
-        refuse "the root file system is read only: run this inside \`sudo overlayroot-chroot\`, then reboot"
+    # Asked of the first process: in overlayroot-chroot neither the boot partition nor /data would be found.
+    if grep -qs '^overlayroot / ' /proc/1/mounts && [ "$dry" = no ] && [ "$writable" = no ]; then
+        refuse "the root file system is read only: run this with --writable, reboot, and run the same command again"
     fi
 }
 
@@ -118,6 +122,14 @@ profile_file() {
     case $board in *.toml) echo "$board" ;; *) echo "$here/board/$board.toml" ;; esac
 }
 
+finish() {
+    [ "$changes" = 0 ] || [ "$dry" = yes ] || sync
+    case $changes in
+    0) say "Everything is in place." ;;
+    *) if [ "$dry" = yes ]; then say "$changes things would be done."; else say "Done. Reboot."; fi ;;
+    esac
+}
+
 check_machine
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -126,6 +138,13 @@ if [ "$uninstall" = yes ]; then
     say "Taking Retrograph away:"
     take_away
     if live && [ -d /run/systemd/system ] && [ "$dry" = no ]; then systemctl daemon-reload; fi
+    exit
+fi
+
+if [ "$writable" = yes ]; then
+    say "From the next boot on the root file system is writable:"
+    make_writable
+    finish
     exit
 fi
 
@@ -139,8 +158,4 @@ set_up_firmware
 enable_units
 install_program
 start_now
-[ "$changes" = 0 ] || [ "$dry" = yes ] || sync
-case $changes in
-0) say "Everything is in place." ;;
-*) if [ "$dry" = yes ]; then say "$changes things would be done."; else say "Done. Reboot."; fi ;;
-esac
+finish

@@ -20,6 +20,7 @@ set_up_firmware() {
         say "  (no config.txt: this is no Raspberry Pi, its firmware is left alone)"
         return
     fi
+    put "$here/systemd/modules-retrograph.conf" /etc/modules-load.d/retrograph.conf
     put_text "$boot/retrograph.txt" 755 < <(
         cat "$here/board/config.txt"
         [ "$usb" = no ] || echo "dtoverlay=dwc2,dr_mode=peripheral"
@@ -43,6 +44,12 @@ set_overlay() {
     line=$(sed 's/ *overlayroot=[^ ]*//g' "$1")
     line="$line${2:+ $2}"
     [ "$(cat "$1")" = "$line" ] || act "write ${1#"$root"}" rewrite "$1" "$line"
+}
+make_writable() {
+    local boot
+    boot=$(boot_folder)
+    [ -n "$boot" ] || refuse "no config.txt: this is no Raspberry Pi, and --read-only did nothing here"
+    set_overlay "$root$boot/cmdline.txt" ''
 }
 rewrite() { printf '%s\n' "$2" >"$1.new" && swap_in "$1"; }
 

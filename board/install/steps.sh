@@ -120,8 +120,9 @@ put_files() {
         ;;
     esac
     put_text /etc/default/retroscan <<<"RETROSCAN_BOARD=$name"
-    is_twin || put "$here/systemd/wait-for-i2c.conf" /etc/systemd/system/retroscan.service.d/i2c.conf
-    is_twin || put "$here/systemd/wait-for-i2c.conf" /etc/systemd/system/retroscan-tui.service.d/i2c.conf
+    for unit in retroscan retroscan-tui retrograph-trial; do
+        is_twin || put "$here/systemd/wait-for-i2c.conf" "/etc/systemd/system/$unit.service.d/i2c.conf"
+    done
     link /data/app/current/bin/retroscan /usr/local/bin/retroscan
     link /data/ssh/ssh_host_ed25519_key /etc/ssh/ssh_host_ed25519_key
     link /data/ssh/ssh_host_ed25519_key.pub /etc/ssh/ssh_host_ed25519_key.pub

@@ -86,7 +86,7 @@ def _header(wiring: Wiring) -> Iterator[str]:
         yield f'{shape} fill="{fill}" stroke="#555555"/>'
         weight = 'font-weight="bold"' if pin in used else 'fill="#777777"'
         label = y - 12
-        yield _text(x, label, f"{pin} {name}", f'font-size="8" text-anchor="middle" {weight}')
+        yield _text(x, label, f"{pin} {name}", f'font-size="7" text-anchor="middle" {weight}')
 
 
 def _pin_at(pin: int) -> tuple[float, float]:

@@ -55,6 +55,7 @@ def test_a_second_run_finds_everything_in_place(fresh: Path, run: Run) -> None:
 def test_what_is_installed(fresh: Path, run: Run) -> None:
     done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
     assert (fresh / "etc/default/retroscan").read_text() == "RETROSCAN_BOARD=pi5-imx296\n"
+    assert "i2c-dev" in (fresh / "etc/modules-load.d/retrograph.conf").read_text().splitlines()
     assert "include retrograph.txt" in (fresh / "boot/firmware/config.txt").read_text()
     assert "dtoverlay=dwc2,dr_mode=peripheral" in (fresh / "boot/firmware/retrograph.txt").read_text()
     line = (fresh / "boot/firmware/cmdline.txt").read_text()
@@ -68,6 +69,13 @@ def test_what_is_installed(fresh: Path, run: Run) -> None:
     users = (fresh / "etc/passwd").read_text()
     assert {line.split(":")[0] for line in users.splitlines()} == {"retroscan", "retrosync"}
     assert all(line.endswith("/nologin") for line in users.splitlines())
+
+
+def test_whoever_asks_the_light_driver_at_boot_waits_for_its_bus(fresh: Path, run: Run) -> None:
+    """The trial too, or an update that a power cut left unconfirmed would be undone for a late bus."""
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    waiting = {path.parent.name for path in (fresh / "etc/systemd/system").glob("*.service.d/i2c.conf")}
+    assert waiting == {"retroscan.service.d", "retroscan-tui.service.d", "retrograph-trial.service.d"}
 
 
 def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh: Path, run: Run) -> None:
@@ -110,6 +118,20 @@ def test_uninstall_leaves_the_card_as_it_was_and_every_scan(fresh: Path, run: Ru
     kept = str(scan.relative_to(fresh))
     assert tree(fresh) == before | {kept: b"{}"}
     assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == []
+
+
+def test_a_read_only_root_becomes_writable_and_nothing_else_is_touched(fresh: Path, run: Run) -> None:
+    """What an install or an uninstall on a device with a read-only root begins with."""
+    line = (fresh / "boot/firmware/cmdline.txt").read_bytes()
+    done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only"))
+    before = tree(fresh)
+    promised = done(run("board/install.sh", "--root", fresh, "--writable", "--dry-run"))
+    assert tree(fresh) == before
+    assert (
+        done(run("board/install.sh", "--root", fresh, "--writable")) == promised == ["write /boot/firmware/cmdline.txt"]
+    )
+    assert tree(fresh) == before | {"boot/firmware/cmdline.txt": line}
+    assert done(run("board/install.sh", "--root", fresh, "--writable")) == []
 
 
 def test_uninstall_keeps_what_was_added_to_the_configuration_since(fresh: Path, run: Run) -> None:
