@@ -39,8 +39,11 @@ Of white noise the fourth-order edges, least squares and the central difference 
 standard deviation (the mean over all frequencies of the product of their transfer functions).
 """
 
-RAISED_SPREAD: Final = 0.3
-"""Standard deviation of how much higher or lower than the balls' an object's slopes lie, in apex elevations."""
+RAISED_SPREAD: Final = 0.58
+"""Standard deviation of how much higher or lower than the balls' an object's slopes lie, in apex elevations.
+
+That of anything between one apex lower and one higher: what an object is like nobody knows beforehand.
+"""
 
 CONTRADICTION_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
