@@ -25,7 +25,7 @@ APEX_RINGS: Final = 0.4
 RAMP_KEPT: Final = 0.6
 """Inside the contact the ramp keeps this share of its level near the apex."""
 
-LIFT_MARGIN: Final = 0.80
+LIFT_MARGIN: Final = 0.85
 """Trusted share of the radius at which the ramp falls below `RAMP_KEPT`: the skin lifts off gradually."""
 
 LEVEL_RINGS: Final = 0.6
