@@ -51,6 +51,9 @@ WAVY_FORM: Final = CurveForm(2, 2, 10.0, ColourWaves.drawn())
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
+FEWEST_FOR_WAVES: Final = 8
+"""Balls from which a curve may have waves: what few balls say of so many terms is chance."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeLearner:
@@ -112,9 +115,11 @@ def preferred_learner(
     count : of balls
     light : for a curve that reads light
     """
-    tried = [_at_best_penalty(samples, slope, count, shape, form, light) for form in (*PLAIN_FORMS, WAVY_FORM)]
-    *plain, wavy = tried
+    plain = [_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS]
     best = min(plain, key=lambda found: found[1])
+    if count < FEWEST_FOR_WAVES:
+        return best
+    wavy = _at_best_penalty(samples, slope, count, shape, WAVY_FORM, light)
     return wavy if wavy[1] < WAVY_GAIN * best[1] else best
 
 

@@ -79,3 +79,10 @@ def test_only_a_skin_that_bends_sharply_gets_waves(sharpness: float, wavy: bool)
     slope = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
     learner, _ = preferred_learner(samples, slope, 12, SHAPE)
     assert (learner.form.waves.count > 0) == wavy
+
+
+def test_few_balls_get_no_waves() -> None:
+    samples = samples_of(8.0)
+    few = BallSamples(*(getattr(samples, name)[samples.ball < 4] for name in samples.__dataclass_fields__))
+    learner, _ = preferred_learner(few, np.stack([few.p, few.q], axis=-1).astype(np.float64), 4, SHAPE)
+    assert learner.form.waves.count == 0
