@@ -115,7 +115,8 @@ class CalibrationScreen(InstrumentScreen):
         if state.guide and (self._is_running(state) or state.guide.is_over):
             again = "" if self._is_running(state) else " Push the button to calibrate again."
             complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""
-            return f"{state.guide.instruction}{complaint}{again}"
+            sign = "! " if state.guide.phase == "failed" else ""
+            return f"{sign}{state.guide.instruction}{complaint}{again}"
         return f"Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
 
     def _details(self, guide: CalibrationProgress | None) -> list[tuple[str, int]]:
