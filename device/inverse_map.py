@@ -1,9 +1,9 @@
 """The position-aware inverse map: from intensity and place in the field straight to slope.
 
 Near lights make the reflectance change over the field, so that one colour means different slopes in different places.
-The map is a polynomial in log intensity whose every coefficient is itself a polynomial in position. It predicts the
-stereographic slope. Where held-out balls gain by it, a second such polynomial reads the frame's light, not divided by
-the reference, and the map is the weighted mean of both.
+The map is a curve of log intensity, a polynomial with or without waves (see `slope_curve`), whose every coefficient is
+itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, a second such
+curve reads the frame's light, not divided by the reference, and the map is the weighted mean of both.
 
 Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried
 (docs/decisions/0004-direct-inverse.md).
@@ -45,7 +45,7 @@ class LightCurve:
     """A curve that reads light instead of intensity, and its part in the map.
 
     field : light of untouched skin
-    curve : the polynomial; its colours are light relative to the field's mean
+    curve : what reads it; its colours are light relative to the field's mean
     share : its weight, 0 to 1; the curve of intensity has the rest
     """
 
@@ -60,9 +60,9 @@ class InverseMap:
 
     shape : (H, W) of the full-size field that positions are scaled by
     domain : the colours that the balls showed
-    curve : the polynomial that reads intensity
+    curve : the curve that reads intensity
     steepest : slope up to which the balls taught it; what lies beyond is extrapolated
-    light : the polynomial that reads light, None where it would not help
+    light : the curve that reads light, None where it would not help
     leverage : of the curve that reads intensity, None where one ball alone taught it
     """
 

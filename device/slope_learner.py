@@ -29,7 +29,7 @@ class CurveForm:
 
     colour_degree, position_degree : its degrees
     place_penalty : how many times as dear a term is for every power of position
-    waves : its waves of colour, None for a polynomial
+    waves : its waves of colour, none of them for a polynomial
     """
 
     colour_degree: int
@@ -45,14 +45,16 @@ class CurveForm:
 
 
 PLAIN_FORMS: Final = tuple(CurveForm(4, degree) for degree in (0, 1, 2))
-WAVY_FORM: Final = CurveForm(2, 2, 10.0, ColourWaves.drawn())
-"""A skin with metal flakes bends more over colour than over place."""
-
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
 FEWEST_FOR_WAVES: Final = 8
 """Balls from which a curve may have waves: what few balls say of so many terms is chance."""
+
+
+def wavy_form() -> CurveForm:
+    """The form for a skin with metal flakes, which bends more over colour than over place."""
+    return CurveForm(2, 2, 10.0, ColourWaves.drawn())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +121,7 @@ def preferred_learner(
     best = min(plain, key=lambda found: found[1])
     if count < FEWEST_FOR_WAVES:
         return best
-    wavy = _at_best_penalty(samples, slope, count, shape, WAVY_FORM, light)
+    wavy = _at_best_penalty(samples, slope, count, shape, wavy_form(), light)
     return wavy if wavy[1] < WAVY_GAIN * best[1] else best
 
 
