@@ -23,11 +23,11 @@ WINDOW: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KrylovSolution:
-    """Heights (float32 array of shape (H, W), pixels), residual of each iteration, estimated error (pixels)."""
+    """Heights (float32 array of shape (H, W)), residual of each iteration, estimated error, in the system's unit."""
 
     z: Float32Array
     residuals: tuple[float, ...]
-    error_px: float
+    error: float
 
 
 def conjugate_gradients(
@@ -35,13 +35,13 @@ def conjugate_gradients(
     rhs: Float64Array,
     start: Float64Array,
     precondition: Callable[[], object],
-    tolerance_px: float,
+    tolerance: float,
     max_cycles: int,
 ) -> KrylovSolution:
     """Solution of the level's system.
 
-    rhs : float64 array of shape (H, W) whose sum over each island is nought, pixels
-    start : float64 array of shape (H, W), heights to begin with, pixels; overwritten
+    rhs : float64 array of shape (H, W) whose sum over each island is nought; its unit is the heights'
+    start : float64 array of shape (H, W), heights to begin with; overwritten
     precondition : one V-cycle from nought for `level.rhs`; leaves its result in `level.z`
     """
     z = start
@@ -49,8 +49,8 @@ def conjugate_gradients(
     direction, image, energy = np.zeros_like(z), np.zeros_like(z), 1.0
     steps: list[float] = []
     residuals: list[float] = []
-    error_px = np.inf
-    while len(steps) < max_cycles and error_px > tolerance_px:
+    error = np.inf
+    while len(steps) < max_cycles and error > tolerance:
         size = _rms(residual)
         residuals.append(size)
         if size == 0.0:
@@ -68,8 +68,8 @@ def conjugate_gradients(
         z += length * direction
         residual -= length * image
         steps.append(abs(length) * _rms(direction))
-        error_px = _remaining_error(steps)
-    return KrylovSolution(z.astype(np.float32), tuple(residuals), error_px)
+        error = _remaining_error(steps)
+    return KrylovSolution(z.astype(np.float32), tuple(residuals), error)
 
 
 def laplacian(level: GridLevel, z: Float64Array) -> Float64Array:
@@ -95,7 +95,7 @@ def _rms(values: Float64Array) -> float:
 
 
 def _remaining_error(steps: list[float]) -> float:
-    """Estimated error, px: what the steps of the last window would add up to if they went on as they fell."""
+    """Estimated error: what the steps of the last window would add up to if they went on as they fell."""
     if len(steps) <= WINDOW:
         return float("inf")
     recent, before = max(steps[-WINDOW // 2 :]), max(steps[-WINDOW - 1 : -WINDOW // 2])

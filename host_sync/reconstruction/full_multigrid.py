@@ -104,7 +104,7 @@ def _conjugate_gradients(
     start = finest.z.astype(np.float64)
     every = [finest, *levels]
     found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, inverse), so_far.tolerance, max_cycles)
-    return Solution(found.z, so_far.residuals + found.residuals, found.error_px, so_far.tolerance)
+    return Solution(found.z, so_far.residuals + found.residuals, found.error, so_far.tolerance)
 
 
 def _solve_at_once(field: PixelField, tolerance: float | None) -> Solution:
