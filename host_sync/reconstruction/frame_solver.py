@@ -94,6 +94,11 @@ class FrameSolver:
             "forced": self._force,
         }
 
+    def another(self) -> FrameSolver:
+        """A solver of the same frames with working arrays of its own, for another thread."""
+        weighted = self._equal is None
+        return FrameSolver(self._calibration, self._method, self._encoding, weighted=weighted, force=self._force)
+
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameFigures:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its figures.
 

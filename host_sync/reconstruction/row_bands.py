@@ -17,7 +17,7 @@ from functools import cache
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
-from numba import config, get_num_threads
+from numba import get_num_threads
 
 SMALL_PX: Final = 1 << 17
 """Fields of fewer pixels are worked on by one thread."""
@@ -52,7 +52,7 @@ def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: 
 @cache
 def _helpers(_process: int) -> ThreadPoolExecutor:
     """The helpers of a process; one that was forked has no threads but its own, and gets others."""
-    return ThreadPoolExecutor(max(1, config.NUMBA_NUM_THREADS - 1), "rows")
+    return ThreadPoolExecutor(os.cpu_count(), "rows")
 
 
 def _work(kernel: Callable[..., object], arguments: tuple[Any, ...], bands: SimpleQueue[tuple[int, int]]) -> None:
