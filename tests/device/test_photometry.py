@@ -9,8 +9,8 @@ from device.photometry import (
     check_exposed,
     demosaic,
     divide,
-    pseudo_reference,
 )
+from device.pseudo_reference import pseudo_reference
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 
 COLOUR_DN = {"R": 1000, "G": 2000, "B": 3000}
