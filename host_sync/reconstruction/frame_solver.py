@@ -27,7 +27,7 @@ from host_sync.reconstruction.plausibility import SAMPLES_ALONG, frame_doubts, r
 from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.slope_kernel import SlopeKernel, empty_gradients
 
-CHECK_COARSENESS: Final = 2
+CHECK_COARSENESS: Final = 4
 """Before it is solved, a frame of a sequence is looked at with so many times fewer rows and columns than one alone."""
 
 SAMPLED_COLUMNS: Final = 180

@@ -44,9 +44,8 @@ def untouched_skin(gradients: GradientField) -> MaskArray:
     for limit in FLAT_SLOPES:
         flat = _reaching_the_border((count > 0) & (steepness < limit))
         if count[flat].sum(dtype=np.float64) >= LEAST_SHARE * count.sum(dtype=np.float64):
-            size = (flat.shape[1] * cell, flat.shape[0] * cell)
-            pixels = cv2.resize(flat.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-            return gradients.valid & pixels[:rows, :columns].view(np.bool_)
+            pixels = np.repeat(np.repeat(flat, cell, axis=1), cell, axis=0)
+            return gradients.valid & pixels[:rows, :columns]
     return gradients.valid
 
 
