@@ -39,14 +39,18 @@ def check_channel_order_sample(frame: Float32Array, divisor: Float32Array, name:
     """The same from a sample of a frame's linear light and its reference's, float32 arrays of shape (h, w, 3)."""
     light = np.log(np.maximum(frame, DARK_FLOOR))
     rest = np.log(np.maximum(divisor, DARK_FLOOR))
-    disagreement = {
-        order: float(np.median(np.abs(light[..., order] - rest), axis=(0, 1)).mean())
-        for order in permutations(range(3))
-    }
-    as_given = disagreement[0, 1, 2]
+    as_given = _disagreement(light, rest)
+    if as_given <= CLEAR_DISAGREEMENT:
+        return
+    disagreement = {order: _disagreement(light[..., order], rest) for order in permutations(range(3))}
     best = min(disagreement, key=lambda order: disagreement[order])
-    if as_given > CLEAR_DISAGREEMENT and disagreement[best] < CLEAR_FACTOR * as_given:
+    if disagreement[best] < CLEAR_FACTOR * as_given:
         seen = ", ".join("RGB"[best.index(channel)] for channel in range(3))
         raise CalibrationMismatch(
             f"{name}: the channels are in the order {seen} where the reference has R, G, B: convert the file"
         )
+
+
+def _disagreement(light: Float32Array, rest: Float32Array) -> float:
+    """Median distance of log light from the reference's, mean over colours."""
+    return float(np.median(np.abs(light - rest), axis=(0, 1)).mean())

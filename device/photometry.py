@@ -5,6 +5,8 @@ Device and workstation share these functions, so that a calibration means the sa
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -25,6 +27,9 @@ DARK_FLOOR: Final = 0.002
 
 SATURATED: Final = 0.98
 """Share of full scale from which a pixel counts as clipped."""
+
+BAND_ROWS: Final = 96
+"""So many rows of bins are made at a time: what stands between two steps then stays in the second-level cache."""
 
 BLACK_FRAME: Final = 0.01
 """A frame whose 99th percentile stays under this share of full scale saw no light."""
@@ -107,25 +112,50 @@ def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
     if factor < 2 or factor % 2:
         raise ValueError(f"binning factor {factor} is not a positive even number")
     rows, columns = (size // factor * factor for size in frame.shape)
-    mosaic = frame.mosaic[:rows, :columns]
-    brightest = _combined(np.maximum, [mosaic[i::factor] for i in range(factor)], np.uint16)
-    fits = int(brightest.max(initial=0)) * (factor // 2) <= np.iinfo(np.uint16).max
-    # Whole rows first: what is then left to be picked by columns is small.
-    down = [
-        _combined(np.add, [mosaic[i::factor] for i in range(parity, factor, 2)], np.uint16 if fits else np.uint32)
-        for parity in (0, 1)
-    ]
-    scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
     planes = np.empty((3, rows // factor, columns // factor), np.float32)
+    clipped = np.empty(planes.shape[1:], np.bool_)
+    for first in range(0, rows // factor, BAND_ROWS):
+        band = slice(first, first + BAND_ROWS)
+        mosaic = frame.mosaic[first * factor : min((first + BAND_ROWS) * factor, rows), :columns]
+        _bin_band(frame, mosaic, factor, planes[:, band], clipped[band])
+    return LinearFrame(np.moveaxis(planes, 0, -1), clipped)
+
+
+def _bin_band(
+    frame: RawFrame, mosaic: NDArray[np.uint16], factor: int, planes: Float32Array, clipped: MaskArray
+) -> None:  # fmt: skip
+    """Write the three planes and the clipping of some rows of bins from their part of the frame's mosaic."""
+    brightest = _combined(np.maximum, [mosaic[i::factor] for i in range(factor)], np.uint16)
+    side = factor // 2
+    fits = int(brightest.max(initial=0)) * side * side <= np.iinfo(np.uint16).max
+    sums = [_summed_columns(mosaic[parity:], factor, np.uint16 if fits else np.uint32) for parity in (0, 1)]
+    scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
     for plane, colour in zip(planes, "RGB", strict=True):
         sites = [divmod(i, 2) for i, letter in enumerate(frame.bayer_order) if letter == colour]
-        same = [down[row][:, i::factor] for row, column in sites for i in range(column, factor, 2)]
-        total = _combined(np.add, same, np.float32)
-        np.multiply(total, scale / (len(same) * (factor // 2)), out=plane)
+        total = _combined(np.add, [sums[row][column] for row, column in sites], np.float32)
+        np.multiply(total, scale / (len(sites) * side * side), out=plane)
         plane -= np.float32(frame.black_level_dn * scale)
     limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
-    clipped = _combined(np.maximum, [brightest[:, i::factor] for i in range(factor)], np.uint16) >= limit
-    return LinearFrame(np.moveaxis(planes, 0, -1), clipped)
+    saturated = (brightest >= math.ceil(limit)).view(np.uint16)
+    np.not_equal(_combined(np.bitwise_or, [saturated[:, i::side] for i in range(side)], np.uint16), 0, out=clipped)
+
+
+def _summed_columns(
+    mosaic: NDArray[np.uint16], factor: int, lane: type[np.uint16 | np.uint32]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Sums over bins of every second row from the first, of even and of odd columns: arrays (H / factor, W / factor).
+
+    Whole rows are added first, which runs at the memory's speed. A pair of columns then passes for one number of twice
+    the bits, so that both are added at once: `lane` holds any sum, and none spills over into its neighbour.
+    """
+    down = _combined(np.add, [mosaic[i::factor] for i in range(0, factor, 2)], lane)
+    pair, signed, bits = (np.uint32, np.int32, 16) if lane is np.uint16 else (np.uint64, np.int64, 32)
+    pairs = down.view(pair)
+    both = _combined(np.add, [pairs[:, i :: factor // 2] for i in range(factor // 2)], pair)
+    first, second = both & pair((1 << bits) - 1), both >> pair(bits)
+    if sys.byteorder == "big":
+        first, second = second, first
+    return first.view(signed), second.view(signed)
 
 
 def _combined(operation: np.ufunc, parts: Sequence[NDArray[Any]], dtype: type[np.generic]) -> NDArray[Any]:
@@ -192,55 +222,3 @@ def check_same_size(shape: tuple[int, ...], divisor: Float32Array) -> None:
         raise CalibrationMismatch(
             f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: use frames of one camera mode"
         )
-
-
-def pseudo_reference(frames: list[LinearFrame], degree: int = 6) -> Float32Array:
-    """Stand-in for a missing reference: a robust polynomial of log colour over position, fitted to all frames.
-
-    Most of every frame shows skin at rest, so an iteratively reweighted fit finds it.
-    Returns a float32 array of shape (H, W, 3), share of full scale.
-    """
-    step = max(1, int(np.sqrt(frames[0].rgb[..., 0].size * len(frames) / 60_000)))
-    rows, columns = frames[0].shape
-    basis_small = _position_polynomials(rows, columns, degree, step)
-    divisor = np.empty((rows, columns, 3), np.float32)
-    basis_row, basis_column = _chebyshev(rows, degree, 1), _chebyshev(columns, degree, 1)
-    for channel in range(3):
-        samples = np.concatenate([f.rgb[::step, ::step, channel].ravel() for f in frames])
-        seen = np.concatenate([~f.clipped[::step, ::step].ravel() for f in frames]) & (samples > DARK_FLOOR)
-        design = np.tile(basis_small, (len(frames), 1))[seen]
-        coefficients = _robust_fit(design, np.log(samples[seen]).astype(np.float64))
-        surface = np.zeros((rows, columns))
-        for value, (i, j) in zip(coefficients, _degrees(degree), strict=True):
-            surface += value * np.outer(basis_row[:, i], basis_column[:, j])
-        divisor[..., channel] = np.exp(np.clip(surface, np.log(DARK_FLOOR / 10), 0.0))
-    return divisor
-
-
-def _degrees(degree: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-
-
-def _chebyshev(size: int, degree: int, step: int) -> NDArray[np.float64]:
-    at = np.arange(0, size, step) * (2.0 / max(size - 1, 1)) - 1.0
-    return np.polynomial.chebyshev.chebvander(at, degree)
-
-
-def _position_polynomials(rows: int, columns: int, degree: int, step: int) -> NDArray[np.float64]:
-    along_row, along_column = _chebyshev(rows, degree, step), _chebyshev(columns, degree, step)
-    terms = [np.outer(along_row[:, i], along_column[:, j]).ravel() for i, j in _degrees(degree)]
-    return np.stack(terms, axis=-1)
-
-
-def _robust_fit(design: NDArray[np.float64], target: NDArray[np.float64], rounds: int = 12) -> NDArray[np.float64]:
-    """Coefficients of a Tukey-weighted least-squares fit."""
-    weight = np.ones_like(target)
-    coefficients: NDArray[np.float64] = np.zeros(design.shape[1])
-    for _ in range(rounds):
-        weighted = design * weight[:, None]
-        gram = weighted.T @ design + 1e-6 * len(target) * np.eye(design.shape[1])
-        coefficients = np.asarray(np.linalg.solve(gram, weighted.T @ target), np.float64)
-        residual = target - design @ coefficients
-        scale = 4.7 * 1.4826 * max(float(np.median(np.abs(residual))), 1e-6)
-        weight[:] = np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
-    return coefficients

@@ -38,6 +38,9 @@ NODES: Final = 13
 PLACES: Final = 4
 """Places along each side of the field at which the map is asked."""
 
+BAND_ROWS: Final = 64
+"""So many rows are looked up at a time: what stands between two steps then stays in the second-level cache."""
+
 NEGLIGIBLE: Final = 1e-5
 """A term of position that nowhere adds more slope than this is left out."""
 
@@ -48,17 +51,19 @@ class SlopeTable:
 
     colours : the map's colour space, asked only for how far an intensity lies outside it
     first, per_bin : float32 arrays of shape (3,), intensity of the first bin's centre and bins per unit of intensity
-    kept : which terms of position are there
-    terms : for each term of position its table of u, float32 array of shape (BINS³, 2)
-    places : for each term its value at every pixel, once for each component of u: float32 array of shape (H, 2 W)
+    kept : powers of the column's and of the row's position in each term that is there
+    terms : for each of them its table of u, float32 array of shape (BINS³, 2)
+    across : powers of the columns' position, each column once for either component of u: float32 array (K, 2 W)
+    down : powers of the rows' position, float32 array of shape (K, H, 1)
     """
 
     colours: ColourSpace
     first: Float32Array
     per_bin: Float32Array
-    kept: tuple[int, ...]
+    kept: tuple[tuple[int, int], ...]
     terms: tuple[Float32Array, ...]
-    places: tuple[Float32Array, ...]
+    across: Float32Array
+    down: Float32Array
 
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> SlopeTable:
@@ -68,56 +73,66 @@ class SlopeTable:
         first = 1.0 - np.round((1.0 - low) / width) * width
         centres = first + width * np.arange(BINS)[:, None]
         terms = _tables(inverse_map, low, high, centres)
-        places = _place_terms(inverse_map.shape, binning)
         kept = [k for k, term in enumerate(terms) if np.abs(term).max() > NEGLIGIBLE or k == 0]
         return cls(
             inverse_map.curve.colours,
             first.astype(np.float32),
             (1.0 / width).astype(np.float32),
-            tuple(kept),
+            tuple(position_exponents(POSITION_DEGREE)[k] for k in kept),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
-            tuple(places[k] for k in kept),
+            *_place_powers(inverse_map.shape, binning),
         )
 
     def resized(self, shape: tuple[int, int], binning: int) -> SlopeTable:
         """The same tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
-        places = _place_terms(shape, binning)
-        return replace(self, places=tuple(places[k] for k in self.kept))
+        across, down = _place_powers(shape, binning)
+        return replace(self, across=across, down=down)
 
     def gradients(self, image: IntensityImage) -> GradientField:
         """Slope, validity and relative confidence of every pixel, as the map itself would give them."""
-        index, outside = self._bins(image.values)
-        u = self._sum(index)
-        p, q = u[:, 0::2], u[:, 1::2]
-        scale: Float32Array = np.minimum(p * p + q * q, np.float32(3.61))
-        scale *= np.float32(-0.25)
-        scale += np.float32(1.0)
+        p, q = (np.empty(image.shape, np.float32) for _ in range(2))
+        outside = np.empty(image.shape, np.bool_)
+        for first in range(0, len(p), BAND_ROWS):
+            band = slice(first, first + BAND_ROWS)
+            index, outside[band] = self._bins(image.values[band])
+            u = self._sum(index, self.down[:, band])
+            square = u * u
+            scale: Float32Array = square[:, 0::2] + square[:, 1::2]
+            np.minimum(scale, np.float32(3.61), out=scale)
+            scale *= np.float32(-0.25)
+            scale += np.float32(1.0)
+            np.divide(u[:, 0::2], scale, out=p[band])
+            np.divide(u[:, 1::2], scale, out=q[band])
         valid, weight = self._trust(image, outside)
-        return GradientField(np.divide(p, scale), np.divide(q, scale), valid, weight)
+        return GradientField(p, q, valid, weight)
 
     def _bins(self, values: Float32Array) -> tuple[NDArray[np.intp], MaskArray]:
         """Index into a table, and True in the outermost bins and beyond; arrays of shape (H, W)."""
-        index = np.zeros(values.shape[:2], np.intp)
+        number = np.zeros(values.shape[:2], np.int32)
         outside = np.zeros(values.shape[:2], np.bool_)
         last = np.float32(BINS - 1)
         for channel in range(3):
-            at = (values[..., channel] - self.first[channel]) * self.per_bin[channel]
+            at = values[..., channel] - self.first[channel]
+            at *= self.per_bin[channel]
             outside |= (at < 1.0) | (at > last - 1.0)
             np.clip(at, np.float32(0.0), last, out=at)
             at += np.float32(0.5)
-            index *= BINS
-            index += at.astype(np.int32)
-        return index, outside
+            number *= BINS
+            number += at.astype(np.int32)
+        return number.astype(np.intp), outside
 
-    def _sum(self, index: NDArray[np.intp]) -> Float32Array:
-        """Both components of u side by side: float32 array of shape (H, 2 W)."""
-        total = np.zeros(self.places[0].shape, np.float32)
+    def _sum(self, index: NDArray[np.intp], down: Float32Array) -> Float32Array:
+        """Both components of u side by side: float32 array of shape (H, 2 W); `down` of these rows."""
+        total = np.zeros((index.shape[0], 2 * index.shape[1]), np.float32)
         pairs = np.empty(index.shape, np.float64)
-        for table, place in zip(self.terms, self.places, strict=True):
+        looked_up = pairs.view(np.float32)
+        for table, (i, j) in zip(self.terms, self.kept, strict=True):
             # One gather brings both components when they pass for one number of 64 bits.
             np.take(table.view(np.float64)[:, 0], index, out=pairs, mode="clip")
-            looked_up = pairs.view(np.float32)
-            looked_up *= place
+            if i:
+                looked_up *= self.across[i]
+            if j:
+                looked_up *= down[j]
             total += looked_up
         return total
 
@@ -155,11 +170,12 @@ def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> 
     return np.asarray(np.tensordot(np.linalg.pinv(basis), u, axes=1).transpose(1, 0, 2))
 
 
-def _place_terms(full: tuple[int, int], binning: int) -> list[Float32Array]:
-    """Every position monomial at the centres of binned pixels of a field `full` (H, W): float32 arrays (h, 2 w)."""
+def _place_powers(full: tuple[int, int], binning: int) -> tuple[Float32Array, Float32Array]:
+    """Powers of the positions of binned columns and rows of a field `full` (H, W), as a table keeps them."""
     shape = (full[0] // binning, full[1] // binning)
     column, row = (np.arange(size) * binning + 0.5 * (binning - 1) for size in shape[::-1])
-    across = field_position(column, np.zeros_like(column), full)[:, 0]
-    down = field_position(np.zeros_like(row), row, full)[:, 1]
-    twice = np.repeat(across, 2)
-    return [np.outer(down**j, twice**i).astype(np.float32) for i, j in position_exponents(POSITION_DEGREE)]
+    across = np.repeat(field_position(column, np.zeros_like(column), full)[:, 0], 2)
+    down = field_position(np.zeros_like(row), row, full)[:, 1, None]
+    powers = range(POSITION_DEGREE + 1)
+    first, second = (np.stack([place**i for i in powers]).astype(np.float32) for place in (across, down))
+    return first, second

@@ -179,5 +179,6 @@ def drift_complaints(
 def shaded_share(intensity: IntensityImage) -> float:
     """Share of the field whose intensity says that the skin is not flat."""
     smooth = cv2.GaussianBlur(intensity.values, (0, 0), 2.0)
-    shaded = np.abs(smooth - 1.0).max(axis=-1) > SHADED
+    red, green, blue = np.moveaxis(np.abs(smooth - 1.0) > SHADED, -1, 0)
+    shaded = red | green | blue
     return float(shaded[intensity.valid].mean()) if intensity.valid.any() else 0.0

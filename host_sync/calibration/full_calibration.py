@@ -14,7 +14,8 @@ from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg
 from device.inverse_fit import InverseFit, fit_inverse_map
 from device.light_field import LightField
-from device.photometry import LinearFrame, blurred_reference, pseudo_reference
+from device.photometry import LinearFrame, blurred_reference
+from device.pseudo_reference import pseudo_reference
 from device.surface import Float32Array, Float64Array
 from host_sync.calibration.assessment import Assessment, assess
 from host_sync.calibration.ball_location import (

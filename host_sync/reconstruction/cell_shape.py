@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from host_sync.reconstruction.edge_slopes import LEAST
+from host_sync.reconstruction.pixel_pairs import first_of, second_of
 from host_sync.reconstruction.smoother import CONTRACT
 
 
@@ -36,7 +37,7 @@ def unit_shape(top: Any, bottom: Any, middle: Any, base: Any, upper: Any, lower:
     quarter, eighth, half = np.float32(0.25), np.float32(0.125), np.float32(0.5)
     width = upper.size
     for i in range(width // 2):
-        t, b, left, right = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
+        t, b, left, right = second_of(top, i), second_of(bottom, i), middle[2 * i], middle[2 * i + 1]
         x, y, twist = quarter * (t + b), quarter * (left + right), eighth * ((b - t) + (right - left))
         up, down, z = twist - y, y - twist, base[i]
         upper[2 * i], upper[2 * i + 1] = z + (up - x), z + (x - (twist + y))
@@ -55,8 +56,8 @@ def weighted_shape(
     quarter, eighth, half, nought = np.float32(0.25), np.float32(0.125), np.float32(0.5), np.float32(0.0)
     width = upper.size
     for i in range(width // 2):
-        w_t, w_b, w_l, w_r = w_top[2 * i + 1], w_bottom[2 * i + 1], w_middle[2 * i], w_middle[2 * i + 1]
-        g_t, g_b, g_l, g_r = top[2 * i + 1], bottom[2 * i + 1], middle[2 * i], middle[2 * i + 1]
+        w_t, w_b, w_l, w_r = second_of(w_top, i), second_of(w_bottom, i), w_middle[2 * i], w_middle[2 * i + 1]
+        g_t, g_b, g_l, g_r = second_of(top, i), second_of(bottom, i), middle[2 * i], middle[2 * i + 1]
         t, b = g_t if w_t > nought else g_b, g_b if w_b > nought else g_t
         left, right = g_l if w_l > nought else g_r, g_r if w_r > nought else g_l
         across, down = w_t * w_b, w_l * w_r
@@ -79,7 +80,8 @@ def unit_slopes_across(top: Any, bottom: Any, upper: Any, lower: Any, out: Any) 
     half, nought = np.float32(0.5), np.float32(0.0)
     for i in range(1, out.size - 1):
         c = 2 * i
-        out[i] = half * ((top[c] + bottom[c]) + ((upper[c - 1] - upper[c]) + (lower[c - 1] - lower[c])))
+        slope = first_of(top, i) + first_of(bottom, i)
+        out[i] = half * (slope + ((upper[c - 1] - upper[c]) + (lower[c - 1] - lower[c])))
     out[0], out[out.size - 1] = nought, nought
 
 
@@ -120,10 +122,11 @@ def slopes_across(
     for i in range(1, out.size - 1):
         c = 2 * i
         a, b = w_top[c], w_bottom[c]
-        flow = a * (top[c] + (upper[c - 1] - upper[c])) + b * (bottom[c] + (lower[c - 1] - lower[c]))
+        here, there = first_of(top, i), first_of(bottom, i)
+        flow = a * (here + (upper[c - 1] - upper[c])) + b * (there + (lower[c - 1] - lower[c]))
         out[i] = flow / max(a + b, LEAST)
-        first = conductance(a, w_top[c - 1], w_top[c + 1], apart)
-        weight[i] = first + conductance(b, w_bottom[c - 1], w_bottom[c + 1], apart)
+        first = conductance(a, second_of(w_top, i - 1), w_top[c + 1], apart)
+        weight[i] = first + conductance(b, second_of(w_bottom, i - 1), w_bottom[c + 1], apart)
     out[0], out[out.size - 1], weight[0], weight[out.size - 1] = nought, nought, nought, nought
 
 

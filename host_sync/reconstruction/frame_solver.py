@@ -27,7 +27,7 @@ from host_sync.reconstruction.plausibility import SAMPLES_ALONG, frame_doubts, r
 from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.slope_kernel import SlopeKernel, empty_gradients
 
-CHECK_COARSENESS: Final = 2
+CHECK_COARSENESS: Final = 4
 """Before it is solved, a frame of a sequence is looked at with so many times fewer rows and columns than one alone."""
 
 SAMPLED_COLUMNS: Final = 180
@@ -93,6 +93,11 @@ class FrameSolver:
             "weighted": self._equal is None,
             "forced": self._force,
         }
+
+    def another(self) -> FrameSolver:
+        """A solver of the same frames with working arrays of its own, for another thread."""
+        weighted = self._equal is None
+        return FrameSolver(self._calibration, self._method, self._encoding, weighted=weighted, force=self._force)
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameFigures:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its figures.

@@ -15,11 +15,12 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from device.surface import Float32Array, MaskArray
 from host_sync.reconstruction.candidate_refinement import GateSettings, judge_candidate
+from host_sync.reconstruction.row_bands import in_bands
 
 SOBEL_VARIANCE: Final = 0.1875
 """Variance of an intensity gradient over that of a pixel: 1/2 of a central difference, 3/8 of the (1, 2, 1) mean."""
@@ -35,7 +36,6 @@ _PLANES: Final = 23
 _FAST = {"contract", "arcp", "nsz"}
 
 
-@njit(parallel=True, cache=True)
 def estimate_slopes(
     values: Float32Array,
     lit: MaskArray,
@@ -52,15 +52,24 @@ def estimate_slopes(
     lit : bool array of shape (H, W), where intensity means something
     low, step, bin_of, first, candidates : the lookup table's arrays
     """
-    rows, columns, _ = values.shape
-    p, q = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
-    confidence = np.zeros((rows, columns), np.float32)
-    for row in prange(rows):
-        for start in range(0, columns, _TILE):
+    p, q, confidence = (np.zeros(lit.shape, np.float32) for _ in range(3))
+    in_bands(
+        _estimate_rows, lit.shape, values, lit, low, step, bin_of, first, candidates, settings, p, q, confidence
+    )  # fmt: skip
+    return p, q, confidence
+
+
+@njit(cache=True, nogil=True)
+def _estimate_rows(
+    values: Any, lit: Any, low: Any, step: Any, bin_of: Any, first: Any, candidates: Any, settings: Any,
+    p: Any, q: Any, confidence: Any, begin: int, end: int,
+) -> None:  # fmt: skip
+    """Write slopes and confidence of the rows `begin` to `end` - 1."""
+    for row in range(begin, end):
+        for start in range(0, values.shape[1], _TILE):
             _estimate_tile(
                 values, lit, low, step, bin_of, first, candidates, settings, np.int64(row), start, p, q, confidence
             )
-    return p, q, confidence
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")

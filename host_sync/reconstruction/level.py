@@ -12,9 +12,10 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
+from host_sync.reconstruction.row_bands import in_bands
 
 FLAT_SLOPES: Final = (0.01, 0.05)
 """Slopes under which a patch of skin counts as flat; the second is tried when the first finds too little."""
@@ -43,9 +44,8 @@ def untouched_skin(gradients: GradientField) -> MaskArray:
     for limit in FLAT_SLOPES:
         flat = _reaching_the_border((count > 0) & (steepness < limit))
         if count[flat].sum(dtype=np.float64) >= LEAST_SHARE * count.sum(dtype=np.float64):
-            size = (flat.shape[1] * cell, flat.shape[0] * cell)
-            pixels = cv2.resize(flat.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-            return gradients.valid & pixels[:rows, :columns].view(np.bool_)
+            pixels = np.repeat(np.repeat(flat, cell, axis=1), cell, axis=0)
+            return gradients.valid & pixels[:rows, :columns]
     return gradients.valid
 
 
@@ -64,26 +64,34 @@ def levelled(height: HeightMap, at_rest: MaskArray) -> HeightMap:
 
 def cache_directory() -> Path:
     """Where the compiled kernels of this package are kept."""
-    return Path(str(_cell_sums.stats.cache_path))
+    return Path(str(_add_cells.stats.cache_path))
 
 
-@njit(cache=True, parallel=True)
-def _cell_sums(p: Any, q: Any, valid: Any, cell: int) -> tuple[Float32Array, Float32Array, Float32Array]:
+def _cell_sums(
+    p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
+) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Sums of p and q, and number of valid pixels, in cells of `cell` x `cell` pixels: float32 arrays."""
     rows, columns = valid.shape
-    shape = ((rows + cell - 1) // cell, (columns + cell - 1) // cell)
-    p_sum, q_sum = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    count = np.zeros(shape, np.float32)
-    for i in prange(shape[0]):
+    sums = np.zeros((3, (rows + cell - 1) // cell, (columns + cell - 1) // cell), np.float32)
+    in_bands(_add_cells, (sums.shape[1], columns), p, q, valid, cell, *sums)
+    return sums[0], sums[1], sums[2]
+
+
+@njit(cache=True, nogil=True)
+def _add_cells(
+    p: Any, q: Any, valid: Any, cell: int, p_sum: Any, q_sum: Any, count: Any, first: int, last: int
+) -> None:  # fmt: skip
+    """Add up the rows `first` to `last` - 1 of cells."""
+    rows, columns = valid.shape
+    for i in range(first, last):
         column = np.zeros((3, columns), np.float32)
         for r in range(i * cell, min((i + 1) * cell, rows)):
             _add_row(p[r], q[r], valid[r], column[0], column[1], column[2])
-        for c in range(columns):
-            j = c // cell
-            p_sum[i, j] += column[0, c]
-            q_sum[i, j] += column[1, c]
-            count[i, j] += column[2, c]
-    return p_sum, q_sum, count
+        for j in range(count.shape[1]):
+            for c in range(j * cell, min((j + 1) * cell, columns)):
+                p_sum[i, j] += column[0, c]
+                q_sum[i, j] += column[1, c]
+                count[i, j] += column[2, c]
 
 
 @njit(cache=True)

@@ -3,13 +3,18 @@
 Threads take the next band when they are done with one, so that a core that is busy with something else holds nobody up.
 Kernels are compiled for one thread and release Python's lock; small fields never leave the calling thread, for to wake
 another one takes longer than the work.
+
+Why helpers are kept: a thread that is started for every call costs the caller more than the work of a coarse level, and
+it must be waited for twice. A helper that has not woken before the bands are gone is not waited for at all.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from queue import Empty, SimpleQueue
-from threading import Thread
 from typing import Any, Final
 
 from numba import get_num_threads
@@ -23,7 +28,8 @@ BANDS_PER_THREAD: Final = 6
 def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: Any) -> None:
     """Call `kernel(*arguments, first, last)` for bands of rows that together are all rows of a field of this shape.
 
-    Bands begin at even rows. What a kernel writes must not depend on where bands begin.
+    Bands begin at even rows. What a kernel writes must not depend on where bands begin. As many threads work as
+    `numba.set_num_threads` lets the calling one have.
     """
     rows, threads = shape[0], get_num_threads()
     if threads == 1 or rows * shape[1] < SMALL_PX:
@@ -33,12 +39,20 @@ def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: 
     bands: SimpleQueue[tuple[int, int]] = SimpleQueue()
     for band in range(count):
         bands.put((2 * (band * pairs // count), min(2 * ((band + 1) * pairs // count), rows)))
-    others = [Thread(target=_work, args=(kernel, arguments, bands)) for _ in range(threads - 1)]
-    for other in others:
-        other.start()
-    _work(kernel, arguments, bands)
-    for other in others:
-        other.join()
+    helpers = _helpers(os.getpid())
+    jobs = [helpers.submit(_work, kernel, arguments, bands) for _ in range(threads - 1)]
+    try:
+        _work(kernel, arguments, bands)
+    finally:
+        for job in jobs:
+            if not job.cancel():
+                job.result()
+
+
+@cache
+def _helpers(_process: int) -> ThreadPoolExecutor:
+    """The helpers of a process; one that was forked has no threads but its own, and gets others."""
+    return ThreadPoolExecutor(os.cpu_count(), "rows")
 
 
 def _work(kernel: Callable[..., object], arguments: tuple[Any, ...], bands: SimpleQueue[tuple[int, int]]) -> None:

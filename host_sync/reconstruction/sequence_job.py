@@ -1,9 +1,7 @@
 """Reconstructs a sequence: heights of every frame, then the moving relief.
 
-Three things go on at a time: a thread decodes the frames ahead, the caller's solves one, a thread writes the one
-before. Heights travel in a ring of arrays made once, so that memory does not grow with the sequence.
-
-Why compiled kernels run in the caller's thread alone: numba's simplest threading layer allows no other.
+Three things go on at a time: a thread decodes the frames ahead, a crew solves several (`frame_crew`), a thread writes
+those before. Heights travel in arrays made once, so that memory does not grow with the sequence.
 """
 
 from __future__ import annotations
@@ -16,13 +14,12 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 
-from device.errors import DeviceError
 from device.surface import Float32Array, HeightMap
 from host_sync.calibration.full_calibration import Calibration
-from host_sync.errors import HostError, SequenceError
+from host_sync.errors import SequenceError
 from host_sync.frame_sequence import BadFrame, FrameSequence, StoredFrame
+from host_sync.reconstruction.frame_crew import FrameCrew
 from host_sync.reconstruction.frame_solver import FrameSolver
 from host_sync.reconstruction.height_stack import HeightStack, open_heights
 from host_sync.reconstruction.sequence_movie import MovieFiles, Progress, SeenRelief, write_movie
@@ -65,8 +62,7 @@ def reconstruct_sequence(
         seen = SeenRelief()
         began = time.perf_counter()
         with HeightStack(folder / HEIGHTS_FILE, solver.shape, sequence.count, calibration.pitch_um, rate_hz) as stack:
-            writer = _Writer(stack, seen, calibration.pitch_um)
-            outcomes = _solve_all(sequence, solver, writer, progress)
+            outcomes = _solve_all(sequence, solver, stack, seen, calibration.pitch_um, progress)
         solved = time.perf_counter()
         if all(outcome.figures is None for outcome in outcomes):
             raise SequenceError(f"none of {len(outcomes)} frames could be reconstructed: {outcomes[0].reason}")
@@ -82,33 +78,28 @@ def reconstruct_sequence(
     return report
 
 
-class _Writer:
-    """Takes heights out of the caller's way; an array may be filled again once its job is done."""
-
-    def __init__(self, stack: HeightStack, seen: SeenRelief, pitch_um: float) -> None:
-        self._stack = stack
-        self._seen = seen
-        self._pitch_um = pitch_um
-
-    def write(self, z_um: Float32Array, solved: bool) -> None:
-        self._stack.append(z_um)
-        if solved:
-            self._seen.add(HeightMap(z_um, self._pitch_um))
-
-
-def _solve_all(sequence: FrameSequence, solver: FrameSolver, writer: _Writer, progress: Progress) -> list[FrameOutcome]:
-    """Solve every frame; heights are NaN where a frame is bad, so that every page keeps its time."""
-    ring = [np.empty(solver.shape, np.float32) for _ in range(AHEAD)]
+def _solve_all(
+    sequence: FrameSequence, solver: FrameSolver, stack: HeightStack, seen: SeenRelief, pitch_um: float,
+    progress: Progress,
+) -> list[FrameOutcome]:  # fmt: skip
+    """Solve every frame and write its heights to the stack; what became of each."""
     outcomes: list[FrameOutcome] = []
     writing: deque[Future[None]] = deque()
-    with ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as disk:
-        for frame in _decoded_ahead(sequence, reading):
+
+    def write(z_um: Float32Array, solved: bool) -> None:
+        try:
+            stack.append(z_um)
+            if solved:
+                seen.add(HeightMap(z_um, pitch_um))
+        finally:
+            crew.give_back(z_um)
+
+    with FrameCrew(solver, AHEAD) as crew, ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as disk:
+        for outcome, z_um in crew.solved(_decoded_ahead(sequence, reading)):
             if len(writing) == AHEAD:
                 writing.popleft().result()
-            z_um = ring[len(outcomes) % AHEAD]
-            outcome = _outcome(frame, solver, z_um)
             outcomes.append(outcome)
-            writing.append(disk.submit(writer.write, z_um, outcome.figures is not None))
+            writing.append(disk.submit(write, z_um, outcome.figures is not None))
             progress("heights", len(outcomes), sequence.count)
         for job in writing:
             job.result()
@@ -122,16 +113,3 @@ def _decoded_ahead(sequence: FrameSequence, reading: ThreadPoolExecutor) -> Iter
     while (frame := jobs.popleft().result()) is not None:
         jobs.append(reading.submit(next, frames, None))
         yield frame
-
-
-def _outcome(frame: StoredFrame | BadFrame, solver: FrameSolver, z_um: Float32Array) -> FrameOutcome:
-    """Solve a frame into `z_um`, or fill that with NaN."""
-    if isinstance(frame, StoredFrame):
-        try:
-            return FrameOutcome(frame.name, solver.solve(frame, z_um))
-        except (DeviceError, HostError) as error:
-            reason = str(error)
-    else:
-        reason = frame.reason
-    z_um.fill(np.nan)
-    return FrameOutcome(frame.name, None, reason if frame.name in reason else f"{frame.name}: {reason}")

@@ -18,19 +18,15 @@ from device.surface import Float32Array
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
 from host_sync.reconstruction.row_bands import in_bands
-from host_sync.reconstruction.smoother import (
-    inverse_diagonal,
-    relax_row,
-    residual_row,
-    square_difference,
-    square_sum,
-    unit_relax_row,
-    unit_residual_row,
-)
-from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row, restrict_row
+from host_sync.reconstruction.smoother import inverse_diagonal, square_difference, square_sum
+from host_sync.reconstruction.sweep_stages import start_rows, write_relaxed, write_residual
+from host_sync.reconstruction.transfer import copy_row, restrict_row
 
 SLOPES: Final = 4
 """Rows of slopes at hand where they are made on the way and go with no weights, which later stages read."""
+
+CHANGE_STEP: Final = 4
+"""One row in so many tells how much smoothing changes: noise is alike in all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +34,7 @@ class SweepFigures:
     """Root mean squares over the level, pixels.
 
     residual : of the residual that was restricted; nought where none was
-    change : of what smoothing changed
+    change : of what smoothing changed, in one row of `CHANGE_STEP`
     """
 
     residual: float
@@ -66,7 +62,8 @@ def sweep(
     coarse_rhs : receives the restricted residual; None where it is not wanted
     """
     nothing = np.empty((0, 0), np.float32)
-    squares = np.zeros((2, z_out.shape[0] if measured else 0))
+    rows, columns = z_out.shape
+    squares = np.zeros((2, rows if measured else 0))
     source: tuple[Any, ...]
     if isinstance(level, PixelField):
         source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
@@ -83,8 +80,9 @@ def sweep(
         squares,
     )
     in_bands(_band, z_out.shape, *arguments)
-    residual, change = np.sqrt(squares.sum(axis=1) / z_out.size)
-    return SweepFigures(float(residual), float(change))
+    residual, change = squares.sum(axis=1)
+    looked_at = len(range(0, rows, CHANGE_STEP)) * columns
+    return SweepFigures(float(np.sqrt(residual / z_out.size)), float(np.sqrt(change / looked_at)))
 
 
 def root_mean_square(values: Float32Array) -> float:
@@ -134,78 +132,25 @@ def _band(
                 shape_rows(
                     t, rows, across, slope_across, down, slope_down, nothing, coarse[t // 2], upper[inner], lower[inner]
                 )  # fmt: skip
-            _start_rows(t, rows, z_in, p is not None and nested, coarse, nested, across, down, upper, lower)
+            start_rows(t, rows, z_in, p is not None and nested, coarse, nested, across, down, upper, lower)
         for s in range(1, sweeps + 1):
             r, margin = t - s, halo - s
             if max(first - margin, 0) <= r < min(last + margin, rows):
                 out = stages[s, r % height]
                 if s == sweeps and not restricts:
-                    _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, z_out[r])
+                    write_relaxed(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, z_out[r])
                 else:
-                    _relax(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, out[inner])
+                    write_relaxed(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, out[inner])
                     out[0], out[columns + 1] = out[1], out[columns]
         r = t - sweeps
         if first <= r < last:
             if sweeps == 0 or restricts:
                 copy_row(stages[sweeps, r % height], 1, z_out[r], 0, columns)
-            if squares.size > 0:
+            if squares.size > 0 and r % CHANGE_STEP == 0:
                 squares[1, r] = square_difference(z_out[r], stages[0, r % height, inner])
         r = t - sweeps - 1
         if restricts and first <= r < last:
-            _residual(stages[sweeps], rhs, across, down, r, rows, residual)
+            write_residual(stages[sweeps], rhs, across, down, r, rows, residual)
             restrict_row(residual, r % 2 == 1, coarse_rhs[r // 2])
             if squares.size > 0:
                 squares[0, r] = square_sum(residual)
-
-
-@njit(cache=True)
-def _start_rows(
-    row: int, rows: int, z_in: Any, begun: bool, coarse: Any, nested: bool, across: Any, down: Any, upper: Any,
-    lower: Any,
-) -> None:  # fmt: skip
-    """Write two rows before smoothing, padding included; `begun` where they are written already."""
-    columns = upper.size - 2
-    for r in range(row, min(row + 2, rows)):
-        out = upper if r == row else lower
-        if z_in.size > 0:
-            copy_row(z_in[r], 0, out, 1, columns)
-        elif not begun:
-            for c in range(out.size):
-                out[c] = np.float32(0.0)
-        if coarse.size > 0 and not begun:
-            near = r // 2
-            far = min(max(near + 2 * (r % 2) - 1, 0), coarse.shape[0] - 1)
-            if nested:
-                add_cells(coarse[near], out)
-            elif across is None:
-                prolong_row(coarse[near], coarse[far], out)
-            else:
-                a, d = r % across.shape[0], (r + r % 2) % down.shape[0]
-                prolong_weighted_row(coarse[near], coarse[far], across[a], down[d], out)
-        out[0], out[columns + 1] = out[1], out[columns]
-
-
-@njit(cache=True)
-def _relax(z: Any, rhs: Any, across: Any, down: Any, inverse: Any, step: Any, r: int, rows: int, out: Any) -> None:
-    """Write row `r` of the next stage from the rows of ring `z`, without padding."""
-    n = z.shape[0]
-    up, low = max(r - 1, 0), min(r + 1, rows - 1)
-    b = rhs[r % rhs.shape[0]]
-    if across is None:
-        unit_relax_row(z[up % n], z[r % n], z[low % n], b, step, out)
-    else:
-        a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
-        relax_row(z[up % n], z[r % n], z[low % n], b, a, u, d, inverse[r % n], step, out)
-
-
-@njit(cache=True)
-def _residual(z: Any, rhs: Any, across: Any, down: Any, r: int, rows: int, out: Any) -> None:
-    """Write row `r` of the residual from the rows of ring `z`."""
-    n = z.shape[0]
-    up, low = max(r - 1, 0), min(r + 1, rows - 1)
-    b = rhs[r % rhs.shape[0]]
-    if across is None:
-        unit_residual_row(z[up % n], z[r % n], z[low % n], b, out)
-    else:
-        a, u, d = across[r % across.shape[0]], down[r % down.shape[0]], down[(r + 1) % down.shape[0]]
-        residual_row(z[up % n], z[r % n], z[low % n], b, a, u, d, out)

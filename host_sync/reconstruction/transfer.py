@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from host_sync.reconstruction.pixel_pairs import first_of, second_of
 from host_sync.reconstruction.smoother import CONTRACT
 
 
@@ -66,14 +67,14 @@ def prolong_weighted_row(near: Any, far: Any, across: Any, over: Any, out: Any) 
     `across` are the row's own edges, `over` the edges to the fine row beyond, towards `far`.
     """
     quarter, nought = np.float32(0.25), np.float32(0.0)
-    width, last = out.size - 2, near.size - 1
+    width, last, behind = out.size - 2, near.size - 1, across[1:]
     for c in range(1, last):
         z = near[c]
         up, left, right = quarter * (far[c] - z), quarter * (near[c - 1] - z), quarter * (near[c + 1] - z)
         first = z + (up if over[2 * c] > nought else nought)
         second = z + (up if over[2 * c + 1] > nought else nought)
-        out[2 * c + 1] += first + (left if across[2 * c] > nought else nought)
-        out[2 * c + 2] += second + (right if across[2 * c + 2] > nought else nought)
+        out[2 * c + 1] += first + (left if first_of(across, c) > nought else nought)
+        out[2 * c + 2] += second + (right if second_of(behind, c) > nought else nought)
     for end in (0, last):
         for c in range(2 * end, min(2 * end + 2, width)):
             z, odd = near[end], c % 2

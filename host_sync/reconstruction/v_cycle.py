@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -56,6 +57,7 @@ def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -
     level.swap()
 
 
+@cache
 def smoothing(times: int = 1) -> Float32Array:
     """Relaxation factors, float32 array: before or after a correction, or (2) after one and before the next."""
     return np.tile(chebyshev_steps(SWEEPS), times)

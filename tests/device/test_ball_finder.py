@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from device.ball_finder import BallSearch, find_balls
 from device.errors import CalibrationError
-from device.photometry import IntensityImage, LinearFrame, blurred_reference, divide, pseudo_reference
+from device.photometry import IntensityImage, LinearFrame, blurred_reference, divide
+from device.pseudo_reference import pseudo_reference
 
 RADIUS_PX = 60.0
 SHAPE = (400, 520)

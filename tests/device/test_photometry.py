@@ -9,8 +9,8 @@ from device.photometry import (
     check_exposed,
     demosaic,
     divide,
-    pseudo_reference,
 )
+from device.pseudo_reference import pseudo_reference
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 
 COLOUR_DN = {"R": 1000, "G": 2000, "B": 3000}
@@ -42,6 +42,16 @@ def test_binning_puts_each_colour_into_its_channel(order: BayerOrder, factor: in
     frame = bin_bayer(uniform(order), factor)
     assert frame.shape == (16 // factor, 24 // factor)
     np.testing.assert_allclose(frame.rgb, np.broadcast_to(expected_rgb(), frame.rgb.shape), atol=1e-5)
+
+
+def test_a_tall_frame_is_binned_as_its_parts_are() -> None:
+    """Rows of bins are made band by band; a saturated pixel marks its own bin and no other."""
+    mosaic = np.random.default_rng(3).integers(256, 3000, (4 * 205 + 3, 4 * 9 + 2)).astype(np.uint16)
+    mosaic[4 * 97 + 1, 11] = 65535
+    whole = bin_bayer(raw_of(mosaic, "GRBG"), 4)
+    parts = [bin_bayer(raw_of(mosaic[4 * r : 4 * r + 4], "GRBG"), 4) for r in range(205)]
+    np.testing.assert_array_equal(whole.rgb, np.concatenate([part.rgb for part in parts]))
+    assert np.argwhere(whole.clipped).tolist() == [[97, 2]]
 
 
 def test_binning_leaves_out_what_does_not_fill_a_bin() -> None:

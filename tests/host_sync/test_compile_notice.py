@@ -25,7 +25,7 @@ def test_it_is_said_once(
     monkeypatch.setattr(level, "cache_directory", lambda: tmp_path)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     if cached:
-        (tmp_path / "level._cell_sums-1.py311.nbi").touch()
+        (tmp_path / "level._add_cells-1.py311.nbi").touch()
     compile_notice.tell_of_compiling()
     assert capsys.readouterr().err.count("compiles") == words
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
+import numba
 import numpy as np
 import pytest
 import tifffile
@@ -183,6 +184,19 @@ def test_a_solver_keeps_no_trace_of_the_frame_before() -> None:
     one.solve(frame_of(20.0, "other"), second)
     one.solve(frame_of(60.0, "frame"), again)
     np.testing.assert_array_equal(first, again)
+
+
+def test_heights_do_not_depend_on_how_many_threads_there_are(tmp_path: Path) -> None:
+    before, heights = numba.get_num_threads(), []
+    try:
+        for threads in (1, numba.config.NUMBA_NUM_THREADS):
+            numba.set_num_threads(threads)
+            out = tmp_path / f"{len(heights)}"
+            reconstruct_sequence(Played(*press()), calibration(), solver(), out, SequenceOrder("x", None, False, False))
+            heights.append(tifffile.imread(out / "heights_um.tif"))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(*heights)
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, OSError])

@@ -1,0 +1,58 @@
+"""Bands of rows: every row once, whoever takes it, and no error lost in another thread."""
+
+from __future__ import annotations
+
+from collections import Counter
+from threading import Event, get_ident
+
+import pytest
+
+from host_sync.reconstruction import row_bands
+from host_sync.reconstruction.row_bands import in_bands
+
+PATIENCE_S = 20.0
+
+
+@pytest.fixture
+def three_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the machine had three cores, and no field were small."""
+    monkeypatch.setattr(row_bands, "get_num_threads", lambda: 3)
+    monkeypatch.setattr(row_bands, "SMALL_PX", 1)
+
+
+@pytest.mark.usefixtures("three_threads")
+@pytest.mark.parametrize("rows", [1, 2, 7, 36, 101])
+def test_every_row_is_worked_on_once_and_bands_begin_at_even_rows(rows: int) -> None:
+    seen: Counter[int] = Counter()
+    begun: list[int] = []
+
+    def kernel(name: str, first: int, last: int) -> None:
+        assert name == "field"
+        begun.append(first)
+        seen.update(range(first, last))
+
+    in_bands(kernel, (rows, 10), "field")
+    assert seen == Counter(range(rows))
+    assert all(first % 2 == 0 for first in begun)
+
+
+@pytest.mark.usefixtures("three_threads")
+def test_another_thread_works_too_and_its_error_is_the_callers() -> None:
+    helped = Event()
+    caller = get_ident()
+
+    def kernel(first: int, last: int) -> None:
+        if get_ident() == caller:
+            assert helped.wait(PATIENCE_S)
+        else:
+            helped.set()
+            raise ValueError("in a helper")
+
+    with pytest.raises(ValueError, match="in a helper"):
+        in_bands(kernel, (60, 10))
+
+
+def test_a_small_field_stays_with_its_caller() -> None:
+    threads = []
+    in_bands(lambda *band: threads.append((get_ident(), band)), (30, 40))
+    assert threads == [(get_ident(), (0, 30))]
