@@ -233,7 +233,7 @@ def _following(errors: Float64Array) -> MaskArray:
     """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel."""
     median = float(np.nanmedian(errors))
     deviation = float(np.nanmedian(np.abs(errors - median)))
-    return np.asarray(errors <= median + 3.0 * max(deviation, 0.1 * median))
+    return np.asarray(errors <= median + 3.0 * max(deviation, 0.15 * median))
 
 
 def _bands(error_deg: Float64Array, slope: Float64Array) -> tuple[SlopeBand, ...]:

@@ -44,6 +44,9 @@ FITTED_SAMPLES: Final = 40_000
 WORTH_MORE_BALLS: Final = 1.1
 """Balls that no label has are tried when there are so many times as many with them."""
 
+MORE_BALLS_GAIN: Final = 0.95
+"""Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -181,7 +184,8 @@ def _fit(
         if name == "found at labels and beyond" and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
         fit = _fit_to(moved, light)
-        if _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
+        gain = MORE_BALLS_GAIN if name == "found at labels and beyond" else 1.0
+        if gain * _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
             best, chosen = fit, (moved, name)
     return best, *chosen
 

@@ -34,7 +34,7 @@ TILT_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 
 ONE_SIGMA_PERCENT: Final = 68.27
 APEX_SLOPE: Final = 0.1
-INNER_SHARE: Final = 0.9
+INNER_SHARE: Final = 0.95
 FEWEST_PIXELS: Final = 50
 RAYS: Final = 24
 STEPS: Final = 40
