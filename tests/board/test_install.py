@@ -218,6 +218,7 @@ def test_networks_of_netplan_are_kept_too_and_given_back(fresh: Path, run: Run) 
 
 def test_without_netplan_nothing_of_it_is_mounted(fresh: Path, run: Run) -> None:
     """Bookworm, where NetworkManager keeps key files."""
+    (fresh / "etc/os-release").write_text("ID=debian\nVERSION_CODENAME=bookworm\n")
     (fresh / "usr/libexec/netplan/generate").unlink()
     done(run("board/install.sh", "--root", fresh, *BOARD))
     wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
