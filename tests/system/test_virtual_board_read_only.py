@@ -81,7 +81,7 @@ def test_scans_networks_and_updates_outlive_a_boot_and_nothing_else_does(board: 
     identity, told = machine.run(IDENTITY), machine.run("ls /data/store/scans").split()
     assert set(told) >= set(board.acknowledged)
     assert machine.wait_for(KNOWN).split() == ["workshop"]
-    machine.run(f"rm {WORKSHOP}; touch /root/scribble; {netplan('lab', 2)}")
+    machine.run(f"rm {WORKSHOP}; touch /var/scribble; {netplan('lab', 2)}")
     machine.run(f"nmcli connection add type wifi ifname '*' con-name bench ssid bench {PROTECTED}")
     machine.run("echo '- [damaged' >/etc/netplan/99-damaged.yaml; : >/etc/netplan/90-NM-empty.yaml")
     scan = board.scan()
@@ -91,7 +91,7 @@ def test_scans_networks_and_updates_outlive_a_boot_and_nothing_else_does(board: 
         machine.reboot()
         machine.wait_for("systemctl is-active retroscan")
     assert machine.run(ROOTS).split() == ["overlay", "ro", "ext4"]
-    machine.run("test ! -e /root/scribble")
+    machine.run("test ! -e /var/scribble")
     assert machine.run(IDENTITY) == identity
     assert set(machine.run("ls /data/store/scans").split()) == {*told, scan}
     assert sorted(machine.wait_for(KNOWN).split()) == ["bench", "lab"]
