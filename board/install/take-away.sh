@@ -11,7 +11,7 @@ installed_files() {
         systemd/timesyncd.conf.d ssh/sshd_config.d; do echo "/etc/$unit/retrograph.conf"; done
     echo /etc/avahi/services/retrograph.service /etc/udev/rules.d/99-retrograph.rules /etc/default/retroscan \
         /etc/retrograph/board.toml /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
-        /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection /data/board \
+        /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
         /boot/overlays/retrograph.dtbo | tr ' ' '\n'
 }
