@@ -156,6 +156,7 @@ mount_data
 put_files
 set_up_firmware
 enable_units
+end_cloud_init
 install_program
 start_now
 finish

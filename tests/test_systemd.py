@@ -43,7 +43,7 @@ def settings(name: str) -> Settings:
 def units_of_this_machine(tmp_path: Path) -> Path:
     """All units, with programs that are there, since systemd looks for them."""
     for path in unit_files():
-        text = re.sub(r"/usr/local/(bin|sbin|lib)/[a-z/-]+", sys.executable, path.read_text(encoding="utf-8"))
+        text = re.sub(r"/usr/(local/(bin|sbin|lib)|libexec)/[a-z/-]+", sys.executable, path.read_text(encoding="utf-8"))
         (tmp_path / path.name).write_text(text, encoding="utf-8")
     return tmp_path
 

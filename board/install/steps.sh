@@ -53,9 +53,11 @@ mount_data() {
     # The host key itself is 0600; its public half is read by the instrument's user when a workstation pairs.
     for part in journal timesync app ssh; do folder "/data/$part" 755; done
     folder /data/network 700
+    ! has_netplan || folder /data/netplan 755
     keep_what_was_there
     for part in "$here"/systemd/{var,etc,srv}-*.mount; do put "$part" "/etc/systemd/system/$(basename "$part")"; done
 }
+has_netplan() { [ -x "$root/usr/libexec/netplan/generate" ]; }
 # The unit name of a path, as systemd writes it, without needing systemd: the few characters that a device's path has.
 escaped() { printf '%s' "${1#/}" | sed 's/-/\\\\x2d/g; s|/|-|g'; }
 
@@ -64,6 +66,7 @@ keep_what_was_there() {
     take_over /var/lib/retroscan store
     take_over /var/lib/retroscan-pairing pairing
     take_over /etc/NetworkManager/system-connections network
+    ! has_netplan || take_over /etc/netplan netplan
     if [ -f "$root/etc/ssh/ssh_host_ed25519_key" ] && [ ! -L "$root/etc/ssh/ssh_host_ed25519_key" ] &&
         [ ! -e "$root/data/ssh/ssh_host_ed25519_key" ]; then
         act "keep the host key" keep_host_key
@@ -128,13 +131,28 @@ put_files() {
     link /data/ssh/ssh_host_ed25519_key.pub /etc/ssh/ssh_host_ed25519_key.pub
 }
 
+# What cloud-init (Raspberry Pi OS trixie) had to do, it has done at the first boot; later it would only look, while
+# everything else waits. Whoever switched it off themselves keeps their own file.
+cloud_init_off=/etc/cloud/cloud-init.disabled
+end_cloud_init() {
+    [ -d "$root/etc/cloud" ] && [ ! -e "$root$cloud_init_off" ] || return 0
+    if find "$root/var/lib/cloud/instances" -name boot-finished 2>/dev/null | grep -q .; then
+        put_text $cloud_init_off <<<"by board/install.sh of Retrograph: this card is set up"
+    else
+        say "  (cloud-init has not finished its first boot: the next run switches it off)"
+    fi
+}
+
+# The same version number may stand on another wheel: what is installed is known by its hash.
 install_program() {
     if [ "$with_app" = no ]; then return; fi
-    local wheel version current
+    local wheel version
     wheel=$(find "$release" -maxdepth 1 -name 'retrograph-*.whl' 2>/dev/null | head -n 1)
     version=$(basename "${wheel:-none-none}" | cut -d - -f 2)
-    current=$(cat "$root/data/app/current/ready" 2>/dev/null || true)
-    if [ -n "$current" ] && [ "$current" = "$version" ]; then return; fi
+    if [ -n "$wheel" ] && [ -s "$root/data/app/current/ready" ] &&
+        [ "$(cat "$root/data/app/current/wheel" 2>/dev/null)" = "$(sha256sum <"$wheel" | cut -d ' ' -f 1)" ]; then
+        return
+    fi
     act "install version $version from $release" \
         env RETROGRAPH_ROOT="$root" bash "$here/board/retrograph-slot" install "$release"
 }
@@ -142,7 +160,8 @@ install_program() {
 units() {
     echo data.mount srv-retrograph-store.mount retrograph-first-boot.service retrograph-trial.service
     echo retrograph-power.service retrograph-poweroff.path
-    (cd "$here/systemd" && ls var-*.mount etc-*.mount)
+    (cd "$here/systemd" && ls var-*.mount etc-NetworkManager-*.mount)
+    ! has_netplan || echo etc-netplan.mount retrograph-networks.service
     [ "$usb" = no ] || echo retrograph-usb.service
     if [ "$screen" = panel ]; then echo retroscan-tui.service; else echo retroscan.service; fi
 }
@@ -170,7 +189,7 @@ start_now() {
     local unit
     systemctl daemon-reload
     (cd "$here/systemd" && echo ./*.mount) | tr ' ' '\n' | sed 's|^./||' | while read -r unit; do
-        [ ! -e "/etc/systemd/system/$unit" ] || systemctl start "$unit"
+        ! is_enabled "$unit" || systemctl start "$unit"
     done
     systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true

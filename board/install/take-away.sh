@@ -16,6 +16,16 @@ installed_files() {
         /boot/overlays/retrograph.dtbo | tr ' ' '\n'
 }
 
+# Outermost last. Whatever of them holds something stays.
+installed_folders() {
+    local part
+    for part in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$part.service.d"; done
+    for part in journald system logind timesyncd; do echo "/etc/systemd/$part.conf.d"; done
+    echo /etc/retrograph /usr/local/lib/retrograph /srv/retrograph/store /srv/retrograph /var/lib/retroscan \
+        /var/lib/retroscan-pairing /data/{store,pairing,ssh,network,netplan,journal,timesync} /data | tr ' ' '\n'
+}
+is_empty() { [ -d "$root$1" ] && [ -z "$(ls -A "$root$1")" ] && ! { live && mountpoint -q "$1"; }; }
+
 take_away() {
     local unit path boot
     for unit in "$here"/systemd/*.service "$here"/systemd/*.path "$here"/systemd/*.mount; do
@@ -42,7 +52,13 @@ take_away() {
             act "restore $boot/config.txt" drop_include "$root$boot/config.txt"
         set_overlay "$root$boot/cmdline.txt" ''
     fi
+    if [ -f "$root$cloud_init_off" ] && grep -q Retrograph "$root$cloud_init_off"; then
+        act "remove $cloud_init_off" rm -f "$root$cloud_init_off"
+    fi
     [ ! -d "$root/data/app" ] || act "remove the program" rm -rf "$root/data/app"
+    while read -r path; do
+        ! is_empty "$path" || rmdir "$root$path"
+    done < <([ "$dry" = yes ] || installed_folders)
     say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync and every package."
 }
 give_back_host_key() {
@@ -59,10 +75,14 @@ give_back() {
 
 # Networks that were set up since, or the device could not be reached any more.
 give_back_networks() {
-    local file name place=/etc/NetworkManager/system-connections
+    give_back_files network nmconnection /etc/NetworkManager/system-connections
+    give_back_files netplan yaml /etc/netplan
+}
+give_back_files() { # FOLDER-OF-DATA SUFFIX PLACE
+    local file name place=$3
     # As long as ours is mounted there, what is copied would only come to where it is.
     if live && [ "$dry" = no ] && mountpoint -q "$place"; then refuse "$place is still mounted: reboot and run this again"; fi
-    for file in "$root"/data/network/*.nmconnection; do
+    for file in "$root/data/$1"/*."$2"; do
         name=$(basename "$file")
         if [ -e "$file" ] && [ "$name" != retrograph-usb.nmconnection ] && ! cmp -s "$file" "$root$place/$name"; then
             act "give back the network $name" copy "$file" "$root$place/$name" 600

@@ -91,7 +91,7 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
     parts.append(("button", ("closes to ground; the pull-up is the Pi's own",)))
     if profile.indicator and profile.indicator.line is not None:
         parts.append(("indicator", (f"LED and {facts['indicator']['series_ohm']} ohm in series, to ground",)))
-    parts.append(("power-fail", ("open drain of the supply; may stay open",)))
+    parts.append(("power-fail", ("open drain of the supply, else by a diode (bill of materials); may stay open",)))
     title = (
         f"{profile.name}: {profile.sensor.model}, {profile.light_driver.chip} at {profile.light_driver.address:#04x}"
     )

@@ -52,6 +52,7 @@ class VirtualMachine:
     shares : folders that the guest mounts by 9p, by tag
     init : the guest's first process
     data : a disk image whose writes are recorded in `log`, as blklogwrites does
+    number : what the firmware numbers this board with (a UUID)
     """
 
     cache: Path
@@ -59,6 +60,7 @@ class VirtualMachine:
     shares: dict[str, Path]
     init: str = "/sbin/init"
     data: Path | None = None
+    number: str = "00000000-0000-4000-8000-00000000000a"
     ports: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -71,16 +73,31 @@ class VirtualMachine:
         """The log of the data disk's writes."""
         return self.folder / "data.log"
 
+    @property
+    def disk(self) -> Path:
+        """What its root file system became, over the cached one."""
+        return self.folder / "root.qcow2"
+
     def __enter__(self) -> Self:
-        overlay = self.folder / "root.qcow2"
         root = (self.cache / "root.ext4").resolve()
-        subprocess.run(["qemu-img", "create", "-q", "-f", "qcow2", "-b", root, "-F", "raw", overlay], check=True)
+        subprocess.run(["qemu-img", "create", "-q", "-f", "qcow2", "-b", root, "-F", "raw", self.disk], check=True)
         self.ports = {port: free_port() for port in (SSH, PAIRING)}
-        with (self.folder / "qemu.log").open("wb") as said:
-            self._qemu = subprocess.Popen(self._command(overlay), stdout=said, stderr=subprocess.STDOUT)
-        self._agent = self._connected()
-        self.wait_until_up()
+        self.switch_on()
         return self
+
+    def switch_on(self, command_line: str | None = None) -> float:
+        """Starts it, for the first time or after `power_off`; returns after how many seconds it obeys.
+
+        command_line : what a board's firmware reads in cmdline.txt: as there, the initramfs mounts the root
+        """
+        if command_line is None:
+            boot = ["-append", f"root=/dev/vda rw console=ttyS0 quiet init={self.init} systemd.show_status=yes"]
+        else:
+            boot = ["-append", command_line, "-initrd", str(self.cache / "initrd.img")]
+        with (self.folder / "qemu.log").open("wb") as said:
+            self._qemu = subprocess.Popen([*self._command(), *boot], stdout=said, stderr=subprocess.STDOUT)
+        self._agent = self._connected()
+        return self.wait_until_up()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -137,17 +154,17 @@ class VirtualMachine:
         began = time.monotonic()
         self.run(script)
         self._qemu.wait(timeout_s)
+        self._agent.close()
         return time.monotonic() - began
 
-    def _command(self, overlay: Path) -> list[str]:
+    def _command(self) -> list[str]:
         nice = ["nice", "-n", "5"] if shutil.which("nice") else []
         forwards = ",".join(f"hostfwd=tcp:127.0.0.1:{here}-:{there}" for there, here in self.ports.items())
         command = [
             *nice, QEMU, "-M", "q35", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", str(MEMORY_MIB),
-            "-display", "none", "-monitor", "none", "-serial", f"file:{self.console}",
+            "-display", "none", "-monitor", "none", "-serial", f"file:{self.console}", "-uuid", self.number,
             "-kernel", str(self.cache / "bzImage"),
-            "-append", f"root=/dev/vda rw console=ttyS0 quiet init={self.init} systemd.show_status=yes",
-            "-drive", f"file={overlay},if=none,id=root,cache=unsafe", "-device", "virtio-blk-pci,drive=root",
+            "-drive", f"file={self.disk},if=none,id=root,cache=unsafe", "-device", "virtio-blk-pci,drive=root",
             "-netdev", f"user,id=net,restrict=on,{forwards}", "-device", "virtio-net-pci,netdev=net,romfile=",
             "-device", "virtio-rng-pci", "-device", "virtio-serial-pci",
             "-chardev", f"socket,id=agent,path={self.folder / 'agent'},server=on,wait=off",

@@ -14,6 +14,27 @@ COMMAND_LINE = "console=tty1 root=PARTUUID=deadbeef-02 rootfstype=ext4 rootwait\
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
+FOLDERS = (
+    "boot/firmware/overlays",
+    "etc/NetworkManager/system-connections",
+    "etc/avahi/services",
+    "etc/default",
+    "etc/modules-load.d",
+    "etc/netplan",
+    "etc/ssh/sshd_config.d",
+    "etc/sysusers.d",
+    "etc/systemd/system",
+    "etc/tmpfiles.d",
+    "etc/udev/rules.d",
+    "srv",
+    "usr/local/bin",
+    "usr/local/lib",
+    "usr/local/sbin",
+    "var/lib",
+)
+"""That any card has."""
+
+
 def write(path: Path, text: str, mode: int = 0o644) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
@@ -25,10 +46,13 @@ def write(path: Path, text: str, mode: int = 0o644) -> Path:
 def fresh(tmp_path: Path) -> Path:
     """What install.sh looks at on a fresh card."""
     root = tmp_path / "root fs"
+    for folder in FOLDERS:
+        (root / folder).mkdir(parents=True)
     write(root / "etc/os-release", 'PRETTY_NAME="Debian GNU/Linux 13 (trixie)"\nVERSION_CODENAME=trixie\n')
     write(root / "etc/hostname", "raspberrypi\n")
     write(root / "boot/firmware/config.txt", CONFIG)
     write(root / "boot/firmware/cmdline.txt", COMMAND_LINE)
+    write(root / "usr/libexec/netplan/generate", "#!/bin/sh\n", 0o755)
     return root
 
 

@@ -15,9 +15,9 @@ needs_ssh = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenS
 def program(fresh: Path) -> Path:
     """A `retroscan` that draws another id whenever it is asked."""
     path = fresh / "usr/local/bin/retroscan"
-    path.parent.mkdir(parents=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     store = fresh / "var/lib/retroscan"
-    store.mkdir(parents=True)
+    store.mkdir(parents=True, exist_ok=True)
     drawn = f'echo "{{}}" >"{store}/device.json"'
     path.write_text(f'#!/bin/bash\necho "$*" >>"${{0}}-calls"\n{drawn}\necho "rg$RANDOM"\n')
     path.chmod(0o755)
@@ -79,6 +79,73 @@ def test_a_name_that_is_none_is_refused(fresh: Path, run: Run, program: Path) ->
     assert ran.returncode != 0
     assert "tells no id" in ran.stderr
     assert not (fresh / "data/hostname").exists()
+
+
+@pytest.fixture
+def device(fresh: Path, run: Run, program: Path) -> Path:
+    """The data partition of a device that was set up, paired and calibrated in the board of that number."""
+    number = fresh / "sys/firmware/devicetree/base/serial-number"
+    number.parent.mkdir(parents=True)
+    number.write_bytes(b"100000001234abcd\0")
+    (fresh / "data").mkdir(exist_ok=True)
+    program.write_text(program.read_text().replace("rg$RANDOM", "rg$(printf %08x $RANDOM)"))
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").returncode == 0
+    for place in ("var/lib/retroscan-pairing/authorized_keys", "var/lib/retroscan/active.json"):
+        (fresh / place).parent.mkdir(parents=True, exist_ok=True)
+        (fresh / place).write_text("of the first board\n")
+    scan = fresh / "var/lib/retroscan/scans/rg1/scan.json"
+    scan.parent.mkdir(parents=True)
+    scan.touch()
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
+    return fresh
+
+
+def identity(root: Path) -> list[str]:
+    return [(root / place).read_text() for place in ("data/ssh/ssh_host_ed25519_key.pub", "data/hostname")]
+
+
+@needs_ssh
+@pytest.mark.parametrize("cut", [False, True], ids=["whole", "after a power cut"])
+def test_a_copied_card_is_another_device_and_says_so(device: Path, run: Run, cut: bool) -> None:
+    before = identity(device)
+    (device / "sys/firmware/devicetree/base/serial-number").write_bytes(b"10000000deadbeef\0")
+    if cut:
+        (device / "data/ssh/ssh_host_ed25519_key").unlink()
+        (device / "var/lib/retroscan/device.json").unlink()
+    ran = run("systemd/first-boot", RETROSCAN_BOARD="twin")
+    assert ran.returncode == 0, ran.stderr
+    assert "was set up in another board (number 100000001234abcd)" in ran.stderr
+    assert "pair every workstation anew, and calibrate" in ran.stderr
+    assert all(old != new for old, new in zip(before, identity(device), strict=True))
+    paired = device / "var/lib/retroscan-pairing/authorized_keys"
+    assert not paired.exists()
+    assert paired.with_name("authorized_keys.of-another-board").exists()
+    assert not (device / "var/lib/retroscan/active.json").exists()
+    assert (device / "var/lib/retroscan/scans/rg1/scan.json").exists()
+    assert (device / "data/board").read_text() == "10000000deadbeef\n"
+    after = identity(device)
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stderr == ""
+    assert identity(device) == after
+
+
+@needs_ssh
+def test_a_chosen_name_stays_on_a_copied_card(device: Path, run: Run) -> None:
+    (device / "data/hostname").write_text("turbine-lab\n")
+    (device / "sys/firmware/devicetree/base/serial-number").write_bytes(b"10000000deadbeef\0")
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").returncode == 0
+    assert (device / "data/hostname").read_text() == "turbine-lab\n"
+
+
+@needs_ssh
+@pytest.mark.parametrize("gone", ["data/board", "sys/firmware/devicetree/base/serial-number"])
+def test_a_board_that_takes_the_place_of_a_broken_one_keeps_everything(device: Path, run: Run, gone: str) -> None:
+    """Told so by removing the number; nor is a board without a number another one."""
+    before = identity(device)
+    (device / "sys/firmware/devicetree/base/serial-number").write_bytes(b"10000000deadbeef\0")
+    (device / gone).unlink()
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stderr == ""
+    assert identity(device) == before
+    assert (device / "var/lib/retroscan-pairing/authorized_keys").exists()
 
 
 @pytest.fixture

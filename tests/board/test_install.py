@@ -30,6 +30,10 @@ def tree(root: Path) -> dict[str, bytes | str]:
 USER_FILES = {"passwd", "passwd-", "group", "group-", ".pwd.lock"}
 
 
+def folders(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*") if path.is_dir()}
+
+
 def done(run: subprocess.CompletedProcess[str]) -> list[str]:
     """What it said it did."""
     assert run.returncode == 0, run.stderr
@@ -107,7 +111,7 @@ def test_it_goes_on_where_it_was_interrupted(fresh: Path, run: Run) -> None:
 
 
 def test_uninstall_leaves_the_card_as_it_was_and_every_scan(fresh: Path, run: Run) -> None:
-    before = tree(fresh)
+    before, before_folders = tree(fresh), folders(fresh)
     done(run("board/install.sh", "--root", fresh, *BOARD, "--read-only", "--usb"))
     scan = fresh / "data/store/scans/rg1-00000000-000001/scan.json"
     scan.parent.mkdir(parents=True)
@@ -117,6 +121,7 @@ def test_uninstall_leaves_the_card_as_it_was_and_every_scan(fresh: Path, run: Ru
     assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == dry
     kept = str(scan.relative_to(fresh))
     assert tree(fresh) == before | {kept: b"{}"}
+    assert folders(fresh) == before_folders | {str(path) for path in Path(kept).parents} - {"."}
     assert done(run("board/install.sh", "--root", fresh, "--uninstall")) == []
 
 
@@ -148,7 +153,7 @@ def test_what_a_card_held_before_is_kept(fresh: Path, run: Run) -> None:
     scan.parent.mkdir(parents=True)
     scan.write_text("old")
     key = fresh / "etc/ssh/ssh_host_ed25519_key"
-    key.parent.mkdir(parents=True)
+    key.parent.mkdir(parents=True, exist_ok=True)
     key.write_text("secret")
     key.with_name(key.name + ".pub").write_text("public")
     (fresh / "etc/hostname").write_text("turbine-lab\n")
@@ -173,7 +178,7 @@ def test_a_copy_that_was_interrupted_is_made_again(fresh: Path, run: Run) -> Non
     half = fresh / "data/store.new/scans/a"
     half.mkdir(parents=True)
     key = fresh / "etc/ssh/ssh_host_ed25519_key"
-    key.parent.mkdir(parents=True)
+    key.parent.mkdir(parents=True, exist_ok=True)
     key.write_text("secret")
     key.with_name(key.name + ".pub").write_text("public")
     (fresh / "data/ssh").mkdir()
@@ -194,6 +199,49 @@ def test_uninstall_gives_back_networks_and_leaves_nothing_half_written(fresh: Pa
     assert network.stat().st_mode & 0o777 == 0o600
     assert [path.name for path in network.parent.iterdir()] == [network.name]
     assert list(fresh.rglob("*.new")) == []
+
+
+def test_networks_of_netplan_are_kept_too_and_given_back(fresh: Path, run: Run) -> None:
+    """Raspberry Pi OS trixie: what nmcli adds is YAML in /etc/netplan."""
+    wifi = fresh / "etc/netplan/50-cloud-init.yaml"
+    wifi.write_text("network: {version: 2}\n")
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    kept = fresh / "data/netplan"
+    assert (kept / wifi.name).read_text() == wifi.read_text()
+    wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
+    assert {"etc-netplan.mount", "retrograph-networks.service"} <= wanted
+    (kept / "90-NM-lab.yaml").write_text("network: {version: 2}\n")
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    assert (wifi.parent / "90-NM-lab.yaml").stat().st_mode & 0o777 == 0o600
+    assert {path.name for path in wifi.parent.iterdir()} == {"90-NM-lab.yaml", wifi.name}
+
+
+def test_without_netplan_nothing_of_it_is_mounted(fresh: Path, run: Run) -> None:
+    """Bookworm, where NetworkManager keeps key files."""
+    (fresh / "etc/os-release").write_text("ID=debian\nVERSION_CODENAME=bookworm\n")
+    (fresh / "usr/libexec/netplan/generate").unlink()
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
+    assert {name for name in wanted if "netplan" in name or "networks" in name} == set()
+    assert not (fresh / "data/netplan").exists()
+
+
+def test_cloud_init_is_switched_off_once_it_has_done_its_work(fresh: Path, run: Run) -> None:
+    """And switched on again by whoever takes Retrograph away; a file of somebody else's stays theirs."""
+    off = fresh / "etc/cloud/cloud-init.disabled"
+    off.parent.mkdir()
+    assert "cloud-init has not finished" in run("board/install.sh", "--root", fresh, *BOARD).stdout
+    assert not off.exists()
+    finished = fresh / "var/lib/cloud/instances/rpi/boot-finished"
+    finished.parent.mkdir(parents=True)
+    finished.touch()
+    assert done(run("board/install.sh", "--root", fresh, *BOARD)) == ["write /etc/cloud/cloud-init.disabled"]
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    assert not off.exists()
+    off.touch()
+    done(run("board/install.sh", "--root", fresh, *BOARD))
+    done(run("board/install.sh", "--root", fresh, "--uninstall"))
+    assert off.read_bytes() == b""
 
 
 def test_a_named_device_is_mounted_and_checked(fresh: Path, run: Run) -> None:
@@ -218,6 +266,16 @@ def test_the_program_comes_with_it_once(fresh: Path, run: Run, release: Callable
     assert "install version 1.0" in " ".join(done(run("board/install.sh", *arguments)))
     assert (fresh / "data/app/current").readlink() == Path("a")
     assert (fresh / "usr/local/bin/retroscan").readlink() == Path("/data/app/current/bin/retroscan")
+    assert done(run("board/install.sh", *arguments)) == []
+
+
+def test_another_wheel_of_the_same_version_is_installed(fresh: Path, run: Run, release: Callable[..., Path]) -> None:
+    folder = release("1.0")
+    arguments = ("--root", fresh, "--board", "twin", "--release", folder)
+    done(run("board/install.sh", *arguments))
+    next(folder.glob("*.whl")).write_text("mended")
+    assert done(run("board/install.sh", *arguments)) == [f"install version 1.0 from {folder}"]
+    assert (fresh / "data/app/current").readlink() == Path("b")
     assert done(run("board/install.sh", *arguments)) == []
 
 

@@ -1,5 +1,6 @@
 """Two slots for the program: an update takes over only when it proves itself, and otherwise nothing has changed."""
 
+import fcntl
 import os
 import subprocess
 from collections.abc import Callable
@@ -14,7 +15,7 @@ SLOT = "board/retrograph-slot"
 
 @pytest.fixture
 def app(fresh: Path) -> Path:
-    (fresh / "etc/default").mkdir(parents=True)
+    (fresh / "etc/default").mkdir(parents=True, exist_ok=True)
     (fresh / "etc/default/retroscan").write_text("RETROSCAN_BOARD=twin\n")
     return fresh / "data/app"
 
@@ -104,6 +105,20 @@ def test_by_hand_back_and_forth(app: Path, run: Run, release: Release) -> None:
     for version in ("1.0", "1.1"):
         assert run(SLOT, "rollback").returncode == 0
         assert version_in_use(app) == version
+
+
+@pytest.mark.parametrize("command", [("install",), ("rollback",), ("trial",)])
+def test_one_at_a_time_swaps_slots(app: Path, run: Run, release: Release, command: tuple[str]) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    arguments = (release("1.2"),) if command == ("install",) else ()
+    with (app / "lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        ran = run(SLOT, *command, *arguments)
+    assert (ran.returncode, ran.stderr) == (1, "retrograph: another update is under way: wait for it\n")
+    assert version_in_use(app) == "1.1"
+    assert (app / "trial").exists()
 
 
 @pytest.fixture

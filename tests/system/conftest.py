@@ -25,7 +25,9 @@ def system_cache() -> Path:
     if not named:
         pytest.skip("RETROGRAPH_SYSTEM names no cache of the virtual board: run make system-root or make system-test")
     cache = Path(named).expanduser()
-    missing = [name for name in ("bzImage", "root.ext4", "wheels") if not (cache / name).exists()]
+    missing = [
+        name for name in ("bzImage", "root.ext4", "initrd.img", "trees", "wheels") if not (cache / name).exists()
+    ]
     if missing:
         pytest.skip(f"{cache} has no {', '.join(missing)}: run make system-root or make system-test")
     return cache
