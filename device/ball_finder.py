@@ -27,10 +27,10 @@ REFINE_RADIUS_PX: Final = 28.0
 MOST_CONTACT: Final = 0.8
 """However deep a press, the skin lifts off the sphere near 0.85 of its radius."""
 
-LEAST_CONTACT: Final = 0.35
+LEAST_CONTACT: Final = 0.33
 """A contact under this share of the radius shows slopes of 20 degrees at most and teaches too little."""
 
-IMPOSSIBLE_CONTACT: Final = 1.15
+IMPOSSIBLE_CONTACT: Final = 1.08
 """No skin follows a sphere beyond its own radius; the skin around it lets a contact seem a little wider."""
 
 LEAST_RADIUS_PX: Final = 4.0

@@ -38,6 +38,12 @@ LEAST_SHARE: Final = 0.1
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 FEWEST_PIXELS: Final = 500
 
+STANDS_OUT: Final = 3.0
+"""Deviations from the median error at which a ball no longer teaches."""
+
+LEAST_DEVIATION: Final = 0.15
+"""The deviation counts as this share of the median at least: a ball alone in a corner is predicted worse."""
+
 
 @dataclass(frozen=True, slots=True)
 class SlopeBand:
@@ -233,7 +239,7 @@ def _following(errors: Float64Array) -> MaskArray:
     """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel."""
     median = float(np.nanmedian(errors))
     deviation = float(np.nanmedian(np.abs(errors - median)))
-    return np.asarray(errors <= median + 3.0 * max(deviation, 0.1 * median))
+    return np.asarray(errors <= median + STANDS_OUT * max(deviation, LEAST_DEVIATION * median))
 
 
 def _bands(error_deg: Float64Array, slope: Float64Array) -> tuple[SlopeBand, ...]:

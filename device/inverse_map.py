@@ -31,8 +31,8 @@ from device.surface import Float32Array, Float64Array, GradientField
 TRUSTED_EXCESS: Final = 0.5
 """Distance outside the calibrated colours, in standard deviations, at which confidence has fallen to a quarter."""
 
-CLIPPED_CONFIDENCE: Final = 0.03
-"""Confidence in the slope of a pixel with a saturated channel: its neighbours decide, yet no hole is torn."""
+CLIPPED_CONFIDENCE: Final = 0.3
+"""Confidence in the slope of a pixel with a saturated channel: the other two still say much (docs/accuracy.md)."""
 
 LOST_EXCESS: Final = 6.0
 """Distance outside the calibrated colours, in standard deviations, from which a slope means nothing."""

@@ -21,6 +21,9 @@ from device.surface import Float32Array
 SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
 
+WIDENED_MOST: Final = 1.06
+"""Labels that draw contacts wider than the finder does widen found ones by this factor at most."""
+
 
 @dataclass(frozen=True, slots=True)
 class GridSpacing:
@@ -180,15 +183,26 @@ def _places_near(label: Ball, seen: BallSearch | None) -> bool:
 
 def seen_instead_of_labelled(press: UsedPress) -> UsedPress:
     """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay."""
-    found = press.seen.found if press.seen else ()
+    found = _as_wide_as_labels_say(press)
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))
 
 
 def seen_beyond_labels(press: UsedPress) -> UsedPress:
     """`seen_instead_of_labelled`, and after those balls all others that are seen."""
     at_labels = seen_instead_of_labelled(press)
-    beyond = tuple(ball for ball in (press.seen.found if press.seen else ()) if not _is_one_of(ball, press.balls))
+    beyond = tuple(ball for ball in _as_wide_as_labels_say(press) if not _is_one_of(ball, press.balls))
     return replace(at_labels, balls=at_labels.balls + beyond)
+
+
+def _as_wide_as_labels_say(press: UsedPress) -> tuple[Ball, ...]:
+    """The balls that are seen, with wider contacts where labels say that the finder cuts them early."""
+    found = press.seen.found if press.seen else ()
+    pairs = [(label, ball) for label in press.balls for ball in found if _is_one_of(ball, (label,))]
+    if not pairs:
+        return found
+    wider = float(np.median([label.contact_radius_px / ball.contact_radius_px for label, ball in pairs]))
+    factor = min(max(wider, 1.0), WIDENED_MOST)
+    return tuple(replace(ball, contact_radius_px=factor * ball.contact_radius_px) for ball in found)
 
 
 def _is_one_of(ball: Ball, others: Sequence[Ball]) -> bool:

@@ -22,9 +22,11 @@ import msgspec
 import numpy as np
 
 from device.ball import Ball, BallSamples, gather_samples, sphere_slopes
+from device.inverse_fit import InverseFit
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float64Array, MaskArray
+from host_sync.calibration.held_out_inflation import held_out_inflation
 
 SPLIT_SHARE: Final = 0.1
 """Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
@@ -35,6 +37,8 @@ TILT_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 ONE_SIGMA_PERCENT: Final = 68.27
 APEX_SLOPE: Final = 0.1
 INNER_SHARE: Final = 0.9
+"""Share of a contact over which slope errors are added up to errors of height."""
+
 FEWEST_PIXELS: Final = 50
 RAYS: Final = 24
 STEPS: Final = 40
@@ -74,21 +78,26 @@ class _BallError:
     ball: Ball
 
 
-def measure_slope_error(presses: Pressed, inverse_map: InverseMap, inflation: float) -> SlopeError:
+def measure_slope_error(presses: Pressed, fit: InverseFit) -> SlopeError:
     """The slope error on the balls of a calibration.
 
-    inflation : held-out error over fitted error, by which what the map gets wrong is scaled
+    What the map gets wrong of balls that taught it is scaled up to what it gets wrong of held-out ones.
     """
+    inverse_map = fit.map
     errors = list(_ball_errors(presses, inverse_map))
     bands = _by_band(errors)
     sums = [_height_errors(error) for error in errors]
+    inflation = held_out_inflation(gather_samples(presses), fit)
+    noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
-        patch_deg=tuple(inflation * patch for _, _, patch in bands),
+        patch_deg=tuple(inflation.at(tilt, pixel) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
         raised_shade=_raised_shade(gather_samples(presses)),
-        scale_share=inflation * float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0,
+        scale_share=inflation.throughout(noise_deg) * float(np.sqrt(np.mean([part.scale**2 for part in sums])))
+        if sums
+        else 0.0,
     )
 
 
@@ -174,8 +183,7 @@ def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallErr
         for ball in balls:
             window = _window(ball, image.shape)
             row, column = np.mgrid[window].astype(np.float32)
-            reach = INNER_SHARE * ball.contact_radius_px
-            inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < reach**2
+            inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < ball.contact_radius_px**2
             inside &= image.faithful[window]
             if inside.sum() < FEWEST_PIXELS:
                 continue

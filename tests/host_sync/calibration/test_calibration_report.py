@@ -12,6 +12,7 @@ from device.ball_finder import BallSearch, RejectedBall
 from device.calibration_coverage import measure_coverage
 from device.photometry import IntensityImage, LinearFrame
 from host_sync.calibration.ball_location import (
+    WIDENED_MOST,
     GridSpacing,
     PressFrame,
     UsedPress,
@@ -122,6 +123,16 @@ def test_labelled_balls_move_to_what_is_seen_and_others_follow_them() -> None:
     labelled = replace(press(0, ball(20.0, 15.0)), seen=seen)
     assert [(b.column, b.row) for b in seen_instead_of_labelled(labelled).balls] == [(21.0, 15.5)]
     assert [(b.column, b.row) for b in seen_beyond_labels(labelled).balls] == [(21.0, 15.5), (60.0, 45.0)]
+
+
+@pytest.mark.parametrize(("drawn", "factor"), [(0.9, 1.0), (1.03, 1.03), (1.3, WIDENED_MOST)])
+def test_labels_that_draw_wider_contacts_widen_found_ones_a_little(drawn: float, factor: float) -> None:
+    found, beyond = ball(21.0, 15.5), ball(60.0, 45.0)
+    label = replace(ball(20.0, 15.0), contact_radius_px=drawn * found.contact_radius_px)
+    labelled = replace(press(0, label), seen=BallSearch((beyond, found), ()))
+    at_label, other = seen_beyond_labels(labelled).balls
+    assert at_label.contact_radius_px == pytest.approx(min(drawn, factor) * found.contact_radius_px)
+    assert other.contact_radius_px == pytest.approx(factor * beyond.contact_radius_px)
 
 
 def test_the_picture_of_balls_says_what_it_leaves_out_and_shows_every_rejection() -> None:
