@@ -159,7 +159,7 @@ install_program() {
 
 units() {
     echo data.mount srv-retrograph-store.mount retrograph-first-boot.service retrograph-trial.service
-    echo retrograph-power.service retrograph-poweroff.path
+    echo retrograph-power.service retrograph-poweroff.path retrograph-rescue-key.service
     (cd "$here/systemd" && ls var-*.mount etc-NetworkManager-*.mount)
     ! has_netplan || echo etc-netplan.mount retrograph-networks.service
     [ "$usb" = no ] || echo retrograph-usb.service
