@@ -157,6 +157,6 @@ put_files
 set_up_firmware
 enable_units
 end_cloud_init
+tell_the_system
 install_program
-start_now
 finish

@@ -123,7 +123,9 @@ def test_root_keeps_only_the_rights_that_its_work_needs() -> None:
             assert (said["ProtectSystem"], said["NoNewPrivileges"]) == (["strict"], ["yes"]), path.name
             assert "CapabilityBoundingSet" in said, path.name
             assert said.get("PrivateDevices") == ["yes"] or said["DevicePolicy"] == ["closed"], path.name
-            assert all(not place.strip("-").startswith(("/etc ", "/usr", "/boot")) for place in said.get("ReadWritePaths", []))
+            assert all(
+                not place.strip("-").startswith(("/etc ", "/usr", "/boot")) for place in said.get("ReadWritePaths", [])
+            )
 
 
 def test_a_stop_by_hand_powers_nothing_off() -> None:

@@ -65,8 +65,8 @@ escaped() { printf '%s' "${1#/}" | sed 's/-/\\\\x2d/g; s|/|-|g'; }
 keep_what_was_there() {
     take_over /var/lib/retroscan store
     take_over /var/lib/retroscan-pairing pairing
-    take_over /etc/NetworkManager/system-connections network
-    ! has_netplan || take_over /etc/netplan netplan
+    add_networks /etc/NetworkManager/system-connections network
+    ! has_netplan || add_networks /etc/netplan netplan
     if [ -f "$root/etc/ssh/ssh_host_ed25519_key" ] && [ ! -L "$root/etc/ssh/ssh_host_ed25519_key" ] &&
         [ ! -e "$root/data/ssh/ssh_host_ed25519_key" ]; then
         act "keep the host key" keep_host_key
@@ -92,6 +92,26 @@ take_over() {
         act "copy $1 to /data/$2" copy_folder "$from" "$to"
     fi
 }
+# Each network of this card that the data partition, maybe of an earlier card, does not know; what is there stays as it is.
+# Imager gives its network the same name on every card: where two differ, that of this card gets a name of its own, which
+# sorts after the other, so that of netplan's two passwords for one network the newer counts.
+add_networks() { # PLACE FOLDER-OF-DATA
+    local file name own to=$root/data/$2
+    if live && mountpoint -q "$1"; then return; fi
+    for file in "$root$1"/*.*; do
+        name=$(basename "$file")
+        case $name in *.new | retrograph-usb.nmconnection) continue ;; esac
+        if [ ! -s "$file" ] || cmp -s "$file" "$to/$name"; then continue; fi
+        if [ ! -e "$to/$name" ]; then
+            act "copy the network $name to /data/$2" copy_network "$file" "$to/$name"
+        else
+            own="${name%.*}_$(sha256sum <"$file" | cut -c 1-8).${name##*.}"
+            [ -e "$to/$own" ] ||
+                act "copy the network $name to /data/$2/$own, beside another one of its name" copy_network "$file" "$to/$own"
+        fi
+    done
+}
+copy_network() { cp -a "$1" "$2.new" && swap_in "$2"; }
 # An empty folder becomes a copy, at once: half a copy would be taken for all of it by the next run.
 copy_folder() {
     rm -rf "$2.new"
@@ -184,8 +204,9 @@ enable_units() {
 }
 is_enabled() { find "$root/etc/systemd/system" -path '*.wants/*' -name "${1//\\/\\\\}" 2>/dev/null | grep -q .; }
 
-start_now() {
-    live && [ -d /run/systemd/system ] && [ "$dry" = no ] || return 0
+# Before the program, whose self-test and start want the mounts, folders, devices and units as they are now.
+tell_the_system() {
+    live && [ -d "$root/run/systemd/system" ] && [ "$dry" = no ] || return 0
     local unit
     systemctl daemon-reload
     (cd "$here/systemd" && echo ./*.mount) | tr ' ' '\n' | sed 's|^./||' | while read -r unit; do
