@@ -156,11 +156,43 @@ put_files() {
 cloud_init_off=/etc/cloud/cloud-init.disabled
 end_cloud_init() {
     [ -d "$root/etc/cloud" ] && [ ! -e "$root$cloud_init_off" ] || return 0
-    if find "$root/var/lib/cloud/instances" -name boot-finished 2>/dev/null | grep -q .; then
+    if cloud_init_finished; then
         put_text $cloud_init_off <<<"by board/install.sh of Retrograph: this card is set up"
     else
         say "  (cloud-init has not finished its first boot: the next run switches it off)"
     fi
+}
+
+cloud_init_finished() { [ -n "$(find "$root/var/lib/cloud/instances" -name boot-finished -print -quit 2>/dev/null)" ]; }
+# Below a read-only root it would find a card that was never set up, at every boot: no user, key or network would be kept.
+cloud_init_s=600
+wait_for_cloud_init() {
+    cloud_init_is_at_work || return 0
+    if [ "$dry" = yes ]; then
+        say "  (cloud-init has not finished its first boot: --read-only waits for it)"
+        return
+    fi
+    if live; then
+        say "Waiting for cloud-init to set this card up, $((cloud_init_s / 60)) minutes at most."
+        timeout "$cloud_init_s" cloud-init status --wait >/dev/null 2>&1 || true
+    fi
+    ! cloud_init_is_at_work ||
+        refuse "cloud-init has not set this card up yet: let it boot to the end, then run the same command again, or leave --read-only away"
+}
+cloud_init_is_at_work() {
+    [ -x "$root/usr/bin/cloud-init" ] && [ ! -e "$root$cloud_init_off" ] && [ ! -e "$root/run/cloud-init/disabled" ] &&
+        ! cloud_init_finished
+}
+
+# Under an overlay in memory a swap file would take the memory that it is to give. Bookworm's is not made at a boot with an
+# overlay, by a condition. Trixie's rpi-swap is told to use compressed memory alone, unless somebody chose no swap at all.
+no_swap_file=/etc/systemd/system/dphys-swapfile.service.d/retrograph.conf
+swap_in_memory=/etc/rpi/swap.conf.d/90-retrograph.conf
+end_swap_files() {
+    [ ! -e "$root/usr/sbin/dphys-swapfile" ] || put "$here/systemd/dphys-swapfile-retrograph.conf" $no_swap_file
+    [ ! -e "$root/usr/lib/systemd/system-generators/rpi-swap-generator" ] ||
+        grep -qsx 'Mechanism *= *none' "$root"/etc/rpi/swap.conf "$root"/etc/rpi/swap.conf.d/*.conf ||
+        put "$here/systemd/rpi-swap-retrograph.conf" $swap_in_memory
 }
 
 # The same version number may stand on another wheel: what is installed is known by its hash.

@@ -13,7 +13,7 @@ installed_files() {
         /etc/retrograph/board.toml /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
-        /boot/overlays/retrograph.dtbo | tr ' ' '\n'
+        /boot/overlays/retrograph.dtbo "$no_swap_file" "$swap_in_memory" | tr ' ' '\n'
 }
 
 # Outermost last. Whatever of them holds something stays.
@@ -21,6 +21,7 @@ installed_folders() {
     local part
     for part in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$part.service.d"; done
     for part in journald system logind timesyncd; do echo "/etc/systemd/$part.conf.d"; done
+    dirname "$no_swap_file" "$swap_in_memory"
     echo /etc/retrograph /usr/local/lib/retrograph /srv/retrograph/store /srv/retrograph /var/lib/retroscan \
         /var/lib/retroscan-pairing /data/{store,pairing,ssh,network,netplan,journal,timesync} /data | tr ' ' '\n'
 }

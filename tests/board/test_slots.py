@@ -192,7 +192,7 @@ def test_a_confirmed_one_stays_however_often_it_starts(app: Path, run: Run, rele
 def test_a_power_cut_before_the_swap_costs_the_proven_version_nothing(
     app: Path, run: Run, release: Release, command: tuple[str, ...]
 ) -> None:
-    """The trial's file stands, the link does not lead to the update yet; the self-test fails, for a part that is gone."""
+    """The trial's file stands, the link does not lead to the update yet; the self-test fails for want of a part."""
     run(SLOT, "install", release("1.0", selftest=3))
     run(SLOT, "install", release("1.1"), "--skip-selftest")
     run(SLOT, "rollback")
