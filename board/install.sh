@@ -20,7 +20,8 @@ usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel
   --read-only         from the next boot on the root file system is read only, under an overlay in memory, without a swap file
   --release FOLDER    wheel, requirements-device.lock and maybe wheels/ [the one that this script is in, else dist/release]
   --no-app            everything but the program
-  --uninstall         take away what this script put in place; scans, calibrations, keys and users stay
+  --uninstall         take away what this script put in place; users, packages and what /data holds, networks with their passwords
+                      too, stay: it says what
   --writable          from the next boot on the root file system is writable again, with its swap; nothing else is done
   --root DIR          work on the tree DIR instead of this machine (starts nothing, installs no package)
   --dry-run           say what would be done, and do nothing

@@ -60,7 +60,26 @@ take_away() {
     while read -r path; do
         ! is_empty "$path" || rmdir "$root$path"
     done < <([ "$dry" = yes ] || installed_folders)
-    say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync and every package."
+    say_what_stays
+}
+say_what_stays() {
+    local part place what stays=''
+    while read -r part what; do
+        place=$root/data/$part
+        if [ -s "$place" ] && { [ ! -d "$place" ] || [ -n "$(ls -A "$place")" ]; }; then stays+=", $part ($what)"; fi
+    done <<'END'
+store scans and calibrations
+pairing keys of workstations
+ssh host key
+network networks with their passwords
+netplan networks with their passwords
+hostname name
+board number of the board
+journal journal
+timesync last known time
+END
+    say "The users retroscan and retrosync and every package stay${stays:+, and in /data: ${stays#, }}."
+    case $stays in *passwords*) say "Before the data partition is given away, erase it." ;; esac
 }
 give_back_host_key() {
     local file

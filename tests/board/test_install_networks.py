@@ -24,6 +24,18 @@ def networks(run: subprocess.CompletedProcess[str]) -> list[str]:
     return [line.strip() for line in run.stdout.splitlines() if "the network" in line]
 
 
+def test_uninstall_names_what_it_leaves_passwords_first_of_all(fresh: Path, run: Run) -> None:
+    (fresh / "etc/hostname").write_text("turbine-lab\n")
+    (fresh / "etc/netplan/50-cloud-init.yaml").write_text("network: {version: 2}\n")
+    run("board/install.sh", "--root", fresh, "--board", "pi5-imx296", "--no-app")
+    (fresh / "data/board").write_text("1234\n")
+    said = run("board/install.sh", "--root", fresh, "--uninstall").stdout.splitlines()
+    left = "netplan (networks with their passwords), hostname (name), board (number of the board)"
+    assert said[-2] == f"The users retroscan and retrosync and every package stay, and in /data: {left}."
+    assert said[-1] == "Before the data partition is given away, erase it."
+    assert {path.name for path in (fresh / "data").iterdir()} == {"netplan", "hostname", "board"}
+
+
 @pytest.mark.parametrize(("place", "kept", "name"), PLACES)
 def test_a_new_card_adds_its_networks_to_an_old_data_partition(
     fresh: Path, run: Run, place: str, kept: str, name: str
