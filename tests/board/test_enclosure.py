@@ -75,6 +75,11 @@ def test_the_sensor_stands_where_the_lens_shows_the_pitch_of_the_profile(
     lens_to_skin_mm = told["sensor_z"] - lens_to_sensor_mm - nearer_mm
     assert 1 / lens_to_sensor_mm + 1 / lens_to_skin_mm == pytest.approx(1 / focal_mm, rel=1e-4)
     assert 0.0 <= told["by_the_lens"] <= focal_mm**2 / (parameter("nearest")[0] - focal_mm)
+    pixel_um, pitch_um = magnification * profile.sensor.pixel_pitch_um, profile.sensor.pixel_pitch_um
+    row = f"| {board} | {pixel_um:.2f} µm | {pitch_um} µm | {magnification:.3f} | {lens_to_skin_mm:.1f} mm |"
+    row += f" {told['sensor_z']:.1f} mm | {focal_mm * magnification:.1f} mm |"
+    geometry = (SOURCE.parents[1] / "light-geometry.md").read_text(encoding="utf-8")
+    assert row in geometry
     # The camera's board lies on a plate on the body's top, its sensor this much below.
     plate_mm = parameter("plate_height")[0] - parameter("sensor_over_board")[0]
     assert told["body_top"] + plate_mm == pytest.approx(told["sensor_z"], abs=0.01)
@@ -91,6 +96,10 @@ def test_the_module_without_housing_sees_what_its_profile_says() -> None:
     # The maker's angle, which holds far away, tells the same field within what focusing near takes of it.
     width_mm = profile.sensor.columns * profile.sensor.pixel_pitch_um * 1e-3
     assert width_mm == pytest.approx(2 * distance_mm * math.tan(math.radians(field_of_view_deg / 2)), rel=0.07)
+    geometry = (SOURCE.parents[1] / "light-geometry.md").read_text(encoding="utf-8")
+    assert (
+        f"| {profile.sensor.pixel_pitch_um} µm | {magnification:.3f} | {distance_mm:.1f} mm | no housing |" in geometry
+    )
     for light in profile.lights:
         x, y, z = light.position_mm
         shown = 1.0 - z / distance_mm
