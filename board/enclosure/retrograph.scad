@@ -1,17 +1,26 @@
 // The handheld's housing, lights and calibration cap. All lengths in mm; z = 0 is the resting skin, +z towards the camera.
 //
-//   openscad -D 'part="body"' -o body.stl board/enclosure/retrograph.scad
+//   openscad -D 'part="body"' -D 'board="pi5-imx296"' -o body.stl board/enclosure/retrograph.scad
 //
+// board: pi5-imx296, pi4-imx477 (for pi4-imx477-binned too). Another magnification is another height: print its own body.
 // part: body, led_holder (print 3), gel_frame, camera_plate, tray, cap, plate (machine it, do not print it), block (cast
 // or machine it of acrylic and polish it), assembly (to look at, cut open).
 part = "assembly";
+board = "pi5-imx296";
 
 /* [Optics: what the board profile and the lens say] */
-pixel_um = 3.45;            // of the sensor: IMX296 3.45, IMX477 1.55, IMX708 binned 2.8
-pitch_um = 12.0;            // at the skin: sensor.pixel_pitch_um of the profile
-field = [17.5, 13.1];       // columns and rows times the pitch
+// Of each board: pixel of the sensor in um; pitch at the skin in um (sensor.pixel_pitch_um of the profile); columns and
+// rows; extension rings between lens and camera, added up.
+boards = [
+    ["pi5-imx296", 3.45, 12.0, [1456, 1088], 5 + 1],
+    ["pi4-imx477", 1.55, 4.3, [4056, 3040], 5 + 2 + 1],
+];
 focal = 25;                 // of the lens
-flange = 17.526;            // C mount; CS mount 12.526
+hiatus = 0;                 // from the lens's front to its rear principal plane, as its maker states it; negative: crossed
+nearest = 300;              // the nearest distance to which the lens focuses without rings
+flange = 17.526;            // from a C-mount lens's seat to the sensor, without rings but with the camera's own CS ring
+lens = [34, 40];            // the room a lens may take below its seat: diameter, length
+sensor_over_board = 1.5;    // from the camera's circuit board to the sensor's face; shim it: the lens focuses the rest
 
 /* [Lights: as board/light-geometry.md has them] */
 distance = 25;              // from the skin's centre, inside gel and block
@@ -32,8 +41,11 @@ wall = 2.4;
 gap = 0.25;                 // between parts that slide; tune to your printer
 inner_r = 31;
 button_bore = 12.2;
-m25 = 2.9;
+button_z = 48;              // below the lens, above the lights
+m25 = 2.9;                  // a screw's way through the part that it holds
 m3 = 3.3;
+m25_tapped = 2.1;           // the part into which a screw cuts its thread
+m3_tapped = 2.5;
 
 /* [Calibration cap] */
 ball_r = 1.0;               // 2.000 mm bearing balls, grade 10 or better
@@ -47,23 +59,45 @@ $fn = $preview ? 48 : 72;
 
 // --- what follows from these -----------------------------------------------------------------------------------------
 
+chosen = let(found = search([board], boards)[0])
+    assert(is_num(found), str("no housing for board ", board, "; there is one for ", [for (known = boards) known[0]]))
+    found;
+pixel_um = boards[chosen][1];
+pitch_um = boards[chosen][2];
+field = boards[chosen][3] * pitch_um / 1000;
+rings = boards[chosen][4];
 magnification = pixel_um / pitch_um;
 working = focal * (1 + 1 / magnification);                          // skin to the lens's front principal plane, in air
 optical_shift = (block_top - gel_thickness) * (1 - 1 / n_block) + gel_thickness * (1 - 1 / n_gel);
 camera_z = working + optical_shift;                                 // the glass lets the skin seem nearer
-body_top = camera_z - 12;                                           // the lens's barrel reaches into the body
+sensor_z = camera_z + hiatus + focal * (1 + magnification);
+seat_z = sensor_z - flange - rings;                                 // of the lens; its barrel reaches into the body
+by_the_lens = focal * magnification - rings;                        // what of the extension is left to its focus ring
+plate_height = 4;                                                   // the camera's board lies on this plate
+body_top = sensor_z + sensor_over_board - plate_height;
 // Snell at the gel's upper face: the ray must stand higher in the block to arrive at `elevation` in the gel.
 block_elevation = acos(cos(elevation) * n_gel / n_block);
 outer_r = inner_r + wall;
 seat_r = inner_r - wall;                                            // where the block sits the wall is twice as thick
 screw_r = (seat_r + outer_r) / 2;
-tray_at = [30, 30 + 60];
+tray_from = 18;
+tray_at = [38, 98];
+boss_height = 8;
 plate_thickness = 2 * ball_r - ball_stands_out;                     // the balls stand on the glass below it
 frame_above_skin = 0.5;
 clear_top = (facet_at - block_top * sin(block_elevation)) / cos(block_elevation);
 half_diagonal = norm(field) / 2;
 
-echo(camera_z = camera_z, block_elevation = block_elevation, clear_top = clear_top);
+echo(sensor_z = sensor_z, camera_z = camera_z, seat_z = seat_z, by_the_lens = by_the_lens, body_top = body_top);
+echo(optical_shift = optical_shift, block_elevation = block_elevation, clear_top = clear_top);
+// From the sensor to where the skin seems to lie is f (2 + m + 1 / m), and the lens's hiatus.
+assert(abs(body_top + plate_height - sensor_over_board - optical_shift - hiatus
+    - focal * (2 + magnification + 1 / magnification)) < 0.01, "the camera stands where its lens cannot focus");
+assert(by_the_lens >= 0, "the rings are longer than the lens's extension: take fewer");
+assert(by_the_lens <= focal * focal / (nearest - focal), "the lens does not focus this near: put more rings below it");
+assert(lens.x / 2 < inner_r, "the lens does not fit the body");
+assert(seat_z - lens.y > button_z + button_bore / 2 + 2, "the lens comes down upon the button");
+assert(tray_at[1] + 7 < body_top - 6, "the tray's upper lug stands in the rim: lower tray_at");
 assert(cos(elevation) * n_gel / n_block < 1, "no ray of this elevation reaches the gel out of this block");
 assert(clear_top > half_diagonal, "the block's top hides corners of the field: lower block_top or move the facets out");
 assert(gel_side / 2 < inner_r - wall, "the gel does not fit the body");
@@ -127,11 +161,13 @@ module body() {
         }
         for (azimuth = azimuths) along_ray(azimuth)
             translate([0, 0, facet_at]) cylinder(r = led / 2 + 1.6 + gap, h = 40);
-        for (a = azimuths) rotate(a + 60) translate([screw_r, 0, 0]) cylinder(r = 1.05, h = 12);
-        translate([0, 0, body_top / 2]) rotate([0, 90, 90]) cylinder(r = button_bore / 2, h = 60);
+        for (a = azimuths) rotate(a + 60) translate([screw_r, 0, 0]) cylinder(r = m25_tapped / 2, h = 12);
+        translate([0, 0, button_z]) rotate([0, 90, 90]) cylinder(r = button_bore / 2, h = 60);
         translate([-4, -60, body_top - 22]) cube([8, 60, 10]);                        // cables
-        for (z = tray_at) translate([outer_r - 6, 0, z]) rotate([0, 90, 0]) cylinder(r = 1.25, h = 20);
-        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, body_top - 10]) cylinder(r = m3 / 2, h = 12);
+        // From outside, and no way through: light must not come in here.
+        for (z = tray_at) translate([inner_r + 0.6, 0, z]) rotate([0, 90, 0]) cylinder(r = m3_tapped / 2, h = 20);
+        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, body_top - 10])
+            cylinder(r = m3_tapped / 2, h = 12);
     }
 }
 
@@ -144,27 +180,40 @@ module gel_frame() {
     }
 }
 
+// The camera's circuit board lies on it, face down; mount and lens reach through. The slot lets the tripod foot through.
 module camera_plate() {
     difference() {
-        cylinder(r = outer_r + 6, h = 4);
-        translate([0, 0, -1]) cylinder(r = 18, h = 6);
-        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, -1]) cylinder(r = m3 / 2, h = 6);
+        cylinder(r = outer_r + 6, h = plate_height);
+        translate([0, 0, -1]) cylinder(r = 18, h = plate_height + 2);
+        translate([-8, -26, -1]) cube([16, 26, plate_height + 2]);
+        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, -1]) cylinder(r = m3 / 2, h = plate_height + 2);
         // Camera Module HQ and Global Shutter Camera: 30 x 30 mm, M2.5.
-        for (x = [-15, 15], y = [-15, 15]) translate([x, y, -1]) cylinder(r = m25 / 2, h = 6);
+        for (x = [-15, 15], y = [-15, 15]) translate([x, y, -1]) cylinder(r = m25_tapped / 2, h = plate_height + 2);
     }
 }
 
-// Carries the Raspberry Pi (58 x 49 mm) and the light driver; screwed to the body's two lugs.
+// Carries a Raspberry Pi 4 or 5 (85 x 56 mm, holes 58 x 49 mm, card towards the skin) and, beside its card, the light
+// driver's carrier (30 x 60 mm, holes 24 x 54 mm); screwed to the body's two lugs before the boards are.
+carrier_holes = [for (x = [6, 30], y = [6, 60]) [x, y]];
+pi_holes = [for (x = [48.5, 48.5 + 58], y = [8.5, 8.5 + 49]) [x, y]];
 module tray() {
     difference() {
         union() {
-            cube([95, 66, 2.4]);
-            for (x = [3.5, 61.5], y = [8.5, 57.5]) translate([x + 6, y, 0]) cylinder(r = 3.2, h = 7);
+            cube([133, 66, 2.4]);
+            for (at = concat(carrier_holes, pi_holes)) translate(at) cylinder(r = 3.2, h = boss_height);
         }
-        for (x = [3.5, 61.5], y = [8.5, 57.5]) translate([x + 6, y, -1]) cylinder(r = m25 / 2, h = 9);
-        for (x = [78, 90], y = [12, 54]) translate([x, y, -1]) cylinder(r = m25 / 2, h = 9);
-        for (z = tray_at) translate([z - 10, 33, -1]) cylinder(r = m3 / 2, h = 9);
+        for (at = concat(carrier_holes, pi_holes)) translate([at.x, at.y, -1])
+            cylinder(r = m25_tapped / 2, h = boss_height + 2);
+        for (z = tray_at) translate([z - tray_from, 33, -1]) cylinder(r = m3 / 2, h = 9);
     }
+}
+
+// What the camera's seat and the lens may fill, to look at.
+module camera() {
+    translate([0, 0, seat_z - lens.y]) cylinder(d = lens.x, h = lens.y);
+    translate([0, 0, seat_z]) cylinder(d = 25.4, h = rings + 1);
+    translate([0, 0, seat_z + rings]) cylinder(r = 17.5, h = sensor_z - seat_z - rings);
+    translate([-19, -19, sensor_z + sensor_over_board]) cube([38, 38, 1.4]);
 }
 
 // The plate that keeps the balls in their places, bored through; glued on flat glass, which keeps them in one plane.
@@ -209,7 +258,8 @@ module assembly() {
     color("lightblue", 0.5) block();
     color("silver") translate([-gel_side / 2, -gel_side / 2, 0]) cube([gel_side, gel_side, gel_thickness]);
     for (i = [0:2]) color(["red", "green", "blue"][i]) along_ray(azimuths[i]) translate([0, 0, facet_at]) led_holder();
-    color("darkgreen") translate([outer_r + 8, -33, 20]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
+    color("darkgreen") translate([outer_r + 8, -33, tray_from]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
+    color("tan") camera();
 }
 
 if (part == "body") body();

@@ -152,6 +152,24 @@ def test_a_label_from_another_frame_is_rejected() -> None:
     assert found.kept.sum() == len(labels) - 1
 
 
+def test_of_few_balls_none_is_rejected_for_standing_in_its_corner() -> None:
+    corners = [balls()[number] for number in (0, 3, 8, 11)]
+    presses = [(press(ball, near=True, seed=number), [ball]) for number, ball in enumerate(corners)]
+    found = fit_inverse_map(gather_samples(presses), corners, SHAPE, max_samples=12_000)
+    assert found.kept.all()
+
+
+def test_a_label_from_another_frame_is_rejected_among_few_balls_too() -> None:
+    true = [balls()[number] for number in (0, 3, 5, 6, 8, 11)]
+    labels = [*true[:2], Ball(true[2].column + 30.0, true[2].row - 25.0, CONTACT_PX, RADIUS_PX), *true[3:]]
+    presses = [
+        (press(ball, near=False, seed=number), [label])
+        for number, (ball, label) in enumerate(zip(true, labels, strict=True))
+    ]
+    found = fit_inverse_map(gather_samples(presses), labels, SHAPE, max_samples=12_000)
+    assert found.kept.tolist() == [number != 2 for number in range(6)]
+
+
 def test_a_saturated_pixel_keeps_an_estimate_but_less_weight() -> None:
     found = fitted(near=False).map
     image = press(balls()[0], near=False)
