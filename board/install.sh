@@ -17,11 +17,12 @@ usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel
                       [the partition labelled retrograph-data]
   --screen panel      the TUI on the first virtual terminal; `none`: button and indicator alone [none]
   --usb               the USB port is a network adapter to the workstation
-  --read-only         from the next boot on the root file system is read only, under an overlay in memory
+  --read-only         from the next boot on the root file system is read only, under an overlay in memory, without a swap file
   --release FOLDER    wheel, requirements-device.lock and maybe wheels/ [the one that this script is in, else dist/release]
   --no-app            everything but the program
-  --uninstall         take away what this script put in place; scans, calibrations, keys and users stay
-  --writable          from the next boot on the root file system is writable again; nothing else is done
+  --uninstall         take away what this script put in place; users, packages and what /data holds, networks with their passwords
+                      too, stay: it says what
+  --writable          from the next boot on the root file system is writable again, with its swap; nothing else is done
   --root DIR          work on the tree DIR instead of this machine (starts nothing, installs no package)
   --dry-run           say what would be done, and do nothing
 END
@@ -106,6 +107,7 @@ check_wishes() {
     *) refuse "--data $data: a device such as /dev/sda1, or the word folder" ;;
     esac
     [ "$with_app" = no ] || check_release
+    [ "$read_only" = no ] || wait_for_cloud_init
 }
 
 check_release() {
@@ -154,9 +156,10 @@ install_packages
 make_users
 mount_data
 put_files
+[ "$read_only" = no ] || end_swap_files
 set_up_firmware
 enable_units
 end_cloud_init
+tell_the_system
 install_program
-start_now
 finish

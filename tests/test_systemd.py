@@ -121,9 +121,11 @@ def test_root_keeps_only_the_rights_that_its_work_needs() -> None:
         said = settings(path.name)
         if path.suffix == ".service" and "User" not in said:
             assert (said["ProtectSystem"], said["NoNewPrivileges"]) == (["strict"], ["yes"]), path.name
-            assert said["CapabilityBoundingSet"][0], path.name
+            assert "CapabilityBoundingSet" in said, path.name
             assert said.get("PrivateDevices") == ["yes"] or said["DevicePolicy"] == ["closed"], path.name
-            assert all(not place.strip("-").startswith(("/etc ", "/usr", "/boot")) for place in said["ReadWritePaths"])
+            assert all(
+                not place.strip("-").startswith(("/etc ", "/usr", "/boot")) for place in said.get("ReadWritePaths", [])
+            )
 
 
 def test_a_stop_by_hand_powers_nothing_off() -> None:
@@ -219,9 +221,54 @@ def test_avahi_announces_what_discovery_looks_for() -> None:
 
 
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/local/sbin:/usr/bin")
+needs_sshd = pytest.mark.skipif(SSHD is None, reason="OpenSSH's sshd is not installed")
+RESCUE = "retrograph-rescue-key.service"
 
 
-@pytest.mark.skipif(SSHD is None, reason="OpenSSH's sshd is not installed")
+@needs_sshd
+@pytest.mark.parametrize(("there", "starts"), [("ab", True), ("a", True), ("b", True), ("", False)])
+def test_sshd_starts_with_its_own_key_or_with_the_one_for_repairs(tmp_path: Path, there: str, starts: bool) -> None:
+    """The own key is a link into the data partition, and leads nowhere without it."""
+    assert SSHD is not None
+    own, rescue, partition = tmp_path / "own", tmp_path / "rescue", tmp_path / "data"
+    own.symlink_to(partition)
+    for name, path in (("a", partition), ("b", rescue)):
+        if name in there:
+            subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", path], check=True)
+    text = (SYSTEMD / "sshd-retrograph.conf").read_text(encoding="utf-8")
+    places = {"/etc/ssh/ssh_host_ed25519_key": own, "/run/retrograph-rescue/ssh_host_ed25519_key": rescue}
+    assert re.findall("^HostKey (.*)", text, re.MULTILINE) == list(places)
+    for place, path in places.items():
+        text = text.replace(place, str(path))
+    (tmp_path / "sshd_config").write_text(text, encoding="utf-8")
+    ran = subprocess.run([SSHD, "-T", "-f", tmp_path / "sshd_config"], capture_output=True, text=True, check=False)
+    assert (ran.returncode == 0, "no hostkeys available" in ran.stderr) == (starts, not starts)
+
+
+def test_the_key_for_repairs_is_made_before_sshd_wants_it_and_only_where_none_is() -> None:
+    said, first = settings(RESCUE), settings("retrograph-first-boot.service")
+    assert said["ConditionFileNotEmpty"] == ["!/data/ssh/ssh_host_ed25519_key"]
+    assert "ssh.service" in said["Before"]
+    assert {"Requires", "RequiresMountsFor", "BindsTo"} & said.keys() == set(), "it must run where the partition is not"
+    assert "retrograph-first-boot.service" in said["After"][0].split(), "which makes the device's own key"
+    assert "ssh.service" in first["Before"][0].split()
+    made = shlex.split(said["ExecStart"][0])[-1]
+    assert made == f"/run/{said['RuntimeDirectory'][0]}/ssh_host_ed25519_key"
+    assert f"HostKey {made}\n" in (SYSTEMD / "sshd-retrograph.conf").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
+def test_what_makes_the_key_for_repairs_makes_one(tmp_path: Path) -> None:
+    for line in settings(RESCUE)["ExecStart"]:
+        program, *arguments = shlex.split(line.replace("/run/retrograph-rescue", str(tmp_path)))
+        subprocess.run(["ssh-keygen", *arguments], check=True, capture_output=True, stdin=subprocess.DEVNULL)
+        assert Path(program).name == "ssh-keygen"
+    key = tmp_path / "ssh_host_ed25519_key"
+    assert "PRIVATE KEY" in key.read_text(encoding="utf-8")
+    assert key.stat().st_mode & 0o77 == 0
+
+
+@needs_sshd
 def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
     assert SSHD is not None
     key = tmp_path / "host_key"

@@ -50,6 +50,16 @@ make_writable() {
     boot=$(boot_folder)
     [ -n "$boot" ] || refuse "no config.txt: this is no Raspberry Pi, and --read-only did nothing here"
     set_overlay "$root$boot/cmdline.txt" ''
+    [ ! -e "$root$swap_in_memory" ] || act "remove $swap_in_memory" remove_below_overlay "$swap_in_memory"
+}
+# What is removed from an overlay in memory is back at the next boot: it goes from the root below. The root comes first to be
+# writable, whatever becomes of this.
+remove_below_overlay() {
+    if live && grep -qs '^overlayroot / ' /proc/1/mounts; then
+        overlayroot-chroot rm -f "$1" >/dev/null 2>&1 || say "  (it could not be removed: do so after the reboot)"
+    else
+        rm -f "$root$1"
+    fi
 }
 rewrite() { printf '%s\n' "$2" >"$1.new" && swap_in "$1"; }
 

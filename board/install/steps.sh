@@ -65,8 +65,8 @@ escaped() { printf '%s' "${1#/}" | sed 's/-/\\\\x2d/g; s|/|-|g'; }
 keep_what_was_there() {
     take_over /var/lib/retroscan store
     take_over /var/lib/retroscan-pairing pairing
-    take_over /etc/NetworkManager/system-connections network
-    ! has_netplan || take_over /etc/netplan netplan
+    add_networks /etc/NetworkManager/system-connections network
+    ! has_netplan || add_networks /etc/netplan netplan
     if [ -f "$root/etc/ssh/ssh_host_ed25519_key" ] && [ ! -L "$root/etc/ssh/ssh_host_ed25519_key" ] &&
         [ ! -e "$root/data/ssh/ssh_host_ed25519_key" ]; then
         act "keep the host key" keep_host_key
@@ -92,6 +92,26 @@ take_over() {
         act "copy $1 to /data/$2" copy_folder "$from" "$to"
     fi
 }
+# Each network of this card that the data partition, maybe of an earlier card, does not know; what is there stays as it is.
+# Imager gives its network the same name on every card: where two differ, that of this card gets a name of its own, which
+# sorts after the other, so that of netplan's two passwords for one network the newer counts.
+add_networks() { # PLACE FOLDER-OF-DATA
+    local file name own to=$root/data/$2
+    if live && mountpoint -q "$1"; then return; fi
+    for file in "$root$1"/*.*; do
+        name=$(basename "$file")
+        case $name in *.new | retrograph-usb.nmconnection) continue ;; esac
+        if [ ! -s "$file" ] || cmp -s "$file" "$to/$name"; then continue; fi
+        if [ ! -e "$to/$name" ]; then
+            act "copy the network $name to /data/$2" copy_network "$file" "$to/$name"
+        else
+            own="${name%.*}_$(sha256sum <"$file" | cut -c 1-8).${name##*.}"
+            [ -e "$to/$own" ] ||
+                act "copy the network $name to /data/$2/$own, beside another one of its name" copy_network "$file" "$to/$own"
+        fi
+    done
+}
+copy_network() { cp -a "$1" "$2.new" && swap_in "$2"; }
 # An empty folder becomes a copy, at once: half a copy would be taken for all of it by the next run.
 copy_folder() {
     rm -rf "$2.new"
@@ -136,11 +156,43 @@ put_files() {
 cloud_init_off=/etc/cloud/cloud-init.disabled
 end_cloud_init() {
     [ -d "$root/etc/cloud" ] && [ ! -e "$root$cloud_init_off" ] || return 0
-    if find "$root/var/lib/cloud/instances" -name boot-finished 2>/dev/null | grep -q .; then
+    if cloud_init_finished; then
         put_text $cloud_init_off <<<"by board/install.sh of Retrograph: this card is set up"
     else
         say "  (cloud-init has not finished its first boot: the next run switches it off)"
     fi
+}
+
+cloud_init_finished() { [ -n "$(find "$root/var/lib/cloud/instances" -name boot-finished -print -quit 2>/dev/null)" ]; }
+# Below a read-only root it would find a card that was never set up, at every boot: no user, key or network would be kept.
+cloud_init_s=600
+wait_for_cloud_init() {
+    cloud_init_is_at_work || return 0
+    if [ "$dry" = yes ]; then
+        say "  (cloud-init has not finished its first boot: --read-only waits for it)"
+        return
+    fi
+    if live; then
+        say "Waiting for cloud-init to set this card up, $((cloud_init_s / 60)) minutes at most."
+        timeout "$cloud_init_s" cloud-init status --wait >/dev/null 2>&1 || true
+    fi
+    ! cloud_init_is_at_work ||
+        refuse "cloud-init has not set this card up yet: let it boot to the end, then run the same command again, or leave --read-only away"
+}
+cloud_init_is_at_work() {
+    [ -x "$root/usr/bin/cloud-init" ] && [ ! -e "$root$cloud_init_off" ] && [ ! -e "$root/run/cloud-init/disabled" ] &&
+        ! cloud_init_finished
+}
+
+# Under an overlay in memory a swap file would take the memory that it is to give. Bookworm's is not made at a boot with an
+# overlay, by a condition. Trixie's rpi-swap is told to use compressed memory alone, unless somebody chose no swap at all.
+no_swap_file=/etc/systemd/system/dphys-swapfile.service.d/retrograph.conf
+swap_in_memory=/etc/rpi/swap.conf.d/90-retrograph.conf
+end_swap_files() {
+    [ ! -e "$root/usr/sbin/dphys-swapfile" ] || put "$here/systemd/dphys-swapfile-retrograph.conf" $no_swap_file
+    [ ! -e "$root/usr/lib/systemd/system-generators/rpi-swap-generator" ] ||
+        grep -qsx 'Mechanism *= *none' "$root"/etc/rpi/swap.conf "$root"/etc/rpi/swap.conf.d/*.conf ||
+        put "$here/systemd/rpi-swap-retrograph.conf" $swap_in_memory
 }
 
 # The same version number may stand on another wheel: what is installed is known by its hash.
@@ -159,7 +211,7 @@ install_program() {
 
 units() {
     echo data.mount srv-retrograph-store.mount retrograph-first-boot.service retrograph-trial.service
-    echo retrograph-power.service retrograph-poweroff.path
+    echo retrograph-power.service retrograph-poweroff.path retrograph-rescue-key.service
     (cd "$here/systemd" && ls var-*.mount etc-NetworkManager-*.mount)
     ! has_netplan || echo etc-netplan.mount retrograph-networks.service
     [ "$usb" = no ] || echo retrograph-usb.service
@@ -184,8 +236,9 @@ enable_units() {
 }
 is_enabled() { find "$root/etc/systemd/system" -path '*.wants/*' -name "${1//\\/\\\\}" 2>/dev/null | grep -q .; }
 
-start_now() {
-    live && [ -d /run/systemd/system ] && [ "$dry" = no ] || return 0
+# Before the program, whose self-test and start want the mounts, folders, devices and units as they are now.
+tell_the_system() {
+    live && [ -d "$root/run/systemd/system" ] && [ "$dry" = no ] || return 0
     local unit
     systemctl daemon-reload
     (cd "$here/systemd" && echo ./*.mount) | tr ' ' '\n' | sed 's|^./||' | while read -r unit; do

@@ -13,7 +13,7 @@ installed_files() {
         /etc/retrograph/board.toml /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
-        /boot/overlays/retrograph.dtbo | tr ' ' '\n'
+        /boot/overlays/retrograph.dtbo "$no_swap_file" "$swap_in_memory" | tr ' ' '\n'
 }
 
 # Outermost last. Whatever of them holds something stays.
@@ -21,6 +21,7 @@ installed_folders() {
     local part
     for part in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$part.service.d"; done
     for part in journald system logind timesyncd; do echo "/etc/systemd/$part.conf.d"; done
+    dirname "$no_swap_file" "$swap_in_memory"
     echo /etc/retrograph /usr/local/lib/retrograph /srv/retrograph/store /srv/retrograph /var/lib/retroscan \
         /var/lib/retroscan-pairing /data/{store,pairing,ssh,network,netplan,journal,timesync} /data | tr ' ' '\n'
 }
@@ -59,7 +60,26 @@ take_away() {
     while read -r path; do
         ! is_empty "$path" || rmdir "$root$path"
     done < <([ "$dry" = yes ] || installed_folders)
-    say "Scans, calibrations and keys stay in /data (store, pairing, ssh), as do the users retroscan and retrosync and every package."
+    say_what_stays
+}
+say_what_stays() {
+    local part place what stays=''
+    while read -r part what; do
+        place=$root/data/$part
+        if [ -s "$place" ] && { [ ! -d "$place" ] || [ -n "$(ls -A "$place")" ]; }; then stays+=", $part ($what)"; fi
+    done <<'END'
+store scans and calibrations
+pairing keys of workstations
+ssh host key
+network networks with their passwords
+netplan networks with their passwords
+hostname name
+board number of the board
+journal journal
+timesync last known time
+END
+    say "The users retroscan and retrosync and every package stay${stays:+, and in /data: ${stays#, }}."
+    case $stays in *passwords*) say "Before the data partition is given away, erase it." ;; esac
 }
 give_back_host_key() {
     local file

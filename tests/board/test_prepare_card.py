@@ -82,6 +82,54 @@ def test_twice_is_once(card: Path) -> None:
     assert partitions(card) == before
 
 
+STEPS = ("sfdisk", "e2fsck", "resize2fs", "mkfs.ext4", "sfdisk --append")
+
+
+def interrupted(card: Path, step: str) -> None:
+    """As a power cut just before that step leaves the card: the tool ends the script there."""
+    tools = card.parent / "tools"
+    tools.mkdir()
+    name, *words = step.split()
+    real = shutil.which(name, path=PATH)
+    ends = f'case "$*" in *{" ".join(words) or "--no-reread" if name == "sfdisk" else ""}*) exit 9 ;; esac\n'
+    (tools / name).write_text(f'#!/bin/bash\n{ends}exec {real} "$@"\n')
+    (tools / name).chmod(0o755)
+    environment = {"PATH": f"{tools}:{PATH}"}
+    ran = subprocess.run(["bash", SCRIPT, "--root-gib", "1", card], capture_output=True, check=False, env=environment)
+    assert ran.returncode != 0
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_it_goes_on_where_it_was_interrupted(card: Path, step: str) -> None:
+    interrupted(card, step)
+    assert len(partitions(card)) == 2, "the third one comes last"
+    ran = prepare("--root-gib", "1", card)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    _boot, root, data = partitions(card)
+    assert root["size"] * 512 >= GIB
+    for partition in (root, data):
+        call("e2fsck", "-f", "-n", f"{card}?offset={partition['start'] * 512}")
+    assert "Raspberry Pi OS" in call("debugfs", "-R", "cat issue", f"{card}?offset={ROOT_AT}")
+    assert prepare("--root-gib", "1", card).stdout == "Everything is in place.\n"
+
+
+def test_a_third_partition_without_a_file_system_gets_one(card: Path, tmp_path: Path) -> None:
+    """Of a card that was interrupted when the table was still written first; one that holds anything is not touched."""
+    prepare("--root-gib", "1", card)
+    data = partitions(card)[2]
+    with card.open("r+b") as file:
+        file.seek(data["start"] * 512)
+        file.write(bytes(MIB))
+    ran = prepare("--root-gib", "1", card)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert partitions(card)[2] == data
+    call("e2fsck", "-f", "-n", f"{card}?offset={data['start'] * 512}")
+    call("tune2fs", "-L", "precious", f"{card}?offset={data['start'] * 512}")
+    ran = prepare("--root-gib", "1", card)
+    assert (ran.returncode, "holds 3 partitions" in ran.stderr) == (2, True)
+    assert "volume name:   precious" in call("debugfs", "-R", "stats", f"{card}?offset={data['start'] * 512}")
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -188,6 +188,64 @@ def test_a_confirmed_one_stays_however_often_it_starts(app: Path, run: Run, rele
     assert version_in_use(app) == "1.1"
 
 
+@pytest.mark.parametrize("command", [("trial",), ("starting",), ("confirm", "retroscan.service")])
+def test_a_power_cut_before_the_swap_costs_the_proven_version_nothing(
+    app: Path, run: Run, release: Release, command: tuple[str, ...]
+) -> None:
+    """The trial's file stands, the link does not lead to the update yet; the self-test fails for want of a part."""
+    run(SLOT, "install", release("1.0", selftest=3))
+    run(SLOT, "install", release("1.1"), "--skip-selftest")
+    run(SLOT, "rollback")
+    (app / "trial").write_text("a 9\n")
+    ran = run(SLOT, *command)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert version_in_use(app) == "1.0"
+    assert "not confirmed" not in run(SLOT, "status").stdout
+    assert not (app / "trial").exists()
+
+
+def test_by_hand_to_the_other_one_though_an_update_never_swapped(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    (app / "trial").write_text("b 0\n")
+    assert run(SLOT, "rollback").returncode == 0
+    assert version_in_use(app) == "1.0"
+
+
+def test_an_update_waits_until_the_last_one_is_confirmed(app: Path, run: Run, release: Release) -> None:
+    """It would be filled into the slot of the one version that is proven."""
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    ran = run(SLOT, "install", release("1.2"))
+    assert (ran.returncode, ran.stderr.count("\n")) == (1, 1)
+    assert "version 1.1 is not confirmed yet: start the instrument" in ran.stderr
+    assert "slot a: 1.0" in run(SLOT, "status").stdout
+    assert run(SLOT, "rollback").returncode == 0
+    assert run(SLOT, "install", release("1.2")).returncode == 0
+    assert "slot a: 1.0\n" in run(SLOT, "status").stdout
+    assert version_in_use(app) == "1.2"
+
+
+def test_an_update_that_never_swapped_is_filled_again(app: Path, run: Run, release: Release) -> None:
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    run(SLOT, "rollback")
+    (app / "trial").write_text("a 0\n")
+    assert run(SLOT, "install", release("1.2")).returncode == 0
+    assert (version_in_use(app), (app / "trial").exists()) == ("1.2", False)
+
+
+def test_a_power_cut_while_going_back_is_gone_on_with(app: Path, run: Run, release: Release) -> None:
+    """The mark of the failed version is removed, the link still leads to it."""
+    run(SLOT, "install", release("1.0"))
+    run(SLOT, "install", release("1.1"))
+    put_on_trial(app)
+    (app / "b/ready").unlink()
+    assert "back to version 1.0 in slot a" in run(SLOT, "trial").stderr
+    assert version_in_use(app) == "1.0"
+
+
 @pytest.mark.parametrize("arguments", [[], ["install"], ["install", ".", "--force"], ["confirm"], ["frob"]])
 def test_usage(app: Path, run: Run, arguments: list[str]) -> None:
     ran = run(SLOT, *arguments)

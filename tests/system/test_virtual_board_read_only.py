@@ -122,3 +122,18 @@ def test_a_card_in_another_board_is_another_device(board: Board) -> None:
     machine.run("test ! -e /data/pairing/authorized_keys; test -s /data/pairing/authorized_keys.of-another-board")
     assert set(machine.run("ls /data/store/scans").split()) >= set(board.acknowledged)
     assert "no calibration is active" in machine.run("systemctl show -P StatusText retroscan")
+
+
+def test_without_the_data_partition_ssh_answers_with_a_key_of_that_boot(board: Board) -> None:
+    """For whoever repairs the card; the device's own key is on what is missing."""
+    machine = board.machine
+    machine.power_off()
+    machine.data = None
+    with board.stage("boot without the data partition until SSH answers"):
+        machine.switch_on("console=ttyS0 root=/dev/vda rootfstype=ext4 quiet overlayroot=tmpfs:recurse=0")
+        machine.wait_for("ssh-keyscan -t ed25519 localhost 2>/dev/null | grep ssh-ed25519")
+    machine.run("systemctl is-active retrograph-rescue-key")
+    assert machine.ask("mountpoint -q /data").code != 0
+    assert machine.ask("systemctl is-active retroscan").code != 0
+    shown = machine.run("ssh-keyscan -t ed25519 localhost 2>/dev/null | cut -d ' ' -f 3")
+    assert shown == machine.run("cut -d ' ' -f 2 /run/retrograph-rescue/ssh_host_ed25519_key.pub")

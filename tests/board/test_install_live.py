@@ -1,0 +1,55 @@
+"""install.sh on a running system: in which order the system is told of what is new."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TOLD = ("systemctl", "systemd-tmpfiles", "udevadm")
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("systemctl") is None or shutil.which("systemd-sysusers") is None, reason="systemd is not installed"
+)
+
+
+@pytest.fixture
+def told(tmp_path: Path) -> Path:
+    """Where it is noted whom install.sh told what."""
+    return tmp_path / "told"
+
+
+@pytest.fixture
+def installer(fresh: Path, told: Path, tmp_path: Path) -> Path:
+    """An install.sh of its own that takes the scratch root for a running system, once all is in place."""
+    here, real = tmp_path / "here", shutil.which("systemctl")
+    for part in ("board", "systemd"):
+        shutil.copytree(ROOT / part, here / part)
+    (tmp_path / "bin").mkdir()
+    for name in TOLD:
+        of_root = f'case "$*" in --root=*) exec {real} "$@" ;; esac\n' if name == "systemctl" else ""
+        script = tmp_path / "bin" / name
+        script.write_text(f'#!/bin/bash\n{of_root}echo "{name} $*" >>"{told}"\n')
+        script.chmod(0o755)
+    (here / "board/retrograph-slot").write_text(f'echo "retrograph-slot $1" >>"{told}"\n')
+    (fresh / "run/systemd/system").mkdir(parents=True)
+    with (here / "board/install/take-away.sh").open("a", encoding="utf-8") as parts:
+        parts.write('live() { [ -z "$root" ] || [ "${FUNCNAME[1]}" = tell_the_system ]; }\n')
+    return here / "board/install.sh"
+
+
+def test_the_system_knows_units_folders_and_rules_before_the_program_is_swapped(
+    fresh: Path, installer: Path, told: Path, release: Callable[..., Path]
+) -> None:
+    """Or a new program would be tried, and started, under the units of the one before."""
+    command = ["bash", installer, "--root", fresh, "--board", "twin", "--release", release("1.0")]
+    environment = {**os.environ, "PATH": f"{told.parent / 'bin'}:{os.environ['PATH']}"}
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    lines = told.read_text().splitlines()
+    assert (lines[0], lines[-1]) == ("systemctl daemon-reload", "retrograph-slot install")
+    assert {"systemctl start data.mount", "udevadm control --reload"} <= set(lines)
+    assert "systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf" in lines
