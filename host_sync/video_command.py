@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from device.calibration_bundle import read_calibration
+from host_sync.commands.console import complain, say
 from host_sync.compile_notice import tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frame_sequence import open_sequence
@@ -19,6 +19,8 @@ from host_sync.frame_set import load_frame_set
 from host_sync.frame_set_file import Encoding
 from host_sync.library import Library
 from host_sync.method_name import MethodName
+from host_sync.plain_text import printable
+from host_sync.reconstruction.whole_directory import check_replaceable
 
 if TYPE_CHECKING:
     from host_sync.calibration.full_calibration import Calibration
@@ -75,15 +77,16 @@ def video(
     frames = open_sequence(sequence)
     with _telling() as tell:
         tell_of_compiling()
-        known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
         tell("loading compiled code", None, None)
         from host_sync.reconstruction.frame_solver import FrameSolver
-        from host_sync.reconstruction.sequence_job import reconstruct_sequence
+        from host_sync.reconstruction.sequence_job import RECORD_FILE, reconstruct_sequence
         from host_sync.reconstruction.sequence_record import SequenceOrder
 
+        check_replaceable(out, RECORD_FILE)  # before minutes of work
+        known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
         solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
-        facts = (("sequence", sequence.name), ("calibration", calibration))
-        order = SequenceOrder(sequence.resolve().name, rate_hz, mp4, gif, facts)
+        facts = (("sequence", printable(sequence.name)), ("calibration", calibration))
+        order = SequenceOrder(printable(sequence.resolve().name), rate_hz, mp4, gif, facts)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)
 
@@ -110,11 +113,11 @@ def _calibration(name: str, library: Path | None, tell: Callable[[str], None]) -
 
 def _tell_report(report: SequenceReport, out: Path) -> int:
     for failure in report.failures:
-        sys.stderr.write(f"retrosync: {failure.reason}\n")
+        complain(failure.reason, PARTLY)
     total = len(report.outcomes)
     drawn = f", {report.pictures_per_s:.1f} pictures/s" if report.pictures_per_s else ""
     done = total - len(report.failures)
-    sys.stdout.write(f"{done} of {total} frames into {out}: {report.heights_per_s:.1f} heights/s{drawn}\n")
+    say(f"{done} of {total} frames into {out}: {report.heights_per_s:.1f} heights/s{drawn}")
     return PARTLY if report.failures else DONE
 
 

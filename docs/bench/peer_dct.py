@@ -12,13 +12,32 @@ from scipy.fft import dctn, idctn
 from device.surface import Float32Array
 
 
-def integrate_scipy(p: Float32Array, q: Float32Array, workers: int) -> Float32Array:
-    """Heights (px) of shape (H, W) by `scipy.fft.dctn` on so many threads."""
-    return _solve(
-        divergence(p, q),
-        lambda a: dctn(a, type=2, norm="ortho", overwrite_x=True, workers=workers),
-        lambda a: idctn(a, type=2, norm="ortho", overwrite_x=True, workers=workers),
-    )
+class KeptDct:
+    """Heights (px) of fields of shape (H, W) by `scipy.fft.dctn` on so many threads.
+
+    Eigenvalues and working arrays are kept, as our own solver keeps its own.
+    """
+
+    def __init__(self, shape: tuple[int, int], workers: int) -> None:
+        self._eigenvalue = eigenvalues(shape, np.float32)
+        self._rhs, self._edges = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        self._workers = workers
+
+    def integrate(self, p: Float32Array, q: Float32Array) -> Float32Array:
+        """The heights of slopes p and q; the array is used again by the next call."""
+        rhs = self._rhs
+        across, down = self._edges[:, 1:], self._edges[1:]
+        np.multiply(np.add(p[:, 1:], p[:, :-1], out=across), np.float32(0.5), out=across)
+        rhs[:, 0] = 0.0
+        rhs[:, 1:] = across
+        rhs[:, :-1] -= across
+        np.multiply(np.add(q[1:], q[:-1], out=down), np.float32(0.5), out=down)
+        rhs[1:] += down
+        rhs[:-1] -= down
+        spectrum = dctn(rhs, type=2, norm="ortho", overwrite_x=True, workers=self._workers)
+        spectrum /= self._eigenvalue
+        spectrum[0, 0] = 0.0
+        return np.asarray(idctn(spectrum, type=2, norm="ortho", overwrite_x=True, workers=self._workers))
 
 
 def exact(p: Float32Array, q: Float32Array, *, fourth_order: bool) -> NDArray[np.float64]:
@@ -53,11 +72,16 @@ def edge_slopes(slope: NDArray[Any], *, fourth_order: bool) -> NDArray[Any]:
 
 def divide_by_eigenvalues(spectrum: NDArray[Any]) -> None:
     """Turn the spectrum of the right-hand side into that of the heights, in place."""
-    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in spectrum.shape)
-    eigenvalue = rows.astype(spectrum.dtype)[:, None] + columns.astype(spectrum.dtype)[None, :]
-    eigenvalue[0, 0] = 1.0
-    spectrum /= eigenvalue
+    spectrum /= eigenvalues(spectrum.shape, spectrum.dtype)
     spectrum[0, 0] = 0.0
+
+
+def eigenvalues(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
+    """What a spectrum of this shape and type is divided by; 1 where it is nought."""
+    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in shape)
+    found = rows.astype(kind)[:, None] + columns.astype(kind)[None, :]
+    found[0, 0] = 1.0
+    return np.asarray(found)
 
 
 def _solve(rhs: NDArray[Any], forward: Callable[[Any], Any], backward: Callable[[Any], Any]) -> NDArray[Any]:

@@ -54,7 +54,8 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
 def solve_all(crew: FrameCrew, frames: list[StoredFrame]) -> Float32Array:
     """The last frame's heights; the others' are dropped."""
     z_um = np.empty(0, np.float32)
-    for _, z_um in crew.solved(frames):
+    for outcome, z_um in crew.solved(frames):
+        assert outcome.figures is not None, outcome.reason  # noqa: S101 - a refused frame costs nothing
         crew.give_back(z_um)
     return z_um.copy()
 

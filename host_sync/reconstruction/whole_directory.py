@@ -21,10 +21,11 @@ def whole_directory(target: Path, marker: str) -> Iterator[Path]:
     ResultError
         The place cannot be written, or holds something else.
     """
+    check_replaceable(target, marker)
+    target = target.absolute()
     partial = target.with_name(f".{target.name}.partial")
     replaced = target.with_name(f".{target.name}.replaced")
     try:
-        check_replaceable(target, marker)
         shutil.rmtree(partial, ignore_errors=True)
         if replaced.is_dir() and not target.exists():
             replaced.rename(target)  # an earlier run ended between its two renames
@@ -51,10 +52,18 @@ def check_replaceable(target: Path, marker: str) -> None:
     ResultError
         Names the place.
     """
-    if not target.exists():
-        nearest = next(folder for folder in target.absolute().parents if folder.exists())
-        if not nearest.is_dir():
-            raise ResultError(f"{target} cannot be written: {nearest} is no folder; choose another")
-        return
-    if not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file()):
+    if not target.absolute().name:
+        raise ResultError(f"{target} cannot be written: it is no folder of its own; choose another")
+    try:
+        if not target.exists():
+            nearest = next(folder for folder in target.absolute().parents if folder.exists())
+            if not nearest.is_dir():
+                raise ResultError(f"{target} cannot be written: {nearest} is no folder; choose another")
+            return
+        foreign = not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file())
+    except OSError as error:
+        if isinstance(error, ResultError):
+            raise
+        raise ResultError(f"{target} cannot be written ({error.strerror or error}): choose another") from error
+    if foreign:
         raise ResultError(f"{target} cannot be written: it holds something else than results; choose another folder")

@@ -49,7 +49,7 @@ class ReliefMovie:
         self._path = path
         self._movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate_hz, (columns, rows))
         if not self._movie.isOpened():
-            raise ResultError(f"{path}: the movie cannot be written: choose another folder, or --no-movie")
+            raise ResultError(f"{path}: the movie cannot be written: choose another folder, or --no-mp4 and --no-gif")
 
     def __enter__(self) -> Self:
         return self

@@ -94,6 +94,38 @@ def test_bad_input_is_refused_in_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("place", ["/", "", "."])
+def test_a_place_that_is_no_folder_of_its_own_is_refused_before_any_work(
+    place: str,
+    calibrated_root: Path,
+    sequence: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(sequence)
+    arguments = ["video", str(sequence), "--calibration", "x", "--library", str(calibrated_root)]
+    assert main([*arguments, "--out", place]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_frames_name_that_is_no_text_neither_ends_the_run_nor_moves_the_terminal(
+    calibrated_root: Path,
+    sequence: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("host_sync.reconstruction.library_job.calibration_of", as_the_device_fitted_it)
+    (sequence / "frame-11.tif").rename(sequence / "frame-\udcff\x1b[2J.tif")
+    arguments = ["video", str(sequence), "--calibration", "", "--library", str(calibrated_root), "--no-mp4", "--no-gif"]
+    arguments[3] = read_active(calibrated_root).calibration_id
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr()
+    assert printed.out.startswith("2 of 3 frames")
+    assert "\x1b" not in printed.err
+    assert (tmp_path / "out" / "result.json").is_file()
+
+
 def test_an_interrupted_command_says_so_and_ends_with_130(
     calibrated_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
