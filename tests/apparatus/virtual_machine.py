@@ -99,6 +99,11 @@ class VirtualMachine:
         self._agent = self._connected()
         return self.wait_until_up()
 
+    @property
+    def is_on(self) -> bool:
+        """Whether it runs."""
+        return self._qemu.poll() is None
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

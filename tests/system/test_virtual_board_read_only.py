@@ -58,8 +58,9 @@ def before(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_install_makes_the_root_read_only(board: Board, before: Path) -> None:
-    board.machine.switch_on()
-    board.machine.wait_for("systemctl is-active retroscan")
+    if not board.machine.is_on:
+        board.machine.switch_on()
+        board.machine.wait_for("systemctl is-active retroscan")
     board.machine.run(SHARES + netplan("workshop", 1) + BELOW)
     board.machine.run("systemctl --quiet enable NetworkManager")
     with board.stage("install.sh --read-only"):
