@@ -123,7 +123,7 @@ def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
 
 def _bin_band(
     frame: RawFrame, mosaic: NDArray[np.uint16], factor: int, planes: Float32Array, clipped: MaskArray
-) -> None:  # fmt: skip
+) -> None:
     """Write the three planes and the clipping of some rows of bins from their part of the frame's mosaic."""
     brightest = _combined(np.maximum, [mosaic[i::factor] for i in range(factor)], np.uint16)
     side = factor // 2

@@ -22,7 +22,6 @@ from device.tiff_reading import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
 from host_sync.image_file import MOST_PIXELS, Pixels, read_pixels
-from host_sync.plain_text import printable
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -114,9 +113,9 @@ class FolderSequence:
         """Every file's frame."""
         for path in self._files:
             try:
-                yield StoredFrame(printable(path.name), _read_file(path))
+                yield StoredFrame(path.name, _read_file(path))
             except (FrameSetError, RecordError) as error:
-                yield BadFrame(printable(path.name), printable(str(error)))
+                yield BadFrame(path.name, str(error))
 
 
 class StackSequence:

@@ -85,7 +85,7 @@ def video(
         check_replaceable(out, RECORD_FILE)  # before minutes of work
         known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
         solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
-        facts = (("sequence", printable(sequence.name)), ("calibration", calibration))
+        facts = (("sequence", printable(sequence.name)), ("calibration", printable(calibration)))
         order = SequenceOrder(printable(sequence.resolve().name), rate_hz, mp4, gif, facts)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)

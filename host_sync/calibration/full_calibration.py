@@ -129,7 +129,7 @@ def calibrate(
         "paper": held_out_paper_deg(kept),
     }
     tell("measuring the slope error")
-    error = measure_slope_error(kept, inverse)
+    error = measure_slope_error(kept, taught, inverse)
     digest = _digest(inverse, divisor, pitch_um)
     return Calibration(
         calibration_id=digest,
@@ -178,10 +178,11 @@ def _fit(
     )
     for name, move in choices:
         moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
-        if name == "found at labels and beyond" and _count(moved) < WORTH_MORE_BALLS * _count(located):
+        more = name == "found at labels and beyond"
+        if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
         fit = _fit_to(moved, light)
-        gain = MORE_BALLS_GAIN if name == "found at labels and beyond" else 1.0
+        gain = MORE_BALLS_GAIN if more else 1.0
         if gain * _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
             best, chosen = fit, (moved, name)
     return best, *chosen

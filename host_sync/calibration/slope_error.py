@@ -21,7 +21,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.ball import Ball, BallSamples, gather_samples, sphere_slopes
+from device.ball import Ball, BallSamples, sphere_slopes
 from device.inverse_fit import InverseFit
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
@@ -78,26 +78,24 @@ class _BallError:
     ball: Ball
 
 
-def measure_slope_error(presses: Pressed, fit: InverseFit) -> SlopeError:
-    """The slope error on the balls of a calibration.
+def measure_slope_error(presses: Pressed, taught: BallSamples, fit: InverseFit) -> SlopeError:
+    """The slope error on the balls of a calibration, which taught their samples.
 
     What the map gets wrong of balls that taught it is scaled up to what it gets wrong of held-out ones.
     """
-    inverse_map = fit.map
-    errors = list(_ball_errors(presses, inverse_map))
+    errors = list(_ball_errors(presses, fit.map))
     bands = _by_band(errors)
     sums = [_height_errors(error) for error in errors]
-    inflation = held_out_inflation(gather_samples(presses), fit)
+    inflation = held_out_inflation(taught, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
+    scale = float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple(inflation.at(tilt, pixel) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
-        raised_shade=_raised_shade(gather_samples(presses)),
-        scale_share=inflation.throughout(noise_deg) * float(np.sqrt(np.mean([part.scale**2 for part in sums])))
-        if sums
-        else 0.0,
+        raised_shade=_raised_shade(taught),
+        scale_share=inflation.throughout(noise_deg) * scale,
     )
 
 

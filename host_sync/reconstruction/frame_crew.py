@@ -20,6 +20,7 @@ from device.errors import DeviceError
 from device.surface import Float32Array
 from host_sync.errors import HostError
 from host_sync.frame_sequence import BadFrame, StoredFrame
+from host_sync.plain_text import printable
 from host_sync.reconstruction.frame_solver import FrameSolver
 from host_sync.reconstruction.sequence_record import FrameOutcome
 
@@ -84,7 +85,7 @@ class FrameCrew:
         if isinstance(frame, StoredFrame):
             solver = self._solvers.get()
             try:
-                return FrameOutcome(frame.name, solver.solve(frame, z_um)), z_um
+                return FrameOutcome(printable(frame.name), solver.solve(frame, z_um)), z_um
             except (DeviceError, HostError) as error:
                 reason = str(error)
             finally:
@@ -92,4 +93,5 @@ class FrameCrew:
         else:
             reason = frame.reason
         z_um.fill(np.nan)
-        return FrameOutcome(frame.name, None, reason if frame.name in reason else f"{frame.name}: {reason}"), z_um
+        told = reason if frame.name in reason else f"{frame.name}: {reason}"
+        return FrameOutcome(printable(frame.name), None, printable(told)), z_um

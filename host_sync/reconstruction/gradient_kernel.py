@@ -53,9 +53,7 @@ def estimate_slopes(
     low, step, bin_of, first, candidates : the lookup table's arrays
     """
     p, q, confidence = (np.zeros(lit.shape, np.float32) for _ in range(3))
-    in_bands(
-        _estimate_rows, lit.shape, values, lit, low, step, bin_of, first, candidates, settings, p, q, confidence
-    )  # fmt: skip
+    in_bands(_estimate_rows, lit.shape, values, lit, low, step, bin_of, first, candidates, settings, p, q, confidence)
     return p, q, confidence
 
 

@@ -80,7 +80,7 @@ def _cell_sums(
 @njit(cache=True, nogil=True)
 def _add_cells(
     p: Any, q: Any, valid: Any, cell: int, p_sum: Any, q_sum: Any, count: Any, first: int, last: int
-) -> None:  # fmt: skip
+) -> None:
     """Add up the rows `first` to `last` - 1 of cells."""
     rows, columns = valid.shape
     for i in range(first, last):

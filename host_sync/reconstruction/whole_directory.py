@@ -22,24 +22,21 @@ def whole_directory(target: Path, marker: str) -> Iterator[Path]:
         The place cannot be written, or holds something else.
     """
     check_replaceable(target, marker)
-    target = target.absolute()
-    partial = target.with_name(f".{target.name}.partial")
-    replaced = target.with_name(f".{target.name}.replaced")
+    place = target.absolute()
+    partial = place.with_name(f".{place.name}.partial")
+    replaced = place.with_name(f".{place.name}.replaced")
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        if replaced.is_dir() and not target.exists():
-            replaced.rename(target)  # an earlier run ended between its two renames
-        partial.mkdir(parents=True)
-        yield partial
-        shutil.rmtree(replaced, ignore_errors=True)
-        if target.exists():
-            target.rename(replaced)
-        partial.rename(target)
-        shutil.rmtree(replaced, ignore_errors=True)
-    except OSError as error:
-        if isinstance(error, ResultError):
-            raise
-        raise ResultError(f"{target} cannot be written ({error.strerror or error}): free or choose another") from error
+        with _as_result_errors(target):
+            shutil.rmtree(partial, ignore_errors=True)
+            if replaced.is_dir() and not target.exists():
+                replaced.rename(target)  # an earlier run ended between its two renames
+            partial.mkdir(parents=True)
+            yield partial
+            shutil.rmtree(replaced, ignore_errors=True)
+            if target.exists():
+                target.rename(replaced)
+            partial.rename(target)
+            shutil.rmtree(replaced, ignore_errors=True)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -54,16 +51,23 @@ def check_replaceable(target: Path, marker: str) -> None:
     """
     if not target.absolute().name:
         raise ResultError(f"{target} cannot be written: it is no folder of its own; choose another")
-    try:
+    with _as_result_errors(target):
         if not target.exists():
             nearest = next(folder for folder in target.absolute().parents if folder.exists())
             if not nearest.is_dir():
                 raise ResultError(f"{target} cannot be written: {nearest} is no folder; choose another")
-            return
-        foreign = not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file())
+        elif not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file()):
+            raise ResultError(
+                f"{target} cannot be written: it holds something else than results; choose another folder"
+            )
+
+
+@contextmanager
+def _as_result_errors(target: Path) -> Iterator[None]:
+    """What the system refuses at `target` is said as a ResultError."""
+    try:
+        yield
+    except ResultError:
+        raise
     except OSError as error:
-        if isinstance(error, ResultError):
-            raise
-        raise ResultError(f"{target} cannot be written ({error.strerror or error}): choose another") from error
-    if foreign:
-        raise ResultError(f"{target} cannot be written: it holds something else than results; choose another folder")
+        raise ResultError(f"{target} cannot be written ({error.strerror or error}): free or choose another") from error

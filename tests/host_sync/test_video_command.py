@@ -44,17 +44,19 @@ def as_the_device_fitted_it(bundle: CalibrationBundle, _tell: object) -> SimpleN
     )
 
 
-def test_a_folder_of_raw_frames_under_a_librarys_calibration(
-    calibrated_root: Path,
-    sequence: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture
+def arguments(calibrated_root: Path, sequence: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The command of the sequence under the beginning of a calibration's id, without `--out`."""
     monkeypatch.setattr("host_sync.reconstruction.library_job.calibration_of", as_the_device_fitted_it)
+    calibration_id = read_active(calibrated_root).calibration_id[:-1]
+    return ["video", str(sequence), "--calibration", calibration_id, "--library", str(calibrated_root)]
+
+
+def test_a_folder_of_raw_frames_under_a_librarys_calibration(
+    arguments: list[str], calibrated_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bundle = read_active(calibrated_root)
     out = tmp_path / "out"
-    arguments = ["video", str(sequence), "--calibration", bundle.calibration_id[:-1], "--library", str(calibrated_root)]
     assert main([*arguments, "--out", str(out), "--rate-hz", "10"]) == 1
     printed = capsys.readouterr()
     assert printed.out.startswith(f"2 of 3 frames into {out}: ")
@@ -109,16 +111,10 @@ def test_a_place_that_is_no_folder_of_its_own_is_refused_before_any_work(
 
 
 def test_a_frames_name_that_is_no_text_neither_ends_the_run_nor_moves_the_terminal(
-    calibrated_root: Path,
-    sequence: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("host_sync.reconstruction.library_job.calibration_of", as_the_device_fitted_it)
     (sequence / "frame-11.tif").rename(sequence / "frame-\udcff\x1b[2J.tif")
-    arguments = ["video", str(sequence), "--calibration", "", "--library", str(calibrated_root), "--no-mp4", "--no-gif"]
-    arguments[3] = read_active(calibrated_root).calibration_id
+    arguments += ["--no-mp4", "--no-gif"]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 1
     printed = capsys.readouterr()
     assert printed.out.startswith("2 of 3 frames")

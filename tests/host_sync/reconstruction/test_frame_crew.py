@@ -73,6 +73,13 @@ def test_a_frame_that_is_done_first_waits_for_those_before_it() -> None:
 
 
 @pytest.mark.usefixtures("two_threads")
+def test_names_and_reasons_come_out_fit_for_a_terminal() -> None:
+    with FrameCrew(Waiting(Event(), []), spare=2) as crew:
+        found = [outcome for outcome, _ in crew.solved([BadFrame("\x1b[2Jtorn", "is\ntorn")])]
+    assert [(outcome.name, outcome.reason) for outcome in found] == [("\\x1b[2Jtorn", "\\x1b[2Jtorn: is\\ntorn")]
+
+
+@pytest.mark.usefixtures("two_threads")
 def test_few_frames_are_solved_at_once_where_they_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frame_crew, "MOST_PX_AT_ONCE", 30)
     made: list[Waiting] = []
