@@ -10,34 +10,16 @@ from xml.etree import ElementTree
 
 import pytest
 from console_font import SCREEN_FONTS
+from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
 from device.session.service_report import PATIENCE_S
 
-SYSTEMD = Path(__file__).parent.parent / "systemd"
 PROGRAM = "/usr/local/bin/retroscan"
-INSTRUMENTS = ("retroscan.service", "retroscan-tui.service")
 UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
 MOST_EXPOSED = 25
 """Of `systemd-analyze security`, in tenths: what no service may exceed. There are no exceptions."""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-
-Settings = dict[str, list[str]]
-
-
-def unit_files() -> list[Path]:
-    return sorted(path for path in SYSTEMD.iterdir() if path.suffix in {".service", ".mount", ".path"})
-
-
-def settings(name: str) -> Settings:
-    """What a unit says, each key with all its values."""
-    found: Settings = {}
-    for line in (SYSTEMD / name).read_text(encoding="utf-8").splitlines():
-        if "=" in line and not line.startswith(("#", "[")):
-            key, _, value = line.partition("=")
-            found.setdefault(key, []).append(value)
-    return found
-
 
 @pytest.fixture
 def units_of_this_machine(tmp_path: Path) -> Path:
@@ -74,11 +56,37 @@ def test_the_screen_has_a_font_that_holds_what_it_draws() -> None:
 
 
 def test_the_camera_has_one_owner() -> None:
-    """Each of the two ends the other, and both hold the program's lock in the same folder."""
+    """Each of the two ends the other, and both hold the program's lock in the same folder.
+
+    Without an order between them the one would start while the other ends: it would find the lock held, and
+    its lights put out by the other's `lights-off`.
+    """
     for unit, other in (INSTRUMENTS, INSTRUMENTS[::-1]):
         said = settings(unit)
         assert other in said["Conflicts"][0].split()
         assert (said["RuntimeDirectory"], said["RuntimeDirectoryPreserve"]) == (["retroscan"], ["yes"])
+    in_order = [unit for unit, other in (INSTRUMENTS, INSTRUMENTS[::-1]) if other in ordered_after(unit)]
+    assert in_order == ["retroscan-tui.service"], "one of the two: both would be a circle"
+
+
+def ordered_after(unit: str) -> set[str]:
+    return {name for line in settings(unit)["After"] for name in line.split()}
+
+
+KINDS_OF_DEVICES = {"video4linux", "media", "dma_heap", "i2c", "gpiochip"}
+"""As these drivers call themselves in /proc/devices. Raspberry Pi's vcio is not among them: there it is a "misc"."""
+
+
+def test_devices_are_named_as_the_kernel_names_them() -> None:
+    """A name that is not in /proc/devices when the unit starts lets nothing in, and systemd does not say so."""
+    for path in unit_files():
+        allowed = [line.split()[0] for line in settings(path.name).get("DeviceAllow", [])]
+        kinds = {name.removeprefix("char-") for name in allowed if name.startswith("char-")}
+        assert kinds <= KINDS_OF_DEVICES, path.name
+        assert {name for name in allowed if name.startswith("/")} <= {"/dev/vcio", "/dev/tty1"}, path.name
+        if "video4linux" in kinds:
+            assert "modprobe@videodev.service" in settings(path.name)["Wants"], path.name
+            assert "modprobe@videodev.service" in ordered_after(path.name), path.name
 
 
 def test_who_opens_the_pairing_window_can_be_reached() -> None:
