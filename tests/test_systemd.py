@@ -44,7 +44,21 @@ def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
 
 def test_becoming_ready_confirms_an_update_of_this_very_unit() -> None:
     for unit in INSTRUMENTS:
-        assert settings(unit)["ExecStartPost"] == ["-+/usr/local/sbin/retrograph-slot confirm %n"]
+        (confirming,) = settings(unit)["ExecStartPost"]
+        assert confirming.startswith("-+/usr/")
+        assert confirming.endswith("/usr/local/sbin/retrograph-slot confirm %n")
+        assert any(line.endswith("/retrograph-slot starting") for line in settings(unit)["ExecStartPre"])
+
+
+def test_nobody_writes_across_the_screen() -> None:
+    """What a unit on a terminal runs beside its program says so in the journal, and the kernel is asked to be quiet."""
+    said = settings("retroscan-tui.service")
+    assert said["StandardOutput"] == said["StandardError"] == ["tty"]
+    beside = [line for key in ("ExecStartPre", "ExecStartPost") for line in said[key] if "retrograph-slot" in line]
+    assert len(beside) == 2
+    assert all(line.startswith("-+/usr/bin/systemd-cat ") for line in beside)
+    assert "-+/usr/bin/dmesg --console-off" in said["ExecStartPre"]
+    assert "-+/usr/bin/dmesg --console-on" in said["ExecStopPost"]
 
 
 def test_the_screen_has_a_font_that_holds_what_it_draws() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+UNPAIRED = "retrograph: no workstation was ever paired: the pairing code follows on the console\n"
 needs_ssh = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
 
 
@@ -34,10 +35,20 @@ def test_key_and_name_are_made_once(fresh: Path, run: Run, program: Path) -> Non
     assert key.with_name(key.name + ".pub").stat().st_mode & 0o777 == 0o644, "read when a workstation pairs"
     assert made[2].startswith("rg")
     assert "made the host key SHA256:" in first.stdout
-    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == UNPAIRED
     assert (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text()) == made
     store = fresh / "var/lib/retroscan"
     assert program.with_name("retroscan-calls").read_text() == f"--board twin --store {store} identity\n"
+
+
+@needs_ssh
+def test_a_code_is_not_written_across_the_screen_of_a_panel(fresh: Path, run: Run, program: Path) -> None:
+    enabled = fresh / "etc/systemd/system/multi-user.target.wants/retroscan-tui.service"
+    enabled.parent.mkdir(parents=True)
+    enabled.symlink_to("/etc/systemd/system/retroscan-tui.service")
+    said = run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout
+    assert "Set-up on the screen shows a pairing code" in said
+    assert UNPAIRED not in said
 
 
 @needs_ssh
