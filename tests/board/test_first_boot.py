@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from unit_files import settings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 UNPAIRED = "retrograph: no workstation was ever paired: the pairing code follows on the console\n"
@@ -182,12 +183,20 @@ def test_the_usb_adapter_has_addresses_of_its_own(gadget: Path, run: Run) -> Non
     assert (gadget / "UDC").stat().st_mtime_ns == before
 
 
-def test_without_a_device_port_it_says_what_is_missing(gadget: Path, fresh: Path, run: Run) -> None:
-    (fresh / "sys/class/udc/fe980000.usb").rmdir()
+def test_without_a_device_port_it_says_what_is_missing_and_is_started_again(
+    gadget: Path, fresh: Path, run: Run
+) -> None:
+    """A unit that had succeeded in vain would stay as it is when the port is found a second later."""
+    controller = fresh / "sys/class/udc/fe980000.usb"
+    controller.rmdir()
     ran = run("systemd/usb-gadget", "start")
-    assert ran.returncode == 0
+    assert ran.returncode == 1
     assert "dtoverlay=dwc2" in ran.stderr
     assert not gadget.exists()
+    assert "usb-gadget.target" in settings("retrograph-usb.service")["WantedBy"][0].split()
+    controller.mkdir()
+    assert run("systemd/usb-gadget", "start").returncode == 0
+    assert (gadget / "UDC").read_text() == "fe980000.usb"
 
 
 def test_usb_usage(run: Run) -> None:
