@@ -96,6 +96,14 @@ def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh
         assert wanted() == {unit}
 
 
+def test_a_card_without_ssh_is_told_of(fresh: Path, run: Run) -> None:
+    """Raspberry Pi OS switches it on only when asked, and scans are fetched through it."""
+    off = "SSH is switched off"
+    assert off in run("board/install.sh", "--root", fresh, *BOARD).stdout
+    (fresh / "etc/systemd/system/multi-user.target.wants/ssh.service").symlink_to("/lib/systemd/system/ssh.service")
+    assert off not in run("board/install.sh", "--root", fresh, *BOARD).stdout
+
+
 def test_it_goes_on_where_it_was_interrupted(fresh: Path, run: Run) -> None:
     """Whatever is missing or half, a run makes whole; nothing else is touched."""
     done(run("board/install.sh", "--root", fresh, *BOARD))
