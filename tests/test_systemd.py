@@ -21,6 +21,7 @@ MOST_EXPOSED = 25
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
+
 @pytest.fixture
 def units_of_this_machine(tmp_path: Path) -> Path:
     """All units, with programs that are there, since systemd looks for them."""
