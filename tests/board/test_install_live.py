@@ -37,9 +37,7 @@ def installer(fresh: Path, told: Path, tmp_path: Path) -> Path:
     (here / "board/retrograph-slot").write_text(f'echo "retrograph-slot $1" >>"{told}"\n')
     (fresh / "run/systemd/system").mkdir(parents=True)
     with (here / "board/install/take-away.sh").open("a", encoding="utf-8") as parts:
-        parts.write(
-            'live() { [ -z "$root" ] || [ "${FUNCNAME[1]}" = tell_the_system ] || [ "${FUNCNAME[1]}" = camera_is_loaded ]; }\n'
-        )
+        parts.write('live() { [ -z "$root" ] || [[ ${FUNCNAME[1]} = @(tell_the_system|camera_is_loaded) ]]; }\n')
     return here / "board/install.sh"
 
 

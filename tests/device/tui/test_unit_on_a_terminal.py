@@ -15,6 +15,7 @@ import subprocess
 import sys
 import termios
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -72,9 +73,9 @@ class Panel:
     def ended(self) -> int:
         """With which code, once it has."""
         for _ in range(MOST_LOOKS):
-            if (code := self.program.poll()) is not None:
-                return code
-            self.read(LOOK_EVERY_S)
+            with suppress(subprocess.TimeoutExpired):
+                return self.program.wait(LOOK_EVERY_S)
+            self.read()
         pytest.fail("the program never ended")
 
     def close(self) -> None:
