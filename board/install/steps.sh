@@ -130,6 +130,8 @@ put_files() {
     put "$here/systemd/logind-retrograph.conf" /etc/systemd/logind.conf.d/retrograph.conf
     put "$here/systemd/timesyncd-retrograph.conf" /etc/systemd/timesyncd.conf.d/retrograph.conf
     put "$here/systemd/sshd-retrograph.conf" /etc/ssh/sshd_config.d/retrograph.conf
+    [ ! -d "$root/etc/NetworkManager" ] ||
+        put "$here/systemd/networkmanager-retrograph.conf" /etc/NetworkManager/conf.d/retrograph.conf
     put "$here/systemd/avahi-retrograph.xml" /etc/avahi/services/retrograph.service
     put "$here/systemd/first-boot" /usr/local/lib/retrograph/first-boot 755
     put "$here/systemd/usb-gadget" /usr/local/lib/retrograph/usb-gadget 755

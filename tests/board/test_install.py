@@ -68,6 +68,8 @@ def test_what_is_installed(fresh: Path, run: Run) -> None:
     wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
     assert {"retroscan.service", "data.mount", "retrograph-first-boot.service", "retrograph-usb.service"} <= wanted
     assert "retroscan-tui.service" not in wanted
+    network_manager = (fresh / "etc/NetworkManager/conf.d/retrograph.conf").read_text().splitlines()
+    assert network_manager[-2:] == ["[main]", "hostname-mode=none"], "the device's name is not the root's"
     network = fresh / "data/network/retrograph-usb.nmconnection"
     assert network.stat().st_mode & 0o777 == 0o600
     users = (fresh / "etc/passwd").read_text()
