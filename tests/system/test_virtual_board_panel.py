@@ -38,8 +38,9 @@ def panel(board: Board) -> Iterator[Board]:
     machine = board.machine
     if not machine.is_on:
         machine.switch_on()
+        machine.wait_for("systemctl is-active retroscan")
     machine.run(f"mountpoint -q /mnt/source || {{ {SHARES} }}")
-    if machine.ask("test -x /usr/local/bin/retroscan").code:
+    if machine.ask("test -L /usr/local/bin/retroscan").code:
         with board.stage("install.sh, for the screen"):
             machine.run(INSTALL + PATIENCE)
     machine.run(WITH_SCREEN)
