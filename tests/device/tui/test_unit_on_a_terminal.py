@@ -94,10 +94,13 @@ def command(folder: Path, board: Path) -> list[str]:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """The unit's alone, as systemd gives it."""
+    """The unit's alone, as a systemd gives it that was told of another terminal."""
     said = dict(word.split("=", 1) for line in UNIT["Environment"] for word in line.split())
     watchdog_us = str(int(UNIT["WatchdogSec"][0]) * 1_000_000)
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "NUMBA_CACHE_DIR") if name in os.environ}
+    kept["COLORTERM"] = "truecolor"
+    for name in UNIT["UnsetEnvironment"]:
+        kept.pop(name)
     return {**kept, **said, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": watchdog_us}
 
 
