@@ -51,6 +51,13 @@ def test_becoming_ready_confirms_an_update_of_this_very_unit() -> None:
         assert any(line.endswith("/retrograph-slot starting") for line in settings(unit)["ExecStartPre"])
 
 
+def test_confirming_an_update_does_not_hang_up_the_screens_terminal() -> None:
+    """systemd resets and hangs up the terminal before every command of a unit, also those beside the main one."""
+    said = settings("retroscan-tui.service")
+    assert "ExecStartPost" in said
+    assert {"TTYReset", "TTYVHangup", "TTYVTDisallocate"} & said.keys() == set()
+
+
 def test_nobody_writes_across_the_screen() -> None:
     """What a unit on a terminal runs beside its program says so in the journal, and the kernel is asked to be quiet."""
     said = settings("retroscan-tui.service")
