@@ -159,7 +159,11 @@ put_files
 [ "$read_only" = no ] || end_swap_files
 set_up_firmware
 enable_units
+tell_of_ssh
 end_cloud_init
 tell_the_system
 install_program
+works=yes
+camera_is_loaded || works=no
 finish
+[ $works = yes ]

@@ -114,8 +114,8 @@ class CameraPipeline:
         except (RuntimeError, OSError, ValueError, LookupError) as error:
             if OUT_OF_MEMORY in str(error):
                 raise CameraError(
-                    f"camera {self.camera_id} finds no memory to {what}: give the kernel more (cma=256M in "
-                    "cmdline.txt), lower libcamera.buffer_count, or choose a smaller mode"
+                    f"camera {self.camera_id} finds no memory to {what}: keep dtoverlay=vc4-kms-v3d in config.txt, "
+                    "which sets it aside, lower libcamera.buffer_count, or choose a smaller mode"
                 ) from error
             raise CameraError(f"camera {self.camera_id} cannot {what} ({error}): check its cable and mode") from error
 

@@ -10,33 +10,16 @@ from xml.etree import ElementTree
 
 import pytest
 from console_font import SCREEN_FONTS
+from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
 from device.session.service_report import PATIENCE_S
 
-SYSTEMD = Path(__file__).parent.parent / "systemd"
 PROGRAM = "/usr/local/bin/retroscan"
-INSTRUMENTS = ("retroscan.service", "retroscan-tui.service")
 UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
 MOST_EXPOSED = 25
 """Of `systemd-analyze security`, in tenths: what no service may exceed. There are no exceptions."""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-
-Settings = dict[str, list[str]]
-
-
-def unit_files() -> list[Path]:
-    return sorted(path for path in SYSTEMD.iterdir() if path.suffix in {".service", ".mount", ".path"})
-
-
-def settings(name: str) -> Settings:
-    """What a unit says, each key with all its values."""
-    found: Settings = {}
-    for line in (SYSTEMD / name).read_text(encoding="utf-8").splitlines():
-        if "=" in line and not line.startswith(("#", "[")):
-            key, _, value = line.partition("=")
-            found.setdefault(key, []).append(value)
-    return found
 
 
 @pytest.fixture
@@ -62,7 +45,29 @@ def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
 
 def test_becoming_ready_confirms_an_update_of_this_very_unit() -> None:
     for unit in INSTRUMENTS:
-        assert settings(unit)["ExecStartPost"] == ["-+/usr/local/sbin/retrograph-slot confirm %n"]
+        (confirming,) = settings(unit)["ExecStartPost"]
+        assert confirming.startswith("-+/usr/")
+        assert confirming.endswith("/usr/local/sbin/retrograph-slot confirm %n")
+        assert any(line.endswith("/retrograph-slot starting") for line in settings(unit)["ExecStartPre"])
+
+
+def test_confirming_an_update_does_not_hang_up_the_screens_terminal() -> None:
+    """systemd resets and hangs up the terminal before every command of a unit, also those beside the main one."""
+    said = settings("retroscan-tui.service")
+    assert "ExecStartPost" in said
+    assert {"TTYReset", "TTYVHangup", "TTYVTDisallocate"} & said.keys() == set()
+
+
+def test_nobody_writes_across_the_screen() -> None:
+    """What a unit on a terminal runs beside its program says so in the journal, and the kernel is asked to be quiet."""
+    said = settings("retroscan-tui.service")
+    assert said["StandardOutput"] == said["StandardError"] == ["tty"]
+    beside = [line for key in ("ExecStartPre", "ExecStartPost") for line in said[key] if "retrograph-slot" in line]
+    assert len(beside) == 2
+    assert all(line.startswith("-+/usr/bin/systemd-cat ") for line in beside)
+    assert "-+/usr/bin/dmesg --console-off" in said["ExecStartPre"]
+    assert '-+/usr/bin/bash -c "kill -s RTMIN+21 1"' in said["ExecStartPre"], "see SIGRTMIN+21 in systemd(1)"
+    assert "-+/usr/bin/dmesg --console-on" in said["ExecStopPost"]
 
 
 def test_the_screen_has_a_font_that_holds_what_it_draws() -> None:
@@ -74,11 +79,37 @@ def test_the_screen_has_a_font_that_holds_what_it_draws() -> None:
 
 
 def test_the_camera_has_one_owner() -> None:
-    """Each of the two ends the other, and both hold the program's lock in the same folder."""
+    """Each of the two ends the other, and both hold the program's lock in the same folder.
+
+    Without an order between them the one would start while the other ends: it would find the lock held, and
+    its lights put out by the other's `lights-off`.
+    """
     for unit, other in (INSTRUMENTS, INSTRUMENTS[::-1]):
         said = settings(unit)
         assert other in said["Conflicts"][0].split()
         assert (said["RuntimeDirectory"], said["RuntimeDirectoryPreserve"]) == (["retroscan"], ["yes"])
+    in_order = [unit for unit, other in (INSTRUMENTS, INSTRUMENTS[::-1]) if other in ordered_after(unit)]
+    assert in_order == ["retroscan-tui.service"], "one of the two: both would be a circle"
+
+
+def ordered_after(unit: str) -> set[str]:
+    return {name for line in settings(unit)["After"] for name in line.split()}
+
+
+KINDS_OF_DEVICES = {"video4linux", "media", "dma_heap", "i2c", "gpiochip"}
+"""As these drivers call themselves in /proc/devices. Raspberry Pi's vcio is not among them: there it is a "misc"."""
+
+
+def test_devices_are_named_as_the_kernel_names_them() -> None:
+    """A name that is not in /proc/devices when the unit starts lets nothing in, and systemd does not say so."""
+    for path in unit_files():
+        allowed = [line.split()[0] for line in settings(path.name).get("DeviceAllow", [])]
+        kinds = {name.removeprefix("char-") for name in allowed if name.startswith("char-")}
+        assert kinds <= KINDS_OF_DEVICES, path.name
+        assert {name for name in allowed if name.startswith("/")} <= {"/dev/vcio", "/dev/tty1"}, path.name
+        if "video4linux" in kinds:
+            assert "modprobe@videodev.service" in settings(path.name)["Wants"], path.name
+            assert "modprobe@videodev.service" in ordered_after(path.name), path.name
 
 
 def test_who_opens_the_pairing_window_can_be_reached() -> None:

@@ -130,6 +130,8 @@ put_files() {
     put "$here/systemd/logind-retrograph.conf" /etc/systemd/logind.conf.d/retrograph.conf
     put "$here/systemd/timesyncd-retrograph.conf" /etc/systemd/timesyncd.conf.d/retrograph.conf
     put "$here/systemd/sshd-retrograph.conf" /etc/ssh/sshd_config.d/retrograph.conf
+    [ ! -d "$root/etc/NetworkManager" ] ||
+        put "$here/systemd/networkmanager-retrograph.conf" /etc/NetworkManager/conf.d/retrograph.conf
     put "$here/systemd/avahi-retrograph.xml" /etc/avahi/services/retrograph.service
     put "$here/systemd/first-boot" /usr/local/lib/retrograph/first-boot 755
     put "$here/systemd/usb-gadget" /usr/local/lib/retrograph/usb-gadget 755
@@ -209,6 +211,16 @@ install_program() {
         env RETROGRAPH_ROOT="$root" bash "$here/board/retrograph-slot" install "$release"
 }
 
+# apt's camera libraries and the program's own numpy meet here for the first time: what does not fit is told now, not at the
+# first press. A version that comes later is held to its self-test.
+camera_is_loaded() {
+    grep -q '^driver = "picamera2"' "$(profile_file)" && live && [ "$with_app" = yes ] && [ "$dry" = no ] || return 0
+    "$root/data/app/current/bin/python" -c 'from hal.picamera_stack import load_picamera2; load_picamera2()' \
+        >"$scratch/said" 2>&1 && return
+    say "The camera cannot be used: $(tail -n 1 "$scratch/said" | sed 's/^[A-Za-z_.]*: //')"
+    return 1
+}
+
 units() {
     echo data.mount srv-retrograph-store.mount retrograph-first-boot.service retrograph-trial.service
     echo retrograph-power.service retrograph-poweroff.path retrograph-rescue-key.service
@@ -233,6 +245,10 @@ enable_units() {
         [ "$(readlink "$root/etc/systemd/system/$unit" 2>/dev/null)" = /dev/null ] ||
             act "mask $unit" systemctl ${root:+--root="$root"} --quiet mask "$unit"
     done
+}
+tell_of_ssh() {
+    is_enabled ssh.service || is_enabled ssh.socket ||
+        say "  (SSH is switched off: no workstation can fetch a scan before sudo systemctl enable --now ssh)"
 }
 is_enabled() { find "$root/etc/systemd/system" -path '*.wants/*' -name "${1//\\/\\\\}" 2>/dev/null | grep -q .; }
 

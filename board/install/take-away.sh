@@ -8,7 +8,7 @@ installed_files() {
     done
     for unit in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$unit.service.d/i2c.conf"; done
     for unit in tmpfiles.d sysusers.d modules-load.d systemd/journald.conf.d systemd/system.conf.d systemd/logind.conf.d \
-        systemd/timesyncd.conf.d ssh/sshd_config.d; do echo "/etc/$unit/retrograph.conf"; done
+        systemd/timesyncd.conf.d ssh/sshd_config.d NetworkManager/conf.d; do echo "/etc/$unit/retrograph.conf"; done
     echo /etc/avahi/services/retrograph.service /etc/udev/rules.d/99-retrograph.rules /etc/default/retroscan \
         /etc/retrograph/board.toml /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \

@@ -16,6 +16,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 FOLDERS = (
     "boot/firmware/overlays",
+    "etc/NetworkManager/conf.d",
     "etc/NetworkManager/system-connections",
     "etc/avahi/services",
     "etc/default",

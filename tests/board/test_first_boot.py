@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from unit_files import settings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+UNPAIRED = "retrograph: no workstation was ever paired: the pairing code follows on the console\n"
 needs_ssh = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
 
 
@@ -34,10 +36,20 @@ def test_key_and_name_are_made_once(fresh: Path, run: Run, program: Path) -> Non
     assert key.with_name(key.name + ".pub").stat().st_mode & 0o777 == 0o644, "read when a workstation pairs"
     assert made[2].startswith("rg")
     assert "made the host key SHA256:" in first.stdout
-    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == ""
+    assert run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout == UNPAIRED
     assert (key.read_bytes(), key.with_name(key.name + ".pub").read_bytes(), name.read_text()) == made
     store = fresh / "var/lib/retroscan"
     assert program.with_name("retroscan-calls").read_text() == f"--board twin --store {store} identity\n"
+
+
+@needs_ssh
+def test_a_code_is_not_written_across_the_screen_of_a_panel(fresh: Path, run: Run, program: Path) -> None:
+    enabled = fresh / "etc/systemd/system/multi-user.target.wants/retroscan-tui.service"
+    enabled.parent.mkdir(parents=True)
+    enabled.symlink_to("/etc/systemd/system/retroscan-tui.service")
+    said = run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout
+    assert "Set-up on the screen shows a pairing code" in said
+    assert UNPAIRED not in said
 
 
 @needs_ssh
@@ -171,12 +183,20 @@ def test_the_usb_adapter_has_addresses_of_its_own(gadget: Path, run: Run) -> Non
     assert (gadget / "UDC").stat().st_mtime_ns == before
 
 
-def test_without_a_device_port_it_says_what_is_missing(gadget: Path, fresh: Path, run: Run) -> None:
-    (fresh / "sys/class/udc/fe980000.usb").rmdir()
+def test_without_a_device_port_it_says_what_is_missing_and_is_started_again(
+    gadget: Path, fresh: Path, run: Run
+) -> None:
+    """A unit that had succeeded in vain would stay as it is when the port is found a second later."""
+    controller = fresh / "sys/class/udc/fe980000.usb"
+    controller.rmdir()
     ran = run("systemd/usb-gadget", "start")
-    assert ran.returncode == 0
+    assert ran.returncode == 1
     assert "dtoverlay=dwc2" in ran.stderr
     assert not gadget.exists()
+    assert "usb-gadget.target" in settings("retrograph-usb.service")["WantedBy"][0].split()
+    controller.mkdir()
+    assert run("systemd/usb-gadget", "start").returncode == 0
+    assert (gadget / "UDC").read_text() == "fe980000.usb"
 
 
 def test_usb_usage(run: Run) -> None:

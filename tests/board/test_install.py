@@ -68,6 +68,8 @@ def test_what_is_installed(fresh: Path, run: Run) -> None:
     wanted = {path.name for path in (fresh / "etc/systemd/system").glob("*.wants/*")}
     assert {"retroscan.service", "data.mount", "retrograph-first-boot.service", "retrograph-usb.service"} <= wanted
     assert "retroscan-tui.service" not in wanted
+    network_manager = (fresh / "etc/NetworkManager/conf.d/retrograph.conf").read_text().splitlines()
+    assert network_manager[-2:] == ["[main]", "hostname-mode=none"], "the device's name is not the root's"
     network = fresh / "data/network/retrograph-usb.nmconnection"
     assert network.stat().st_mode & 0o777 == 0o600
     users = (fresh / "etc/passwd").read_text()
@@ -94,6 +96,14 @@ def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh
     ):
         done(run("board/install.sh", "--root", fresh, *BOARD, "--screen", screen))
         assert wanted() == {unit}
+
+
+def test_a_card_without_ssh_is_told_of(fresh: Path, run: Run) -> None:
+    """Raspberry Pi OS switches it on only when asked, and scans are fetched through it."""
+    off = "SSH is switched off"
+    assert off in run("board/install.sh", "--root", fresh, *BOARD).stdout
+    (fresh / "etc/systemd/system/multi-user.target.wants/ssh.service").symlink_to("/lib/systemd/system/ssh.service")
+    assert off not in run("board/install.sh", "--root", fresh, *BOARD).stdout
 
 
 def test_it_goes_on_where_it_was_interrupted(fresh: Path, run: Run) -> None:

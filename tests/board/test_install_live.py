@@ -37,17 +37,45 @@ def installer(fresh: Path, told: Path, tmp_path: Path) -> Path:
     (here / "board/retrograph-slot").write_text(f'echo "retrograph-slot $1" >>"{told}"\n')
     (fresh / "run/systemd/system").mkdir(parents=True)
     with (here / "board/install/take-away.sh").open("a", encoding="utf-8") as parts:
-        parts.write('live() { [ -z "$root" ] || [ "${FUNCNAME[1]}" = tell_the_system ]; }\n')
+        parts.write('live() { [ -z "$root" ] || [[ ${FUNCNAME[1]} = @(tell_the_system|camera_is_loaded) ]]; }\n')
     return here / "board/install.sh"
 
 
-def test_the_system_knows_units_folders_and_rules_before_the_program_is_swapped(
+@pytest.fixture
+def install(
     fresh: Path, installer: Path, told: Path, release: Callable[..., Path]
+) -> Callable[[str], subprocess.CompletedProcess[str]]:
+    def run(board: str) -> subprocess.CompletedProcess[str]:
+        command = ["bash", installer, "--root", fresh, "--board", board, "--release", release("1.0")]
+        environment = {**os.environ, "PATH": f"{told.parent / 'bin'}:{os.environ['PATH']}"}
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+NUMPY = "hal.errors.DriverMissing: picamera2 is installed and cannot be imported (numpy.dtype size changed)"
+
+
+@pytest.mark.parametrize(("board", "works"), [("pi5-imx296", True), ("pi5-imx296", False), ("twin", False)])
+def test_a_camera_that_cannot_be_loaded_is_told_at_once(
+    fresh: Path, install: Callable[[str], subprocess.CompletedProcess[str]], board: str, works: bool
+) -> None:
+    """Where there is one: the twin's needs no library of the system."""
+    python = fresh / "data/app/current/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\n" if works else f"#!/bin/sh\necho Traceback >&2; echo '{NUMPY}' >&2; exit 1\n")
+    python.chmod(0o755)
+    ran = install(board)
+    is_told = "The camera cannot be used: picamera2 is installed and cannot be imported (numpy" in ran.stdout
+    assert (is_told, ran.returncode) == ((False, 0) if works or board == "twin" else (True, 1)), ran.stdout
+    assert ran.stdout.splitlines()[-1] == "Done. Reboot."
+
+
+def test_the_system_knows_units_folders_and_rules_before_the_program_is_swapped(
+    told: Path, install: Callable[[str], subprocess.CompletedProcess[str]]
 ) -> None:
     """Or a new program would be tried, and started, under the units of the one before."""
-    command = ["bash", installer, "--root", fresh, "--board", "twin", "--release", release("1.0")]
-    environment = {**os.environ, "PATH": f"{told.parent / 'bin'}:{os.environ['PATH']}"}
-    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    ran = install("twin")
     assert ran.returncode == 0, ran.stderr
     lines = told.read_text().splitlines()
     assert (lines[0], lines[-1]) == ("systemctl daemon-reload", "retrograph-slot install")

@@ -75,5 +75,7 @@ def test_it_names_the_lines_that_are_wired() -> None:
 def test_config_txt_says_what_the_drivers_need() -> None:
     lines = (BOARD / "config.txt").read_text(encoding="utf-8").splitlines()
     assert {"camera_auto_detect=1", "dtparam=i2c_arm=on", "dtoverlay=retrograph", "dtparam=watchdog=on"} <= set(lines)
-    assert lines[-1] == "[all]", "what is appended must not fall into one board's section"
+    sections = [line for line in lines if line.startswith("[")]
+    assert sections[-1] == "[all]", "what is appended must not fall into one board's section"
+    assert not any(line.startswith("dtoverlay=cma") for line in lines), "it would shrink what vc4-kms-v3d keeps"
     assert max(map(len, lines)) < 98, "the firmware cuts longer lines"

@@ -136,5 +136,5 @@ def test_without_the_data_partition_ssh_answers_with_a_key_of_that_boot(board: B
     machine.run("systemctl is-active retrograph-rescue-key")
     assert machine.ask("mountpoint -q /data").code != 0
     assert machine.ask("systemctl is-active retroscan").code != 0
-    shown = machine.run("ssh-keyscan -t ed25519 localhost 2>/dev/null | awk '$2 == \"ssh-ed25519\" { print $3 }'")
+    shown = machine.run("ssh-keyscan -t ed25519 localhost 2>/dev/null | sed -n 's/.* ssh-ed25519 //p'")
     assert shown == machine.run("cut -d ' ' -f 2 /run/retrograph-rescue/ssh_host_ed25519_key.pub")
