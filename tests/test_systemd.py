@@ -231,7 +231,7 @@ def test_the_boot_budget_adds_up_and_names_the_units_own_times() -> None:
     steps = [int(seconds) for seconds in re.findall(r"^\| \d [^|]+\| (\d+) s \|", text, re.MULTILINE)]
     assert (len(steps), sum(steps) <= 25) == (6, True)
     assert f"its self-test, {settings('retrograph-trial.service')['TimeoutStartSec'][0]} s at most" in text
-    assert settings("system-retrograph.conf")["DefaultDeviceTimeoutSec"] == ["20s"]
+    assert settings("system-retrograph.conf")["DefaultDeviceTimeoutSec"] == ["45s"]
     assert text.count("| 20 s") == 2
     assert f"| {PATIENCE_S:.0f} s, then [ready and out of order]" in text
     for unit in INSTRUMENTS:
