@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 
 from device.fft_integrator import integrate_dct
-from device.inverse_map import InverseMap
-from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.uncertainty_kernel import (
@@ -37,12 +35,6 @@ NOISE_KEPT: Final = 0.35
 
 Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.350 of the
 standard deviation (the mean over all frequencies of the product of their transfer functions).
-"""
-
-RAISED_SPREAD: Final = 0.58
-"""Standard deviation of how much higher or lower than the balls' an object's slopes lie, in apex elevations.
-
-That of anything between one apex lower and one higher: what an object is like nobody knows beforehand.
 """
 
 CONTRADICTION_PX: Final = 8.0
@@ -69,20 +61,6 @@ def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Arra
         total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
     patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
     return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def raised_slopes(intensity: IntensityImage, inverse: InverseMap, error: SlopeError) -> SlopePair:
-    """By how much slopes (p, q) change were the skin one ball's apex higher than the balls taught; arrays (h, w).
-
-    It is asked on every few pixels only: the draws are no finer.
-    """
-    step = max(1, int(np.ceil(intensity.shape[1] / WIDEST_PX)))
-    row, column = (np.arange(step // 2, size, step) for size in intensity.shape)
-    values = intensity.values[np.ix_(row, column)]
-    shade = np.float32(1.0) + np.asarray(error.raised_shade, np.float32)
-    before, after = (inverse.on_grid(seen, column, row) for seen in (values, values / shade))
-    change = after - before
-    return change[..., 0], change[..., 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +95,6 @@ def slope_sigma(
 def height_uncertainty(
     height: HeightMap,
     gradients: GradientField,
-    raised: SlopePair,
     contradiction: Float32Array,
     error: SlopeError,
     at_rest: MaskArray,
@@ -127,7 +104,6 @@ def height_uncertainty(
     """Standard uncertainty of the height, and the draws it comes from.
 
     height : levelled, zero at untouched skin
-    raised : as `raised_slopes` returns it
     contradiction : as `contradicted_slope` returns it
     at_rest : where the height map's zero was taken
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
@@ -137,17 +113,16 @@ def height_uncertainty(
     size = (max(columns // factor, 3), max(rows // factor, 3))
     reduction = columns / size[0]
     spread = _drawn_spread(gradients, contradiction, error, size)
-    shown = _shrunk(gradients.valid, size)
-    raised_small = [_shrunk(slope, size) * shown for slope in raised]
     z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
+    steeper = _read_steeper(gradients, z_small / np.float32(height.pitch_um), error, size)
     zero = _shrunk(at_rest, size)
     zero /= max(float(zero.sum()), 1e-6)
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
     draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
     for draw_um in draws_um:
-        lift = np.float32(RAISED_SPREAD * rng.standard_normal())
-        p, q = (_slope_draw(rng, spread, error.patch_px / reduction) + lift * slope for slope in raised_small)
+        doubt = np.float32(rng.standard_normal())
+        p, q = (_slope_draw(rng, spread, error.patch_px / reduction) + doubt * slope for slope in steeper)
         draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         draw_um -= np.float32((draw_um * zero).sum())
     sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
@@ -178,6 +153,13 @@ def _drawn_spread(
     reduction = np.float32(gradients.p.shape[1] / size[0])
     patches = np.hypot(patch * growth, _shrunk(contradiction, size))
     return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
+
+
+def _read_steeper(gradients: GradientField, z_px: Float32Array, error: SlopeError, size: tuple[int, int]) -> SlopePair:
+    """By how much slopes may be read too steep for skin at another elevation than the balls'; on the reduced field."""
+    p, q = (_shrunk(np.where(gradients.valid, slope, np.float32(0.0)), size) for slope in (gradients.p, gradients.q))
+    share = error.elevation.steeper(z_px, p * p + q * q)
+    return share * p, share * q
 
 
 def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:

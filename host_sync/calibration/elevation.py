@@ -1,0 +1,89 @@
+"""At which elevation the balls showed each slope, and what it does when an object shows it at another.
+
+Lights that stand near look steeper to skin that is raised towards them: over a plane the direction of a light at the
+height h is proportional to 1 / (h - z). A ball shows its gentle slopes high up and its steep ones lower; an object that
+shows them z - z_ball higher is read too steep by the share (z - z_ball) / h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from device.ball import Ball, BallSamples
+from device.fft_integrator import integrate_dct
+from device.inverse_map import InverseMap
+from device.near_field import NearField
+from device.photometry import IntensityImage
+from device.surface import Float32Array, Float64Array
+
+MOST_PRESSES: Final = 3
+"""Presses whose apexes are measured."""
+
+GRID_STEP_PX: Final = 4
+REST_PERCENT: Final = 10.0
+"""Percentile of a press's heights that counts as untouched skin."""
+
+NEAREST_SHARE: Final = 0.2
+"""No light is taken to stand lower than five times the balls' apexes."""
+
+
+class TaughtElevation(msgspec.Struct, frozen=True):
+    """Of the balls of a calibration.
+
+    apex_px : elevation of their apexes over untouched skin, pixels
+    radius_px : their radius, pixels
+    nearness_per_px : one over the lights' height over the skin; 0 for lights far away
+    """
+
+    apex_px: float
+    radius_px: float
+    nearness_per_px: float
+
+    def steeper(self, z_px: Float32Array, square: Float32Array) -> Float32Array:
+        """By what share slopes are read too steep; arrays of one shape.
+
+        z_px : elevation, pixels
+        square : p² + q²
+        """
+        drop = np.float32(self.radius_px) * (np.float32(1.0) - np.float32(1.0) / np.sqrt(np.float32(1.0) + square))
+        taught = np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0))
+        return np.asarray((z_px - taught) * np.float32(self.nearness_per_px), np.float32)
+
+    def enlarged(self, factor: float) -> TaughtElevation:
+        """The same in frames with `factor` times as many pixels in each direction."""
+        return TaughtElevation(factor * self.apex_px, factor * self.radius_px, self.nearness_per_px / factor)
+
+
+def taught_elevation(
+    presses: Sequence[tuple[IntensityImage, Sequence[Ball]]], taught: BallSamples, inverse: InverseMap
+) -> TaughtElevation:
+    """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
+    balls = [ball for _, own in presses for ball in own]
+    apexes = [apex for image, own in presses[:MOST_PRESSES] for apex in _apexes_px(image, own, inverse)]
+    apex_px = max(float(np.median(apexes)), 0.0)
+    slope = np.stack([taught.p, taught.q], axis=-1).astype(np.float64)
+    nearness = 1.0 / NearField.of(taught, slope, inverse.shape).height_px(inverse.shape)
+    most = NEAREST_SHARE / max(apex_px, 1.0)
+    return TaughtElevation(
+        apex_px, float(np.median([ball.radius_px for ball in balls])), float(np.clip(nearness, 0.0, most))
+    )
+
+
+def _apexes_px(image: IntensityImage, balls: Sequence[Ball], inverse: InverseMap) -> Float64Array:
+    """Elevation of each ball's apex as the map reads its press, pixels, shape (balls,)."""
+    row, column = (np.arange(GRID_STEP_PX // 2, size, GRID_STEP_PX) for size in image.shape)
+    here = np.ix_(row, column)
+    slopes = inverse.on_grid(image.values[here], column, row) * image.valid[here][..., None]
+    z_px = integrate_dct(slopes[..., 0], slopes[..., 1], float(GRID_STEP_PX))
+    at = [
+        (
+            min(max(round(ball.row / GRID_STEP_PX), 0), len(row) - 1),
+            min(max(round(ball.column / GRID_STEP_PX), 0), len(column) - 1),
+        )
+        for ball in balls
+    ]
+    return np.array([z_px[place] for place in at]) - float(np.percentile(z_px, REST_PERCENT))
