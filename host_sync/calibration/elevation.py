@@ -12,13 +12,14 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from device.ball import Ball, BallSamples
 from device.fft_integrator import integrate_dct
 from device.inverse_map import InverseMap
 from device.near_field import NearField
 from device.photometry import IntensityImage
-from device.surface import Float32Array, Float64Array
+from device.surface import Float32Array
 
 MOST_PRESSES: Final = 3
 """Presses whose apexes are measured."""
@@ -63,8 +64,10 @@ def taught_elevation(
 ) -> TaughtElevation:
     """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
     balls = [ball for _, own in presses for ball in own]
-    apexes = [apex for image, own in presses[:MOST_PRESSES] for apex in _apexes_px(image, own, inverse)]
-    apex_px = max(float(np.median(apexes)), 0.0)
+    shown = [(image, own) for image, own in presses if own]
+    apex_px = float(
+        np.median([apex for image, own in shown[:MOST_PRESSES] for apex in _apexes_px(image, own, inverse)])
+    )
     slope = np.stack([taught.p, taught.q], axis=-1).astype(np.float64)
     nearness = 1.0 / NearField.of(taught, slope, inverse.shape).height_px(inverse.shape)
     most = NEAREST_SHARE / max(apex_px, 1.0)
@@ -73,17 +76,24 @@ def taught_elevation(
     )
 
 
-def _apexes_px(image: IntensityImage, balls: Sequence[Ball], inverse: InverseMap) -> Float64Array:
-    """Elevation of each ball's apex as the map reads its press, pixels, shape (balls,)."""
+def _apexes_px(image: IntensityImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
+    """Elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at least."""
     row, column = (np.arange(GRID_STEP_PX // 2, size, GRID_STEP_PX) for size in image.shape)
     here = np.ix_(row, column)
-    slopes = inverse.on_grid(image.values[here], column, row) * image.valid[here][..., None]
+    slopes = np.where(image.valid[here][..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
     z_px = integrate_dct(slopes[..., 0], slopes[..., 1], float(GRID_STEP_PX))
-    at = [
-        (
-            min(max(round(ball.row / GRID_STEP_PX), 0), len(row) - 1),
-            min(max(round(ball.column / GRID_STEP_PX), 0), len(column) - 1),
-        )
+    rest_px = float(np.percentile(z_px, REST_PERCENT))
+    return [
+        max(float(z_px[_nearest(row, ball.row), _nearest(column, ball.column)]) - rest_px, _rise_px(ball))
         for ball in balls
     ]
-    return np.array([z_px[place] for place in at]) - float(np.percentile(z_px, REST_PERCENT))
+
+
+def _nearest(points: NDArray[np.intp], position: float) -> int:
+    """Number of the point next to a position."""
+    return int(np.abs(points - position).argmin())
+
+
+def _rise_px(ball: Ball) -> float:
+    """Elevation of a ball's apex over the rim of its contact, pixels."""
+    return ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2))

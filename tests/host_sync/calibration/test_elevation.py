@@ -37,7 +37,7 @@ def map_that_reads(ball: Ball) -> InverseMap:
     return cast(InverseMap, SimpleNamespace(shape=SHAPE, on_grid=on_grid))
 
 
-def samples() -> BallSamples:
+def samples(height_px: float = HEIGHT_PX) -> BallSamples:
     """Gentle slopes anywhere in the field, lit by three points."""
     random = np.random.default_rng(0)
     slope = random.uniform(-0.3, 0.3, (3000, 2))
@@ -45,7 +45,7 @@ def samples() -> BallSamples:
     angle = np.radians([90.0, 210.0, 330.0])
     across = 160.0 + 700.0 * np.cos(angle)[None] - column[:, None]
     down = 120.0 + 700.0 * np.sin(angle)[None] - row[:, None]
-    facing = 1.0 - (slope[:, :1] * across + slope[:, 1:] * down) / HEIGHT_PX
+    facing = 1.0 - (slope[:, :1] * across + slope[:, 1:] * down) / height_px
     intensity = facing / np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True))
     return BallSamples(
         intensity.astype(np.float32),
@@ -57,10 +57,16 @@ def samples() -> BallSamples:
     )
 
 
-def measured() -> TaughtElevation:
+def image_of(valid: np.ndarray | None = None) -> IntensityImage:
+    return IntensityImage(
+        np.ones((*SHAPE, 3), np.float32), np.ones(SHAPE, bool) if valid is None else valid, np.zeros(SHAPE, bool)
+    )
+
+
+def measured(*, without_balls: int = 0) -> TaughtElevation:
     ball = Ball(150.0, 110.0, CONTACT_PX, RADIUS_PX)
-    image = IntensityImage(np.ones((*SHAPE, 3), np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))
-    return taught_elevation([(image, [ball])], samples(), map_that_reads(ball))
+    presses: list[tuple[IntensityImage, list[Ball]]] = [(image_of(), [])] * without_balls
+    return taught_elevation([*presses, (image_of(), [ball])], samples(), map_that_reads(ball))
 
 
 def test_balls_and_lights_are_measured_over_the_skin() -> None:
@@ -85,4 +91,37 @@ def test_another_size_of_the_same_field_says_the_same() -> None:
 
 
 def test_lights_are_never_taken_to_stand_among_the_balls() -> None:
-    assert measured().nearness_per_px <= NEAREST_SHARE / measured().apex_px
+    ball = Ball(150.0, 110.0, CONTACT_PX, RADIUS_PX)
+    low = taught_elevation([(image_of(), [ball])], samples(50.0), map_that_reads(ball))
+    assert low.nearness_per_px == pytest.approx(NEAREST_SHARE / low.apex_px)
+
+
+def test_presses_whose_balls_were_all_rejected_are_passed_over() -> None:
+    assert measured(without_balls=5) == measured()
+
+
+def test_pixels_without_an_intensity_spoil_nothing() -> None:
+    valid = np.ones(SHAPE, bool)
+    valid[:40, 200:] = False
+    image = image_of(valid)
+    image.values[~valid] = np.nan
+    ball = Ball(150.0, 110.0, CONTACT_PX, RADIUS_PX)
+    inverse = map_that_reads(ball)
+    right = inverse.on_grid
+
+    def on_grid(values: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return right(values, column, row) * values[..., :1]
+
+    spoilt = cast(InverseMap, SimpleNamespace(shape=SHAPE, on_grid=on_grid))
+    assert taught_elevation([(image, [ball])], samples(), spoilt).apex_px == pytest.approx(20.0, rel=0.1)
+
+
+def test_a_field_without_untouched_skin_still_shows_a_ball_over_its_rim() -> None:
+    ball = Ball(150.0, 110.0, CONTACT_PX, RADIUS_PX)
+
+    def on_grid(_values: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return np.zeros((len(row), len(column), 2), np.float32)
+
+    flat = cast(InverseMap, SimpleNamespace(shape=SHAPE, on_grid=on_grid))
+    rise_px = RADIUS_PX - np.sqrt(RADIUS_PX**2 - CONTACT_PX**2)
+    assert taught_elevation([(image_of(), [ball])], samples(), flat).apex_px == pytest.approx(rise_px)
