@@ -46,11 +46,14 @@ class NearField:
 
     @classmethod
     def of(cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> NearField:
-        """The directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell."""
+        """The directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
+
+        Where no slope is gentle every direction is nought: lights that say nothing.
+        """
         steepness = np.linalg.norm(slope, axis=1)
         gentle = steepness < GENTLE
         place = monomials(field_position(samples.column[gentle], samples.row[gentle], shape), PLACE_DEGREE)
-        design = (place[:, :, None] * slope[gentle, None, :]).reshape(len(place), -1)
+        design = (place[:, :, None] * slope[gentle, None, :]).reshape(len(place), 2 * place.shape[1])
         brightness = samples.intensity[gentle] * np.sqrt(1.0 + steepness[gentle, None] ** 2)
         directions = np.linalg.lstsq(design, brightness - 1.0, rcond=None)[0]
         return cls(directions.reshape(place.shape[1], 2, 3).astype(np.float32))

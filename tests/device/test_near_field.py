@@ -46,6 +46,13 @@ def test_only_gentle_slopes_tell_where_the_lights_are() -> None:
     np.testing.assert_allclose(NearField.of(samples, slope, SHAPE).directions, expected.directions, atol=5e-3)
 
 
+def test_slopes_none_of_which_is_gentle_tell_of_no_light() -> None:
+    samples, slope, _ = scattered(500, 0.9, 0)
+    near = NearField.of(samples, np.sign(slope) * (np.abs(slope) + GENTLE), SHAPE)
+    np.testing.assert_array_equal(near.directions, 0.0)
+    assert near.height_px(SHAPE) == np.inf
+
+
 def test_rows_are_read_as_single_pixels_are() -> None:
     samples, slope, _ = scattered(2000, 0.5, 0)
     near = NearField.of(samples, slope, SHAPE)
