@@ -62,6 +62,11 @@ class InverseMap:
     leverage: Leverage | None = None
     near: NearCurve | None = None
 
+    @property
+    def own(self) -> SlopeCurve:
+        """The curve that slopes are read with beside that of light."""
+        return self.curve if self.near is None else self.near.curve
+
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
         """Refuse an image that is not of this field's size divided by `binning`.
 

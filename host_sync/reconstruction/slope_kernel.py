@@ -69,7 +69,7 @@ class SlopeKernel:
         share = 0.0 if light is None else light.share
         near = inverse_map.near
         self._limits = _limits(inverse_map.curve)
-        self._own = _tabled((near or inverse_map).curve, 1.0 - share)
+        self._own = _tabled(inverse_map.own, 1.0 - share)
         self._near = _ANY_LIGHTS if near is None else near.field.by_powers()
         self._lit = self._own if light is None else _tabled(light.curve, share)
         self._light = _DARK if light is None else _light_by_column(light.field, inverse_map.shape[1])
@@ -190,16 +190,14 @@ def _evaluate(
                 add_waves_to_u(run, lit.waves, light_waves_along)
             if len(near):
                 load_near(seen, near_along, run)
-                take_variables(run, own.limits)
-                take_u(run, own.degree, own.place, along, len(light) > 0)
-                add_waves_to_u(run, own.waves, waves_along)
-                load(seen, run)
-                take_variables(run, limits)
             else:
                 load(seen, run)
-                take_variables(run, own.limits)
-                take_u(run, own.degree, own.place, along, len(light) > 0)
-                add_waves_to_u(run, own.waves, waves_along)
+            take_variables(run, own.limits)
+            take_u(run, own.degree, own.place, along, len(light) > 0)
+            add_waves_to_u(run, own.waves, waves_along)
+            if len(near):
+                load(seen, run)
+                take_variables(run, limits)
             take_slopes(run)
             take_trust(run)
             _store(
