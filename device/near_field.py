@@ -68,18 +68,6 @@ class NearField:
         place = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1).reshape(-1, 2)
         return self.seen(values.reshape(-1, 3), place.astype(np.float64)).reshape(values.shape)
 
-    def height_px(self, shape: tuple[int, int]) -> float:
-        """The lights' height over the skin, pixels of a full-size field (H, W), mean; inf where they are far away.
-
-        Over a plane a light's direction changes by one over its height from pixel to pixel.
-        """
-        rows, columns = shape
-        place = position_exponents(PLACE_DEGREE)
-        across = self.directions[place.index((1, 0)), 0].mean() * 2.0 / columns
-        down = self.directions[place.index((0, 1)), 1].mean() * 2.0 / rows
-        nearness = 0.5 * float(across + down)
-        return 1.0 / nearness if nearness > 0.0 else float("inf")
-
     def by_powers(self) -> Float32Array:
         """Directions by component, channel, and powers of column and row position: float32 array (2, 3, 3, 3)."""
         powers = PLACE_DEGREE + 1

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from device.ball import Ball, BallSamples
 from device.fft_integrator import integrate_dct
 from device.inverse_map import InverseMap
-from device.near_field import NearField
 from device.photometry import IntensityImage
-from device.surface import Float32Array
+from device.surface import Float32Array, GradientField, HeightMap
+from host_sync.calibration.light_height import nearness_per_px
+from host_sync.reconstruction.level import levelled, untouched_skin
 
 MOST_PRESSES: Final = 3
 """Presses whose apexes are measured."""
 
 GRID_STEP_PX: Final = 4
-REST_PERCENT: Final = 10.0
-"""Percentile of a press's heights that counts as untouched skin."""
+"""Every fourth pixel tells an apex well enough."""
 
 NEAREST_SHARE: Final = 0.2
 """No light is taken to stand lower than five times the balls' apexes."""
@@ -63,30 +63,25 @@ def taught_elevation(
     presses: Sequence[tuple[IntensityImage, Sequence[Ball]]], taught: BallSamples, inverse: InverseMap
 ) -> TaughtElevation:
     """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
-    balls = [ball for _, own in presses for ball in own]
-    shown = [(image, own) for image, own in presses if own]
-    apex_px = float(
-        np.median([apex for image, own in shown[:MOST_PRESSES] for apex in _apexes_px(image, own, inverse)])
-    )
-    slope = np.stack([taught.p, taught.q], axis=-1).astype(np.float64)
-    nearness = 1.0 / NearField.of(taught, slope, inverse.shape).height_px(inverse.shape)
+    radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
+    shown = [(image, balls) for image, balls in presses if balls][:MOST_PRESSES]
+    apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))
     most = NEAREST_SHARE / max(apex_px, 1.0)
-    return TaughtElevation(
-        apex_px, float(np.median([ball.radius_px for ball in balls])), float(np.clip(nearness, 0.0, most))
-    )
+    return TaughtElevation(apex_px, radius_px, min(nearness_per_px(taught), most))
 
 
 def _apexes_px(image: IntensityImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
     """Elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at least."""
     row, column = (np.arange(GRID_STEP_PX // 2, size, GRID_STEP_PX) for size in image.shape)
     here = np.ix_(row, column)
-    slopes = np.where(image.valid[here][..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
-    z_px = integrate_dct(slopes[..., 0], slopes[..., 1], float(GRID_STEP_PX))
-    rest_px = float(np.percentile(z_px, REST_PERCENT))
-    return [
-        max(float(z_px[_nearest(row, ball.row), _nearest(column, ball.column)]) - rest_px, _rise_px(ball))
-        for ball in balls
-    ]
+    valid = np.ascontiguousarray(image.valid[here])
+    slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
+    p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+    # In pixels instead of µm: zero as a scan's height map has it.
+    height = HeightMap(integrate_dct(p, q, float(GRID_STEP_PX)), float(GRID_STEP_PX))
+    at_rest = untouched_skin(GradientField(p, q, valid, valid.astype(np.float32)))
+    z_px = levelled(height, at_rest).z_um
+    return [max(float(z_px[_nearest(row, ball.row), _nearest(column, ball.column)]), _rise_px(ball)) for ball in balls]
 
 
 def _nearest(points: NDArray[np.intp], position: float) -> int:
