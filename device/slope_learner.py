@@ -54,7 +54,7 @@ WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
 FEWEST_FOR_WAVES: Final = 8
-"""Balls from which a curve may have waves: what few balls say of so many terms is chance."""
+"""Balls from which a curve may have waves or read near lights' slopes: what few balls say of so much is chance."""
 
 
 def wavy_form() -> CurveForm:
@@ -122,8 +122,7 @@ def preferred_learner(
     count : of balls
     light : for a curve that reads light
     """
-    plain = [_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS]
-    best = min(plain, key=lambda found: found[1])
+    best = min((_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS), key=_error)
     if count < FEWEST_FOR_WAVES:
         return best
     wavy = _at_best_penalty(samples, slope, count, shape, wavy_form(), light)
@@ -135,8 +134,7 @@ def near_learner(
 ) -> tuple[SlopeLearner, float]:
     """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
     near = NearField.of(samples, slope, shape)
-    found = [_at_best_penalty(samples, slope, count, shape, form, near) for form in NEAR_FORMS]
-    return min(found, key=lambda one: one[1])
+    return min((_at_best_penalty(samples, slope, count, shape, form, near) for form in NEAR_FORMS), key=_error)
 
 
 def _at_best_penalty(
@@ -153,6 +151,11 @@ def _at_best_penalty(
     errors = [_balanced_error(samples, slope_from_stereographic(u), slope) for u in held_out]
     least = int(np.argmin(errors))
     return replace(learner, penalty=PENALTIES[least]), errors[least]
+
+
+def _error(found: tuple[SlopeLearner, float]) -> float:
+    """What learners are chosen by, one at a time: their features take a hundred megabytes."""
+    return found[1]
 
 
 def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:
