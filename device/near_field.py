@@ -53,9 +53,8 @@ class NearField:
         steepness = np.linalg.norm(slope, axis=1)
         gentle = steepness < GENTLE
         place = monomials(field_position(samples.column[gentle], samples.row[gentle], shape), PLACE_DEGREE)
-        design = (place[:, :, None] * slope[gentle, None, :]).reshape(len(place), 2 * place.shape[1])
         brightness = samples.intensity[gentle] * np.sqrt(1.0 + steepness[gentle, None] ** 2)
-        directions = np.linalg.lstsq(design, brightness - 1.0, rcond=None)[0]
+        directions = np.linalg.lstsq(direction_features(slope[gentle], place), brightness - 1.0, rcond=None)[0]
         return cls(directions.reshape(place.shape[1], 2, 3).astype(np.float32))
 
     def seen(self, intensity: Float32Array, place: Float64Array) -> Float32Array:
@@ -87,6 +86,15 @@ class NearField:
         if directions.shape != (len(position_exponents(PLACE_DEGREE)), 2, 3) or not np.isfinite(directions).all():
             raise ValueError(f"directions of lights of shape {directions.shape}")
         return cls(directions)
+
+
+def direction_features(slope: Float64Array, place: Float64Array) -> Float64Array:
+    """What directions are multiplied by to give a·g: float64 array of shape (N, 2 K).
+
+    slope : float64 array of shape (N, 2)
+    place : float64 array of shape (N, K), monomials of position
+    """
+    return np.asarray((place[:, :, None] * slope[:, None, :]).reshape(len(place), 2 * place.shape[1]))
 
 
 def _solved(intensity: Float32Array, across: Float64Array, down: Float64Array) -> Float32Array:

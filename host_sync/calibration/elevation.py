@@ -67,7 +67,7 @@ def taught_elevation(
     shown = [(image, balls) for image, balls in presses if balls][:MOST_PRESSES]
     apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))
     most = NEAREST_SHARE / max(apex_px, 1.0)
-    return TaughtElevation(apex_px, radius_px, min(nearness_per_px(taught), most))
+    return TaughtElevation(apex_px, radius_px, min(nearness_per_px(taught, inverse.shape), most))
 
 
 def _apexes_px(image: IntensityImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:

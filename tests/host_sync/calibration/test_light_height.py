@@ -32,15 +32,15 @@ def samples(places: list[tuple[float, float]], height_px: float = HEIGHT_PX, con
 
 @pytest.mark.parametrize("places", [CORNERS, [(column, 120.0) for column in (40.0, 120.0, 200.0, 280.0)]])
 def test_four_balls_tell_it_in_the_corners_and_in_a_row(places: list[tuple[float, float]]) -> None:
-    assert 1.0 / nearness_per_px(samples(places)) == pytest.approx(HEIGHT_PX, rel=0.05)
+    assert 1.0 / nearness_per_px(samples(places), SHAPE) == pytest.approx(HEIGHT_PX, rel=0.05)
 
 
 def test_lights_far_away_have_no_nearness() -> None:
-    assert nearness_per_px(samples(CORNERS, 1e6)) < 0.02 / HEIGHT_PX
+    assert nearness_per_px(samples(CORNERS, 1e6), SHAPE) < 0.02 / HEIGHT_PX
 
 
 def test_where_no_slope_is_gentle_nothing_is_claimed() -> None:
     whole = samples(CORNERS, contact_px=30.0)
     steep = np.hypot(whole.p, whole.q) > 0.4
     parts = (part[steep] for part in (whole.intensity, whole.p, whole.q, whole.column, whole.row, whole.ball))
-    assert nearness_per_px(BallSamples(*parts)) == 0.0
+    assert nearness_per_px(BallSamples(*parts), SHAPE) == 0.0
