@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from device.fft_integrator import integrate_dct
+from device.inverse_map import InverseMap
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.uncertainty_kernel import (
@@ -43,7 +44,17 @@ CONTRADICTION_PX: Final = 8.0
 CONTRADICTION_CELL_PX: Final = 4
 """The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
 
+PLACES: Final = 48
+"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly."""
+
 SlopePair = tuple[Float32Array, Float32Array]
+
+
+def slopes_at_rest(inverse: InverseMap) -> SlopePair:
+    """Slopes that the map reads on untouched skin, which has none: float32 arrays of shape (PLACES, PLACES)."""
+    down, across = ((np.arange(PLACES) + 0.5) * (size / PLACES) - 0.5 for size in inverse.shape)
+    slopes = inverse.on_grid(np.ones((PLACES, PLACES, 3), np.float32), across, down)
+    return slopes[..., 0], slopes[..., 1]
 
 
 def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
@@ -97,6 +108,7 @@ def height_uncertainty(
     gradients: GradientField,
     contradiction: Float32Array,
     error: SlopeError,
+    resting: SlopePair,
     at_rest: MaskArray,
     scale_share: float = 0.0,
     seed: int = 0,
@@ -105,6 +117,7 @@ def height_uncertainty(
 
     height : levelled, zero at untouched skin
     contradiction : as `contradicted_slope` returns it
+    resting : as `slopes_at_rest` returns them
     at_rest : where the height map's zero was taken
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     """
@@ -115,14 +128,18 @@ def height_uncertainty(
     spread = _drawn_spread(gradients, contradiction, error, size)
     z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
     steeper = _read_steeper(gradients, z_small / np.float32(height.pitch_um), error, size)
+    bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
     zero = _shrunk(at_rest, size)
     zero /= max(float(zero.sum()), 1e-6)
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
     draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
     for draw_um in draws_um:
-        doubt = np.float32(rng.standard_normal())
-        p, q = (_slope_draw(rng, spread, error.patch_px / reduction) + doubt * slope for slope in steeper)
+        raised, unlevel = rng.standard_normal(2, np.float32)
+        p, q = (
+            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + unlevel * rest
+            for steep, rest in zip(steeper, bias, strict=True)
+        )
         draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         draw_um -= np.float32((draw_um * zero).sum())
     sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)

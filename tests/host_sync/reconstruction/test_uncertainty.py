@@ -37,10 +37,19 @@ def error_of(pixel_deg: float, patch_deg: float, patch_px: float, scale_share: f
     return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, FAR, scale_share)
 
 
-def known_of(gradients: GradientField, error: SlopeError, scale_share: float = 0.0) -> HeightUncertainty:
+LEVEL = (np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
+"""Slopes that a map without fault reads on untouched skin."""
+
+
+def known_of(
+    gradients: GradientField,
+    error: SlopeError,
+    scale_share: float = 0.0,
+    resting: tuple[np.ndarray, np.ndarray] = LEVEL,
+) -> HeightUncertainty:
     height = HeightMap(bump().astype(np.float32), PITCH_UM)
     return height_uncertainty(
-        height, gradients, np.zeros(SHAPE, np.float32), error, untouched_skin(gradients), scale_share
+        height, gradients, np.zeros(SHAPE, np.float32), error, resting, untouched_skin(gradients), scale_share
     )
 
 
@@ -121,6 +130,15 @@ def test_skin_lower_than_the_balls_apexes_is_less_sure_under_near_lights() -> No
     plateau = sigma[95:105, 120:136]
     assert 0.004 * bump().max() < plateau.mean() < 0.05 * bump().max()
     assert sigma[:10].max() < 0.2 * plateau.mean()
+
+
+def test_what_the_map_reads_on_untouched_skin_is_not_known_better_than_that() -> None:
+    across = (np.arange(8, dtype=np.float32) - 3.5) / 3.5
+    bowl = 1e-3 * np.broadcast_to(across, (8, 8)).astype(np.float32)
+    known = known_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0), resting=(bowl, np.zeros_like(bowl)))
+    sag_um = 0.5 * 1e-3 * 0.5 * SHAPE[1] * PITCH_UM
+    drawn_um = np.abs(known.draws_um[:, 100, 2] - known.draws_um[:, 100, 128])
+    assert 0.5 * sag_um < np.sqrt((drawn_um**2).mean()) < 1.5 * sag_um
 
 
 def test_an_unsure_scale_of_the_pixel_pitch_counts_as_well() -> None:
