@@ -131,17 +131,19 @@ def height_uncertainty(
     bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
     zero = _shrunk(at_rest, size)
     zero /= max(float(zero.sum()), 1e-6)
+    # Skin at rest is flat: by how much its heights differ, their zero is unknown.
+    unlevel_um = float(np.sqrt((zero * (z_small - (zero * z_small).sum()) ** 2).sum()))
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
     draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
     for draw_um in draws_um:
-        raised, unlevel = rng.standard_normal(2, np.float32)
+        raised, tilted = rng.standard_normal(2, np.float32)
         p, q = (
-            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + unlevel * rest
+            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
             for steep, rest in zip(steeper, bias, strict=True)
         )
         draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
-        draw_um -= np.float32((draw_um * zero).sum())
+        draw_um += np.float32(unlevel_um * rng.standard_normal()) - np.float32((draw_um * zero).sum())
     sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
     return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), draws_um)
