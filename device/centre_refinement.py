@@ -32,7 +32,7 @@ FEW_DEVIATION: Final = 0.5
 """The same among fewer balls, each of which leaves a hole in the field when it is held out."""
 
 Learners = Sequence[tuple[SlopeLearner, float]]
-"""Learners with their shares, the one that reads intensity first."""
+"""The learners of a map with their shares."""
 
 
 @dataclass(slots=True, eq=False)

@@ -27,7 +27,7 @@ def log_intensity(intensity: Float32Array) -> Float32Array:
 class ColourSpace:
     """A clip to what the balls showed, a centre and a scale.
 
-    centre, scale, low, high : float32 arrays of shape (3,), of log intensity, or of light itself where `linear`
+    centre, scale, low, high : float32 arrays of shape (3,), of log intensity, or of colours themselves where `linear`
     linear : whether colours are taken as they are
     """
 
@@ -40,7 +40,7 @@ class ColourSpace:
     @classmethod
     def observed(cls, colours: Float32Array, *, linear: bool = False) -> ColourSpace:
         """The space of the observed colours, array of shape (N, 3)."""
-        seen = np.maximum(colours, np.float32(0.0)) if linear else log_intensity(colours)
+        seen = colours if linear else log_intensity(colours)
         low, high = np.percentile(seen, RANGE_PERCENT, axis=0)
         fields = (seen.mean(axis=0), np.maximum(2.0 * seen.std(axis=0), 1e-6), low, high)
         centre, scale, least, most = (field.astype(np.float32) for field in fields)
@@ -53,7 +53,7 @@ class ColourSpace:
 
     def variables(self, colours: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard deviations."""
-        seen = np.maximum(colours, np.float32(0.0)) if self.linear else log_intensity(colours)
+        seen = colours if self.linear else log_intensity(colours)
         clipped = np.clip(seen, self.low, self.high)
         excess = np.abs(seen - clipped).max(axis=-1) / np.float32(self.spread)
         return (clipped - self.centre) / self.scale, np.asarray(excess, np.float32)

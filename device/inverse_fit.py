@@ -16,11 +16,21 @@ import numpy as np
 from device.ball import Ball, BallSamples
 from device.centre_refinement import Learners, Refined, refine, true_slopes
 from device.colour_domain import ColourDomain
+from device.curve_readings import LightCurve, NearCurve
 from device.errors import CalibrationError
 from device.held_out_ridge import angle_between_deg
-from device.inverse_map import InverseMap, LightCurve
+from device.inverse_map import InverseMap
 from device.light_field import LightField
-from device.slope_learner import CurveForm, learner_of, preferred_learner
+from device.near_field import NearField
+from device.slope_curve import SlopeCurve
+from device.slope_learner import (
+    FEWEST_FOR_WAVES,
+    CurveForm,
+    SlopeLearner,
+    learner_of,
+    near_learner,
+    preferred_learner,
+)
 from device.surface import Float64Array, MaskArray
 
 LONE_BALL_FORM: Final = CurveForm(4, 0)
@@ -30,6 +40,12 @@ DISTRUST_POWER: Final = 20.0
 
 LEAST_SHARE: Final = 0.1
 """A curve of light with less weight is left out: it would cost as much as one that helps."""
+
+NEAR_GAIN: Final = 0.975
+"""Share of the held-out error of intensity's curve that a curve of near lights' slopes must reach to take its place.
+
+It costs a third more; and a gain of one per cent on oem-bga's balls was lost again beside the curve of light.
+"""
 
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 FEWEST_PIXELS: Final = 500
@@ -75,7 +91,7 @@ def fit_inverse_map(
 ) -> InverseFit:
     """The inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors.
 
-    light : of untouched skin, for a second curve that reads light where held-out balls gain by it
+    light : of untouched skin, for curves that want a reference, where held-out balls gain by them
 
     Raises
     ------
@@ -95,7 +111,7 @@ def fit_inverse_map(
         domain = ColourDomain.observed(samples.intensity)
         fitted = InverseMap(shape, domain, learner.curve(solution), balls[0].steepest)
         return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
-    learners = _learners(chosen, slope, len(balls), shape, light)
+    plain, learners = _learners(chosen, slope, len(balls), shape, light)
     state = refine(chosen, balls, learners)
     if not state.kept.any():
         raise CalibrationError(
@@ -106,7 +122,7 @@ def fit_inverse_map(
     error = angle_between_deg(state.held_out[rows], state.slope[rows])
     steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
     return InverseFit(
-        map=_map(learners, state, domain, shape, steepest),
+        map=_map(plain, learners, state, domain, shape, steepest),
         balls=state.balls,
         kept=state.kept,
         ball_error_deg=state.errors_deg,
@@ -117,14 +133,19 @@ def fit_inverse_map(
 
 def _learners(
     samples: BallSamples, slope: Float64Array, count: int, shape: tuple[int, int], light: LightField | None
-) -> Learners:
-    """The learner of intensity and, where it is worth its cost, that of light."""
+) -> tuple[SlopeLearner, Learners]:
+    """The learner of intensity; and the map's: it or near lights', and light's where that is worth its cost."""
     plain, error = preferred_learner(samples, slope, count, shape)
     if light is None:
-        return [(plain, 1.0)]
+        return plain, [(plain, 1.0)]
+    own = plain
+    if count >= FEWEST_FOR_WAVES:
+        near, near_error = near_learner(samples, slope, count, shape)
+        if near_error < NEAR_GAIN * error:
+            own, error = near, near_error
     lit, light_error = preferred_learner(samples, slope, count, shape, light)
     share = 1.0 / (1.0 + (light_error / error) ** DISTRUST_POWER)
-    return [(plain, 1.0)] if share < LEAST_SHARE else [(plain, 1.0 - share), (lit, share)]
+    return plain, [(own, 1.0)] if share < LEAST_SHARE else [(own, 1.0 - share), (lit, share)]
 
 
 def _thinned(samples: BallSamples, count: int) -> BallSamples:
@@ -143,17 +164,26 @@ def _thinned(samples: BallSamples, count: int) -> BallSamples:
 
 
 def _map(
-    learners: Learners, state: Refined, domain: ColourDomain, shape: tuple[int, int], steepest: float
+    plain: SlopeLearner,
+    learners: Learners,
+    state: Refined,
+    domain: ColourDomain,
+    shape: tuple[int, int],
+    steepest: float,
 ) -> InverseMap:
     """The map that all kept balls teach."""
-    curves = [
-        learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
-        for learner, _ in learners
-    ]
-    learner, share = learners[-1]
-    light = None if learner.light is None else LightCurve(learner.light, curves[-1], share)
-    leverage = learners[0][0].leverage(state.slope, state.weight, state.kept)
-    return InverseMap(shape, domain, curves[0], steepest, light, leverage)
+
+    def taught(learner: SlopeLearner) -> SlopeCurve:
+        return learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
+
+    light, near = None, None
+    for learner, share in learners:
+        if isinstance(learner.reading, LightField):
+            light = LightCurve(learner.reading, taught(learner), share)
+        elif isinstance(learner.reading, NearField):
+            near = NearCurve(learner.reading, taught(learner))
+    leverage = plain.leverage(state.slope, state.weight, state.kept)
+    return InverseMap(shape, domain, taught(plain), steepest, light, leverage, near)
 
 
 def _bands(error_deg: Float64Array, slope: Float64Array) -> tuple[SlopeBand, ...]:

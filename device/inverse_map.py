@@ -2,8 +2,9 @@
 
 Near lights make the reflectance change over the field, so that one colour means different slopes in different places.
 The map is a curve of log intensity, a polynomial with or without waves (see `slope_curve`), whose every coefficient is
-itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, a second such
-curve reads the frame's light, not divided by the reference, and the map is the weighted mean of both.
+itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, its place is
+taken by a curve that reads what a matt skin's slopes would be under near lights (see `near_field`); and a further curve
+reads the frame's light, not divided by the reference, and the map is the weighted mean of both.
 
 Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried
 (docs/decisions/0004-direct-inverse.md).
@@ -19,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.colour_domain import ColourDomain
+from device.curve_readings import LightCurve, NearCurve
 from device.errors import CalibrationMismatch, RecordError
 from device.leverage import Leverage
-from device.light_field import LightField
 from device.photometry import IntensityImage
 from device.polynomials import field_position
 from device.slope_curve import SlopeCurve, with_prefix
@@ -41,29 +42,16 @@ _BLOCK_ROWS: Final = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightCurve:
-    """A curve that reads light instead of intensity, and its part in the map.
-
-    field : light of untouched skin
-    curve : what reads it; its colours are light relative to the field's mean
-    share : its weight, 0 to 1; the curve of intensity has the rest
-    """
-
-    field: LightField
-    curve: SlopeCurve
-    share: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class InverseMap:
     """The fitted map.
 
     shape : (H, W) of the full-size field that positions are scaled by
     domain : the colours that the balls showed
-    curve : the curve that reads intensity
+    curve : the curve that reads intensity; alone where there are no others, and always what the quick look tabulates
     steepest : slope up to which the balls taught it; what lies beyond is extrapolated
     light : the curve that reads light, None where it would not help
     leverage : of the curve that reads intensity, None where one ball alone taught it
+    near : the curve in its place that reads a matt skin's slopes, None where it would not help
     """
 
     shape: tuple[int, int]
@@ -72,6 +60,12 @@ class InverseMap:
     steepest: float
     light: LightCurve | None = None
     leverage: Leverage | None = None
+    near: NearCurve | None = None
+
+    @property
+    def own(self) -> SlopeCurve:
+        """The curve that slopes are read with beside that of light."""
+        return self.curve if self.near is None else self.near.curve
 
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
         """Refuse an image that is not of this field's size divided by `binning`.
@@ -130,28 +124,31 @@ class InverseMap:
         self, values: Float32Array, across: Float32Array, down: Float32Array
     ) -> tuple[Float32Array, Float32Array]:
         """Slopes (h, w, 2) and excess (h, w) of whole rows at position variables (w,) and (h,)."""
-        u, excess = self.curve.rows(values, across, down)
+        if self.near is None:
+            u, excess = self.curve.rows(values, across, down)
+        else:
+            u, _ = self.near.curve.rows(self.near.field.seen_rows(values, across, down), across, down)
+            _, excess = self.curve.colours.variables(values)
         if self.light is not None:
-            lit, _ = self.light.curve.rows(values * self.light.field.rows(across, down), across, down)
+            lit, _ = self.light.curve.rows(self.light.field.seen_rows(values, across, down), across, down)
             u += np.float32(self.light.share) * (lit - u)
         return np.asarray(slope_from_stereographic(u), np.float32), excess
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes of shape (N, 2) for intensities of shape (N, 3) at full-size pixel coordinates."""
         place = field_position(column.astype(np.float64), row.astype(np.float64), self.shape)
-        u = self.curve.at(intensity, place)
-        if self.light is not None:
-            u += self.light.share * (self.light.curve.at(intensity * self.light.field.at(place), place) - u)
+        near, light = self.near, self.light
+        u = self.curve.at(intensity, place) if near is None else near.curve.at(near.field.seen(intensity, place), place)
+        if light is not None:
+            u += light.share * (light.curve.at(light.field.seen(intensity, place), place) - u)
         return slope_from_stereographic(u)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays, for an npz file; `from_arrays` is its inverse."""
         named = {f"domain_{name}": array for name, array in self.domain.arrays().items()} | self.curve.arrays()
-        if self.light is not None:
-            lit = self.light.curve.arrays() | self.light.field.arrays() | {"share": np.array(self.light.share)}
-            named |= {f"light_{name}": array for name, array in lit.items()}
-        if self.leverage is not None:
-            named |= {f"leverage_{name}": array for name, array in self.leverage.arrays().items()}
+        for prefix, part in (("light", self.light), ("near", self.near), ("leverage", self.leverage)):
+            if part is not None:
+                named |= {f"{prefix}_{name}": array for name, array in part.arrays().items()}
         return named | {"shape": np.array(self.shape), "steepest": np.array(self.steepest)}
 
     @classmethod
@@ -168,21 +165,13 @@ class InverseMap:
             rows, columns = (int(size) for size in arrays["shape"])
             steepest = float(arrays["steepest"])
             curve = SlopeCurve.from_arrays(arrays, source)
-            light = _light_from(with_prefix(arrays, "light_"), source)
+            light = LightCurve.from_arrays(with_prefix(arrays, "light_"), source)
+            near = NearCurve.from_arrays(with_prefix(arrays, "near_"), source)
             named = with_prefix(arrays, "leverage_")
             leverage = Leverage.from_arrays(named, curve) if named else None
         except (KeyError, IndexError, ValueError, TypeError) as error:
             raise RecordError(f"{source} holds no inverse map ({error}): calibrate again") from error
-        return cls((rows, columns), domain, curve, steepest, light, leverage)
-
-
-def _light_from(arrays: Mapping[str, NDArray[Any]], source: str) -> LightCurve | None:
-    if not arrays:
-        return None
-    share = float(arrays["share"])
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"a share of {share}")
-    return LightCurve(LightField.from_arrays(arrays), SlopeCurve.from_arrays(arrays, source, linear=True), share)
+        return cls((rows, columns), domain, curve, steepest, light, leverage, near)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

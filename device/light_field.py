@@ -52,6 +52,14 @@ class LightField:
         lower = _mix(self.nodes[top + 1, left], self.nodes[top + 1, left + 1], right_share)
         return _mix(upper, lower, down_share)
 
+    def seen(self, intensity: Float32Array, place: NDArray[Any]) -> Float32Array:
+        """Light of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
+        return np.asarray(intensity * self.at(place), np.float32)
+
+    def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """Light of whole rows of intensities (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        return np.asarray(values * self.rows(across, down), np.float32)
+
     def rows(self, across: Float32Array, down: Float32Array) -> Float32Array:
         """Light of shape (h, w, 3) of whole rows at position variables `across` (w,) and `down` (h,)."""
         left, right_share = _between(across, self.nodes.shape[1])

@@ -1,4 +1,4 @@
-"""A curve of the inverse map while it is being learned: its form, its penalty, and whether it reads light."""
+"""A curve of the inverse map while it is being learned: its form, its penalty, and what it reads."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 from device.ball import BallSamples
 from device.colour_space import ColourSpace
 from device.colour_waves import ColourWaves
+from device.curve_readings import Reading
 from device.held_out_ridge import HeldOutRidge
 from device.leverage import Leverage
 from device.light_field import LightField
+from device.near_field import NearField
 from device.polynomials import colour_exponents, field_position, position_exponents
 from device.slope_curve import SlopeCurve, design_matrix
 from device.stereographic import slope_from_stereographic
@@ -45,11 +47,14 @@ class CurveForm:
 
 
 PLAIN_FORMS: Final = tuple(CurveForm(4, degree) for degree in (0, 1, 2))
+NEAR_FORMS: Final = (CurveForm(4, 2), CurveForm(5, 2), CurveForm(5, 2, 10.0))
+"""Forms of a curve that reads the slopes of a matt skin: place does little there, and higher degrees are safe."""
+
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
 FEWEST_FOR_WAVES: Final = 8
-"""Balls from which a curve may have waves: what few balls say of so many terms is chance."""
+"""Balls from which a curve may have waves or read near lights' slopes: what few balls say of so much is chance."""
 
 
 def wavy_form() -> CurveForm:
@@ -63,14 +68,14 @@ class SlopeLearner:
 
     colours : the variables that it is a polynomial in
     form : its terms
-    light : with which intensity is multiplied first, or None
+    reading : what makes its colours of intensity and place, None where it reads intensity itself
     penalty : of the ridge
     ridge : its features at the pixels of balls
     """
 
     colours: ColourSpace
     form: CurveForm
-    light: LightField | None
+    reading: Reading | None
     penalty: float
     ridge: HeldOutRidge
 
@@ -90,20 +95,20 @@ class SlopeLearner:
 
 
 def learner_of(
-    samples: BallSamples, shape: tuple[int, int], form: CurveForm, penalty: float, light: LightField | None = None
+    samples: BallSamples, shape: tuple[int, int], form: CurveForm, penalty: float, reading: Reading | None = None
 ) -> SlopeLearner:
     """The learner of this form and penalty, for a full-size field of `shape` (H, W)."""
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
-    seen = _lit(samples.intensity, place, light)
-    colours = ColourSpace.observed(seen, linear=light is not None)
+    seen = _seen(samples.intensity, place, reading)
+    colours = ColourSpace.observed(seen, linear=reading is not None)
     scale = form.term_scale()
     degrees = form.colour_degree, form.position_degree
     design = design_matrix(colours, *degrees, seen, place, form.waves) * scale
     count = max(int(FLAT_SHARE * len(samples.p)), 1)
     anywhere = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 2))
-    untouched = _lit(np.ones((count, 3), np.float32), anywhere, light)
+    untouched = _seen(np.ones((count, 3), np.float32), anywhere, reading)
     flat = design_matrix(colours, *degrees, untouched, anywhere, form.waves) * scale
-    return SlopeLearner(colours, form, light, penalty, HeldOutRidge(design, flat.T @ flat, samples.ball))
+    return SlopeLearner(colours, form, reading, penalty, HeldOutRidge(design, flat.T @ flat, samples.ball))
 
 
 def preferred_learner(
@@ -117,12 +122,19 @@ def preferred_learner(
     count : of balls
     light : for a curve that reads light
     """
-    plain = [_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS]
-    best = min(plain, key=lambda found: found[1])
+    best = min((_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS), key=_error)
     if count < FEWEST_FOR_WAVES:
         return best
     wavy = _at_best_penalty(samples, slope, count, shape, wavy_form(), light)
     return wavy if wavy[1] < WAVY_GAIN * best[1] else best
+
+
+def near_learner(
+    samples: BallSamples, slope: Float64Array, count: int, shape: tuple[int, int]
+) -> tuple[SlopeLearner, float]:
+    """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
+    near = NearField.of(samples, slope, shape)
+    return min((_at_best_penalty(samples, slope, count, shape, form, near) for form in NEAR_FORMS), key=_error)
 
 
 def _at_best_penalty(
@@ -131,18 +143,23 @@ def _at_best_penalty(
     count: int,
     shape: tuple[int, int],
     form: CurveForm,
-    light: LightField | None,
+    reading: Reading | None,
 ) -> tuple[SlopeLearner, float]:
     """The learner of this form with the penalty of least held-out error, and that error."""
-    learner = learner_of(samples, shape, form, 0.0, light)
+    learner = learner_of(samples, shape, form, 0.0, reading)
     held_out = learner.ridge.held_out(PENALTIES, slope, np.ones(len(samples.p)), np.ones(count, bool))
     errors = [_balanced_error(samples, slope_from_stereographic(u), slope) for u in held_out]
     least = int(np.argmin(errors))
     return replace(learner, penalty=PENALTIES[least]), errors[least]
 
 
-def _lit(intensity: Float32Array, place: Float64Array, light: LightField | None) -> Float32Array:
-    return intensity if light is None else intensity * light.at(place)
+def _error(found: tuple[SlopeLearner, float]) -> float:
+    """What learners are chosen by, one at a time: their features take a hundred megabytes."""
+    return found[1]
+
+
+def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:
+    return intensity if reading is None else reading.seen(intensity, place)
 
 
 def _balanced_error(samples: BallSamples, slope: Float64Array, truth: Float64Array) -> float:

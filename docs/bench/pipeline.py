@@ -31,7 +31,7 @@ STAGES = {
     "integration": ("multigrid.integrate",),
     "level": ("level.untouched_skin", "level.levelled"),
     "slopes of the surface": ("surface.surface_slopes",),
-    "sigma map": ("uncertainty.raised_slopes", "uncertainty.contradicted_slope", "uncertainty.height_uncertainty"),
+    "sigma map": ("uncertainty.slopes_at_rest", "uncertainty.contradicted_slope", "uncertainty.height_uncertainty"),
     "sigma of slopes": ("uncertainty.slope_sigma",),
     "extrapolation": ("extrapolation.extrapolated",),
     "results on disk": ("results.write_result",),

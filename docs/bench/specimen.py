@@ -65,12 +65,15 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
     """The calibration of the same field for frames of the reference's size: places are shares of the field."""
     finer = reference.shape[1] / calibration.divisor.shape[1]
     inverse = replace(calibration.inverse, map=at_size(calibration.inverse.map, reference.shape))
+    error = calibration.slope_error
     return replace(
         calibration,
         divisor=blurred_reference(reference),
         pitch_um=calibration.pitch_um / finer,
         inverse=inverse,
-        slope_error=msgspec.structs.replace(calibration.slope_error, patch_px=calibration.slope_error.patch_px * finer),
+        slope_error=msgspec.structs.replace(
+            error, patch_px=error.patch_px * finer, elevation=error.elevation.enlarged(finer)
+        ),
     )
 
 

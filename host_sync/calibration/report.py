@@ -64,9 +64,10 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
             for band in inverse.bands
         ],
         "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.steepest))),
-        "degree_in_colour": inverse.map.curve.colour_degree,
-        "waves_of_colour": inverse.map.curve.waves.count,
-        "degree_in_position": inverse.map.curve.position_degree,
+        "reads": "intensity" if inverse.map.near is None else "slopes of a matt skin under near lights",
+        "degree_in_colour": inverse.map.own.colour_degree,
+        "waves_of_colour": inverse.map.own.waves.count,
+        "degree_in_position": inverse.map.own.position_degree,
         "share_of_light": inverse.map.light.share if inverse.map.light else 0.0,
         "slope_error": calibration.slope_error,
         "paper": {

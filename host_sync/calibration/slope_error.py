@@ -3,8 +3,8 @@
 * from pixel to pixel: noise and pigment, which average out
 * over a patch: what the map gets wrong of a ball it did not see. Its reach is measured by what it does: slope errors
   added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
-* over the whole press: a ball shows each slope at one elevation only. Raised skin stands closer to the lights and is
-  brighter at the same slope; an object that shows that slope at another elevation is read wrong, everywhere alike.
+* over the whole press: a ball shows each slope at one elevation only, and an object that shows it at another is read
+  wrong (see `elevation`)
 * over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it
 
 Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
@@ -26,6 +26,7 @@ from device.inverse_fit import InverseFit
 from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float64Array, MaskArray
+from host_sync.calibration.elevation import TaughtElevation, taught_elevation
 from host_sync.calibration.held_out_inflation import held_out_inflation
 
 SPLIT_SHARE: Final = 0.1
@@ -35,7 +36,6 @@ TILT_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 """Borders of the bands of steepness that have figures of their own."""
 
 ONE_SIGMA_PERCENT: Final = 68.27
-APEX_SLOPE: Final = 0.1
 INNER_SHARE: Final = 0.9
 """Share of a contact over which slope errors are added up to errors of height."""
 
@@ -56,7 +56,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     pixel_deg : the part that is independent from pixel to pixel
     patch_deg : the part that is the same over a patch
     patch_px : size of such a patch, the standard deviation of a Gaussian
-    raised_shade : by what share the balls' apexes are brighter than untouched skin, in R, G, B
+    elevation : at which the balls showed each slope
     scale_share : by what share all slopes are read too steep or too flat, root mean square over balls
     """
 
@@ -64,7 +64,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     pixel_deg: tuple[float, ...]
     patch_deg: tuple[float, ...]
     patch_px: float
-    raised_shade: tuple[float, float, float]
+    elevation: TaughtElevation
     scale_share: float
 
 
@@ -94,7 +94,7 @@ def measure_slope_error(presses: Pressed, taught: BallSamples, fit: InverseFit) 
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple(inflation.at(tilt, pixel) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
-        raised_shade=_raised_shade(taught),
+        elevation=taught_elevation(presses, taught, fit.map),
         scale_share=inflation.throughout(noise_deg) * scale,
     )
 
@@ -193,13 +193,6 @@ def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallErr
                 ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
             )
             yield _BallError(slope, inside, truth, here)
-
-
-def _raised_shade(samples: BallSamples) -> tuple[float, float, float]:
-    apex = samples.p**2 + samples.q**2 < APEX_SLOPE**2
-    shade = samples.intensity[apex].mean(axis=0) - 1.0 if apex.any() else np.zeros(3)
-    red, green, blue = (float(value) for value in shade)
-    return red, green, blue
 
 
 def _window(ball: Ball, shape: tuple[int, int]) -> tuple[slice, slice]:

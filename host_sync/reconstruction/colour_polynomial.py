@@ -4,7 +4,7 @@ Terms stand in the order of `colour_exponents`: by the power of the first colour
 A polynomial of degree n in (x, y, z) is a plane of degree n in (y, z) plus x times a polynomial of degree n - 1; a
 plane is a line in z plus y times the next plane. Written out, all of it stays in registers: one multiplication a term,
 three loads and one store a pixel. Lower degrees are filled up with noughts to four; what our fits never have, more than
-four, loops.
+five, loops.
 """
 
 from __future__ import annotations
@@ -42,6 +42,9 @@ def write_polynomial(degree: int, c: Any, x: Any, y: Any, z: Any, out: Any) -> N
     if degree == 4:
         for k in range(out.size):
             out[k] = _solid_4(c, 0, x[k], y[k], z[k])
+    elif degree == 5:
+        for k in range(out.size):
+            out[k] = _solid_5(c, 0, x[k], y[k], z[k])
     else:
         for k in range(out.size):
             out[k] = _any_degree(degree, c, x[k], y[k], z[k])
@@ -87,6 +90,11 @@ def _line_4(c: Any, t: int, z: Any) -> Any:
 
 
 @njit(inline="always")
+def _line_5(c: Any, t: int, z: Any) -> Any:
+    return c[t] + z * _line_4(c, t + 1, z)
+
+
+@njit(inline="always")
 def _plane_1(c: Any, t: int, y: Any, z: Any) -> Any:
     return _line_1(c, t, z) + y * c[t + 2]
 
@@ -107,7 +115,18 @@ def _plane_4(c: Any, t: int, y: Any, z: Any) -> Any:
 
 
 @njit(inline="always")
+def _plane_5(c: Any, t: int, y: Any, z: Any) -> Any:
+    return _line_5(c, t, z) + y * _plane_4(c, t + 6, y, z)
+
+
+@njit(inline="always")
 def _solid_4(c: Any, t: int, x: Any, y: Any, z: Any) -> Any:
     """From the plane without x, of 15 terms, to x⁴'s single term."""
     last = _plane_1(c, t + 31, y, z) + x * c[t + 34]
     return _plane_4(c, t, y, z) + x * (_plane_3(c, t + 15, y, z) + x * (_plane_2(c, t + 25, y, z) + x * last))
+
+
+@njit(inline="always")
+def _solid_5(c: Any, t: int, x: Any, y: Any, z: Any) -> Any:
+    """From the plane without x, of 21 terms, to the solid that x multiplies."""
+    return _plane_5(c, t, y, z) + x * _solid_4(c, t + 21, x, y, z)

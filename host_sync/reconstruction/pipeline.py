@@ -24,7 +24,7 @@ from host_sync.reconstruction.multigrid import IntegrationReport, integrate
 from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
 from host_sync.reconstruction.printed_integration import integrate_as_printed
 from host_sync.reconstruction.slope_kernel import evaluate
-from host_sync.reconstruction.uncertainty import contradicted_slope, height_uncertainty, raised_slopes, slope_sigma
+from host_sync.reconstruction.uncertainty import contradicted_slope, height_uncertainty, slope_sigma, slopes_at_rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,9 +104,11 @@ def reconstruct_intensity(
     height = levelled(height, at_rest)
     p, q = surface_slopes(height)
     error = slope_error_of(calibration, chosen)
-    raised = raised_slopes(intensity, calibration.inverse.map, error)
     contradiction = contradicted_slope(gradients, p, q)
-    known = height_uncertainty(height, gradients, raised, contradiction, error, at_rest, known_scale_share(calibration))
+    resting = slopes_at_rest(calibration.inverse.map)
+    known = height_uncertainty(
+        height, gradients, contradiction, error, resting, at_rest, known_scale_share(calibration)
+    )
     return Reconstruction(
         method=chosen,
         height=height,

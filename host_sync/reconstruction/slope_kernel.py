@@ -32,6 +32,7 @@ from host_sync.reconstruction.slope_run import (
     begin,
     load,
     load_light,
+    load_near,
     run_length,
     take_slopes,
     take_trust,
@@ -66,8 +67,11 @@ class SlopeKernel:
         self._out = out
         light = inverse_map.light
         share = 0.0 if light is None else light.share
-        self._plain = _tabled(inverse_map.curve, 1.0 - share)
-        self._lit = self._plain if light is None else _tabled(light.curve, share)
+        near = inverse_map.near
+        self._limits = _limits(inverse_map.curve)
+        self._own = _tabled(inverse_map.own, 1.0 - share)
+        self._near = _ANY_LIGHTS if near is None else near.field.by_powers()
+        self._lit = self._own if light is None else _tabled(light.curve, share)
         self._light = _DARK if light is None else _light_by_column(light.field, inverse_map.shape[1])
 
     def evaluate(self, image: IntensityImage) -> GradientField:
@@ -80,7 +84,9 @@ class SlopeKernel:
             *as_stored(image.values),
             np.ascontiguousarray(image.valid),
             np.ascontiguousarray(image.clipped),
-            self._plain,
+            self._limits,
+            self._own,
+            self._near,
             self._lit,
             self._light,
             out.p,
@@ -119,11 +125,11 @@ class _Curve(NamedTuple):
 _DARK: Final = np.zeros((0, 3, 0), np.float32)
 """No light: the map has no curve that reads it."""
 
+_ANY_LIGHTS: Final = np.zeros((0, 3, POWERS, POWERS), np.float32)
+"""No directions of lights: the map has no curve that reads near lights' slopes."""
+
 
 def _tabled(curve: SlopeCurve, share: float) -> _Curve:
-    colours = curve.colours
-    per_spread = np.full(3, 1.0 / colours.spread, np.float32)
-    limits = np.stack([colours.low, colours.high, colours.centre, np.float32(1.0) / colours.scale, per_spread])
     numbers = term_numbers(curve.colour_degree)
     degree, monomials = tabled_degree(curve.colour_degree), len(numbers)
     table = np.zeros((2, POWERS, POWERS, len(colour_exponents(degree))), np.float32)
@@ -132,7 +138,14 @@ def _tabled(curve: SlopeCurve, share: float) -> _Curve:
         own = np.float32(share) * curve.coefficients[:, term].T
         table[:, i, j, numbers] = own[:, :monomials]
         waves[:, i, j] = np.float32(wave_factor(curve.waves)) * own[:, monomials:]
-    return _Curve(limits, degree, curve.position_degree, table, tabled_waves(curve.waves), waves)
+    return _Curve(_limits(curve), degree, curve.position_degree, table, tabled_waves(curve.waves), waves)
+
+
+def _limits(curve: SlopeCurve) -> Float32Array:
+    """What a curve's colours are clipped to and scaled by; see `_Curve`."""
+    colours = curve.colours
+    per_spread = np.full(3, 1.0 / colours.spread, np.float32)
+    return np.stack([colours.low, colours.high, colours.centre, np.float32(1.0) / colours.scale, per_spread])
 
 
 def _light_by_column(field: LightField, columns: int) -> Float32Array:
@@ -144,18 +157,24 @@ def _light_by_column(field: LightField, columns: int) -> Float32Array:
 
 @njit(cache=True, nogil=True)
 def _evaluate(
-    values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, plain: _Curve, lit: _Curve,
-    light: Float32Array, p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray,
-    first: int, last: int,
+    values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, limits: Float32Array,
+    own: _Curve, near: Float32Array, lit: _Curve, light: Float32Array,
+    p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Fill the rows `first` to `last` - 1 of p, q, weight, valid; `light` by places and columns, or empty."""
+    """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
+
+    limits : of the colours that tell whether the balls taught a pixel
+    near : directions of lights for a curve `own` that reads near lights' slopes, or empty: it reads intensity
+    light : by places and columns for the curve `lit`, or empty
+    """
     rows, columns = p.shape
     length = run_length(columns)
     run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
     for row in range(first, last):
         down = np.float32((2.0 * row + 1.0) / rows - 1.0)
-        along, light_along = _at_row(plain.coefficients, down), _at_row(lit.coefficients, down)
-        waves_along, light_waves_along = _at_row(plain.wave_coefficients, down), _at_row(lit.wave_coefficients, down)
+        along, light_along = _at_row(own.coefficients, down), _at_row(lit.coefficients, down)
+        waves_along, light_waves_along = _at_row(own.wave_coefficients, down), _at_row(lit.wave_coefficients, down)
+        near_along = _directions_at_row(near, down)
         for start in range(0, columns, length):
             end = min(start + length, columns)
             part = slice(start, end)
@@ -169,10 +188,16 @@ def _evaluate(
                 take_variables(run, lit.limits)
                 take_u(run, lit.degree, lit.place, light_along, False)
                 add_waves_to_u(run, lit.waves, light_waves_along)
-            load(seen, run)
-            take_variables(run, plain.limits)
-            take_u(run, plain.degree, plain.place, along, len(light) > 0)
-            add_waves_to_u(run, plain.waves, waves_along)
+            if len(near):
+                load_near(seen, near_along, run)
+            else:
+                load(seen, run)
+            take_variables(run, own.limits)
+            take_u(run, own.degree, own.place, along, len(light) > 0)
+            add_waves_to_u(run, own.waves, waves_along)
+            if len(near):
+                load(seen, run)
+                take_variables(run, limits)
             take_slopes(run)
             take_trust(run)
             _store(
@@ -207,4 +232,15 @@ def _at_row(coefficients: Float32Array, down: np.float32) -> Float32Array:
                 for term in range(terms):
                     along[component, i, term] += power * coefficients[component, i, j, term]
                 power *= down
+    return along
+
+
+@njit(cache=True)
+def _directions_at_row(near: Float32Array, down: np.float32) -> Float32Array:
+    """Directions of lights at one row: float32 array of shape (2, 3, 3) by powers of the column, or empty."""
+    along = near[..., 0].copy()
+    power = ONE
+    for j in range(1, near.shape[3]):
+        power *= down
+        along += power * near[..., j]
     return along

@@ -12,6 +12,7 @@ from numba import njit
 
 from device.colour_space import DARK_OFFSET
 from device.inverse_map import TRUSTED_EXCESS
+from device.near_field import LEAST_BRIGHTNESS, LEAST_VOLUME
 from device.surface import Float32Array
 from host_sync.reconstruction.colour_polynomial import write_polynomial
 from host_sync.reconstruction.wave_run import add_waves
@@ -77,8 +78,37 @@ def load_light(colours: Any, start: int, above: Any, below: Any, share: Any, run
         upper, lower = above[channel, start:], below[channel, start:]
         for k in range(values.size):
             here = upper[k] + share * (lower[k] - upper[k])
-            out[k] = max(values[k], ZERO) * here
+            out[k] = values[k] * here
         out[values.size :] = ONE
+
+
+@njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
+def load_near(colours: Any, near: Any, run: Any) -> None:
+    """Write p, q and brightness of a matt skin under near lights (`NearField.seen`); past the row's end as if 1 stood.
+
+    near : float32 array of shape (2, 3, 3), the lights' directions by component, channel and power of the column
+    """
+    red, green, blue = colours
+    p, q, brightness, across = run[_COLOURS], run[_COLOURS + 1], run[_COLOURS + 2], run[_ACROSS]
+    for k in range(red.size):
+        i0, i1, i2, x = red[k], green[k], blue[k], across[k]
+        a0, a1, a2 = _at(near[0, 0], x), _at(near[0, 1], x), _at(near[0, 2], x)
+        b0, b1, b2 = _at(near[1, 0], x), _at(near[1, 1], x), _at(near[1, 2], x)
+        v0, v1, v2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+        whole = v0 + v1 + v2
+        whole = np.float32(LEAST_VOLUME) if abs(whole) < np.float32(LEAST_VOLUME) else whole
+        bright = max((i0 * v0 + i1 * v1 + i2 * v2) / whole, np.float32(LEAST_BRIGHTNESS))
+        per = ONE / (whole * bright)
+        p[k] = (i0 * (b1 - b2) + i1 * (b2 - b0) + i2 * (b0 - b1)) * per
+        q[k] = (i0 * (a2 - a1) + i1 * (a0 - a2) + i2 * (a1 - a0)) * per
+        brightness[k] = bright
+    for channel in range(3):
+        run[_COLOURS + channel, red.size :] = ONE
+
+
+@njit(inline="always")
+def _at(powers: Any, x: Any) -> Any:
+    return powers[0] + x * (powers[1] + x * powers[2])
 
 
 @njit(inline="always")

@@ -15,7 +15,6 @@ import numpy as np
 
 from device.fft_integrator import integrate_dct
 from device.inverse_map import InverseMap
-from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.uncertainty_kernel import (
@@ -39,19 +38,23 @@ Of white noise the fourth-order edges, least squares and the central difference 
 standard deviation (the mean over all frequencies of the product of their transfer functions).
 """
 
-RAISED_SPREAD: Final = 0.58
-"""Standard deviation of how much higher or lower than the balls' an object's slopes lie, in apex elevations.
-
-That of anything between one apex lower and one higher: what an object is like nobody knows beforehand.
-"""
-
 CONTRADICTION_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
 
 CONTRADICTION_CELL_PX: Final = 4
 """The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
 
+PLACES: Final = 48
+"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly."""
+
 SlopePair = tuple[Float32Array, Float32Array]
+
+
+def slopes_at_rest(inverse: InverseMap) -> SlopePair:
+    """Slopes that the map reads on untouched skin, which has none: float32 arrays of shape (PLACES, PLACES)."""
+    down, across = ((np.arange(PLACES) + 0.5) * (size / PLACES) - 0.5 for size in inverse.shape)
+    slopes = inverse.on_grid(np.ones((PLACES, PLACES, 3), np.float32), across, down)
+    return slopes[..., 0], slopes[..., 1]
 
 
 def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
@@ -69,20 +72,6 @@ def contradicted_slope(gradients: GradientField, p: Float32Array, q: Float32Arra
         total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
     patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
     return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def raised_slopes(intensity: IntensityImage, inverse: InverseMap, error: SlopeError) -> SlopePair:
-    """By how much slopes (p, q) change were the skin one ball's apex higher than the balls taught; arrays (h, w).
-
-    It is asked on every few pixels only: the draws are no finer.
-    """
-    step = max(1, int(np.ceil(intensity.shape[1] / WIDEST_PX)))
-    row, column = (np.arange(step // 2, size, step) for size in intensity.shape)
-    values = intensity.values[np.ix_(row, column)]
-    shade = np.float32(1.0) + np.asarray(error.raised_shade, np.float32)
-    before, after = (inverse.on_grid(seen, column, row) for seen in (values, values / shade))
-    change = after - before
-    return change[..., 0], change[..., 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,9 +106,9 @@ def slope_sigma(
 def height_uncertainty(
     height: HeightMap,
     gradients: GradientField,
-    raised: SlopePair,
     contradiction: Float32Array,
     error: SlopeError,
+    resting: SlopePair,
     at_rest: MaskArray,
     scale_share: float = 0.0,
     seed: int = 0,
@@ -127,8 +116,8 @@ def height_uncertainty(
     """Standard uncertainty of the height, and the draws it comes from.
 
     height : levelled, zero at untouched skin
-    raised : as `raised_slopes` returns it
     contradiction : as `contradicted_slope` returns it
+    resting : as `slopes_at_rest` returns them
     at_rest : where the height map's zero was taken
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     """
@@ -137,19 +126,24 @@ def height_uncertainty(
     size = (max(columns // factor, 3), max(rows // factor, 3))
     reduction = columns / size[0]
     spread = _drawn_spread(gradients, contradiction, error, size)
-    shown = _shrunk(gradients.valid, size)
-    raised_small = [_shrunk(slope, size) * shown for slope in raised]
     z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
+    steeper = _read_steeper(gradients, z_small / np.float32(height.pitch_um), error, size)
+    bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
     zero = _shrunk(at_rest, size)
     zero /= max(float(zero.sum()), 1e-6)
+    # Skin at rest is flat: by how much its heights differ, their zero is unknown.
+    unlevel_um = float(np.sqrt((zero * (z_small - (zero * z_small).sum()) ** 2).sum()))
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
     draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
     for draw_um in draws_um:
-        lift = np.float32(RAISED_SPREAD * rng.standard_normal())
-        p, q = (_slope_draw(rng, spread, error.patch_px / reduction) + lift * slope for slope in raised_small)
+        raised, tilted = rng.standard_normal(2, np.float32)
+        p, q = (
+            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
+            for steep, rest in zip(steeper, bias, strict=True)
+        )
         draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
-        draw_um -= np.float32((draw_um * zero).sum())
+        draw_um += np.float32(unlevel_um * rng.standard_normal()) - np.float32((draw_um * zero).sum())
     sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
     return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), draws_um)
@@ -178,6 +172,13 @@ def _drawn_spread(
     reduction = np.float32(gradients.p.shape[1] / size[0])
     patches = np.hypot(patch * growth, _shrunk(contradiction, size))
     return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
+
+
+def _read_steeper(gradients: GradientField, z_px: Float32Array, error: SlopeError, size: tuple[int, int]) -> SlopePair:
+    """By how much slopes may be read too steep for skin at another elevation than the balls'; on the reduced field."""
+    p, q = (_shrunk(np.where(gradients.valid, slope, np.float32(0.0)), size) for slope in (gradients.p, gradients.q))
+    share = error.elevation.steeper(z_px, p * p + q * q)
+    return share * p, share * q
 
 
 def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:

@@ -1,5 +1,6 @@
 """The inverse map on a world with a known answer: three lights over balls, near or far."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,6 +11,7 @@ from device.errors import CalibrationError, CalibrationMismatch, RecordError
 from device.held_out_ridge import angle_between_deg
 from device.inverse_fit import InverseFit, fit_inverse_map
 from device.inverse_map import InverseMap
+from device.light_field import LightField
 from device.photometry import IntensityImage
 from device.polynomials import colour_exponents, monomials, position_exponents
 from device.stereographic import slope_from_stereographic, stereographic_from_slope
@@ -47,13 +49,13 @@ def balls() -> list[Ball]:
     return [Ball(column, row, CONTACT_PX, RADIUS_PX) for column, row in places]
 
 
-def fitted_to(given: list[Ball], *, near: bool) -> InverseFit:
+def fitted_to(given: list[Ball], *, near: bool, light: LightField | None = None) -> InverseFit:
     true = balls()
     presses = [
         (press(ball, near=near, seed=number), [label])
         for number, (ball, label) in enumerate(zip(true, given, strict=True))
     ]
-    return fit_inverse_map(gather_samples(presses), given, SHAPE, max_samples=12_000)
+    return fit_inverse_map(gather_samples(presses), given, SHAPE, max_samples=12_000, light=light)
 
 
 @cache
@@ -92,6 +94,30 @@ def test_an_unseen_ball_is_read_to_under_a_degree(near: bool) -> None:
     assert found.held_out_deg is not None
     assert found.held_out_deg < 1.5
     assert found.kept.all()
+
+
+def test_with_a_reference_what_near_lights_say_of_slopes_is_read_where_no_light_sets() -> None:
+    even = LightField(np.ones((2, 2, 3), np.float32))
+    gentle = [replace(ball, contact_radius_px=22.0) for ball in balls()]
+    presses = [(press(ball, near=True, seed=number), [ball]) for number, ball in enumerate(gentle)]
+    found, by_intensity = (
+        fit_inverse_map(gather_samples(presses), gentle, SHAPE, max_samples=12_000, light=light)
+        for light in (even, None)
+    )
+    assert found.map.near is not None
+    assert by_intensity.map.near is None
+    between = Ball(160.0, 90.0, 22.0, RADIUS_PX)
+    assert found.held_out_deg is not None
+    assert by_intensity.held_out_deg is not None
+    assert found.held_out_deg < by_intensity.held_out_deg
+    assert error_deg(found.map, between, near=True) < 0.1
+    again = InverseMap.from_arrays(found.map.arrays(), "model")
+    image = press(between, near=True)
+    np.testing.assert_array_equal(again.gradients(image).p, found.map.gradients(image).p)
+    single = found.map.predict(image.values[90, 150:155], np.arange(150.0, 155.0, dtype=np.float32), np.full(5, 90.0))
+    np.testing.assert_allclose(found.map.gradients(image).p[90, 150:155], single[:, 0], atol=1e-5)
+    steep = fitted_to(balls(), near=True, light=even)
+    assert steep.map.near is None
 
 
 def test_near_lights_need_position() -> None:

@@ -177,6 +177,12 @@ def test_the_calibration_report_names_every_ball(results: Path) -> None:
     assert report["passed"] is True
     assert report["presses"][3]["image"] == "press3.png"
     assert report["next_presses"] == []
+    assert report["reads"] in ("intensity", "slopes of a matt skin under near lights")
+    elevation, (ball, *_) = report["slope_error"]["elevation"], report["presses"][0]["balls"]
+    assert (
+        ball["radius_px"] > elevation["apex_px"] > ball["radius_px"] - np.sqrt(ball["radius_px"] ** 2 - ball["r"] ** 2)
+    )
+    assert elevation["radius_px"] == pytest.approx(ball["radius_px"])
     assert report["scale_uncertainty"]["pixel_pitch_sigma_um"] is None
     pictures = {path.name for path in (results / "calibration").glob("*.png")}
     assert {"reflectance-maps.png", "ambiguous-bins.png", "residuals.png", "balls.png"} <= pictures

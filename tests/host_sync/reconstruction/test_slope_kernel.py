@@ -9,9 +9,11 @@ import pytest
 from device.colour_domain import ColourDomain
 from device.colour_space import ColourSpace
 from device.colour_waves import ColourWaves
+from device.curve_readings import LightCurve, NearCurve
 from device.errors import CalibrationMismatch
-from device.inverse_map import InverseMap, LightCurve
+from device.inverse_map import InverseMap
 from device.light_field import LightField
+from device.near_field import NearField
 from device.photometry import IntensityImage
 from device.polynomials import colour_exponents, position_exponents
 from device.slope_curve import SlopeCurve
@@ -33,14 +35,30 @@ def curve_of(degree: int, position_degree: int, *, linear: bool = False, wavy: b
 
 
 def map_of(
-    shape: tuple[int, int] = SHAPE, position_degree: int = 2, *, lit: bool = False, wavy: bool = False
+    shape: tuple[int, int] = SHAPE,
+    position_degree: int = 2,
+    *,
+    lit: bool = False,
+    wavy: bool = False,
+    by_slopes: bool = False,
 ) -> InverseMap:
     light = None
     if lit:
         down, across = np.mgrid[:7, :12].astype(np.float32)
         nodes = np.stack([1.2 - 0.05 * down, 0.6 + 0.06 * across, 1.0 + 0.02 * down * across], axis=-1)
         light = LightCurve(LightField(nodes), curve_of(5, 1, linear=True, wavy=wavy), 0.6)
-    return InverseMap(shape, ColourDomain.observed(colours()), curve_of(4, position_degree, wavy=wavy), 0.8, light)
+    near = NearCurve(lights(), curve_of(5, position_degree, linear=True, wavy=wavy)) if by_slopes else None
+    curve = curve_of(4, position_degree, wavy=wavy)
+    return InverseMap(shape, ColourDomain.observed(colours()), curve, 0.8, light, near=near)
+
+
+def lights() -> NearField:
+    """Three lights around the field, whose directions change over it."""
+    directions = np.zeros((6, 2, 3), np.float32)
+    angle = np.radians([90.0, 210.0, 330.0])
+    directions[0] = np.cos(angle), np.sin(angle)
+    directions[1:] = 0.1 * np.random.default_rng(3).standard_normal((5, 2, 3))
+    return NearField(directions)
 
 
 def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
@@ -51,11 +69,12 @@ def image_of(shape: tuple[int, int] = SHAPE) -> IntensityImage:
     return IntensityImage(values, random.random(shape) > 0.02, random.random(shape) < 0.02)
 
 
+@pytest.mark.parametrize("by_slopes", [False, True])
 @pytest.mark.parametrize("lit", [False, True])
 @pytest.mark.parametrize("wavy", [False, True])
 @pytest.mark.parametrize("position_degree", [0, 1, 2])
-def test_compiled_and_portable_evaluation_agree(position_degree: int, wavy: bool, lit: bool) -> None:
-    inverse, image = map_of(position_degree=position_degree, lit=lit, wavy=wavy), image_of()
+def test_compiled_and_portable_evaluation_agree(position_degree: int, wavy: bool, lit: bool, by_slopes: bool) -> None:
+    inverse, image = map_of(position_degree=position_degree, lit=lit, wavy=wavy, by_slopes=by_slopes), image_of()
     found, expected = evaluate(inverse, image), inverse.gradients(image)
     np.testing.assert_allclose(found.p, expected.p, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found.q, expected.q, rtol=1e-4, atol=1e-4)

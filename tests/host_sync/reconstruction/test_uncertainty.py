@@ -1,9 +1,11 @@
 """The stated σ against errors that are put in, and the level against skin whose rest is known."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from device.surface import GradientField, HeightMap, surface_slopes
+from host_sync.calibration.elevation import TaughtElevation
 from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import integrate
@@ -11,6 +13,8 @@ from host_sync.reconstruction.uncertainty import HeightUncertainty, contradicted
 
 SHAPE = (200, 256)
 PITCH_UM = 10.0
+FAR = TaughtElevation(20.0, 80.0, 0.0)
+"""Balls that stood 20 pixels high under lights far away."""
 
 
 def bump() -> np.ndarray:
@@ -30,13 +34,23 @@ def gradients_of(z_um: np.ndarray, noise: float, seed: int = 0) -> GradientField
 
 def error_of(pixel_deg: float, patch_deg: float, patch_px: float, scale_share: float = 0.0) -> SlopeError:
     """An error that is the same at every tilt."""
-    return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, (0.0, 0.0, 0.0), scale_share)
+    return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, FAR, scale_share)
 
 
-def known_of(gradients: GradientField, error: SlopeError, scale_share: float = 0.0) -> HeightUncertainty:
-    none = (np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32))
+LEVEL = (np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
+"""Slopes that a map without fault reads on untouched skin."""
+
+
+def known_of(
+    gradients: GradientField,
+    error: SlopeError,
+    scale_share: float = 0.0,
+    resting: tuple[np.ndarray, np.ndarray] = LEVEL,
+) -> HeightUncertainty:
     height = HeightMap(bump().astype(np.float32), PITCH_UM)
-    return height_uncertainty(height, gradients, none, none[0], error, untouched_skin(gradients), scale_share)
+    return height_uncertainty(
+        height, gradients, np.zeros(SHAPE, np.float32), error, resting, bump() < 1e-4, scale_share
+    )
 
 
 def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
@@ -107,6 +121,36 @@ def test_an_error_of_scale_grows_with_the_height() -> None:
     np.testing.assert_allclose(sigma, 0.02 * np.abs(bump()), rtol=1e-3, atol=1e-3)
 
 
+def test_skin_lower_than_the_balls_apexes_is_less_sure_under_near_lights() -> None:
+    error = error_of(0.0, 0.0, 8.0)
+    near = msgspec.structs.replace(error, elevation=TaughtElevation(20.0, 20.0, 0.002))
+    gradients = gradients_of(bump(), 0.0)
+    assert np.nanmax(sigma_of(gradients, error)) < 1e-3
+    sigma = sigma_of(gradients, near)
+    plateau = sigma[95:105, 120:136]
+    assert 0.004 * bump().max() < plateau.mean() < 0.05 * bump().max()
+    assert sigma[:10].max() < 0.2 * plateau.mean()
+
+
+def test_the_zero_is_not_known_better_than_resting_skin_is_flat() -> None:
+    gradients, at_rest = gradients_of(bump(), 0.0), np.zeros(SHAPE, bool)
+    at_rest[:20] = True
+    uneven_um = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, -3.0, 3.0).astype(np.float32)
+    height = HeightMap(np.broadcast_to(uneven_um, SHAPE), PITCH_UM)
+    flat = np.zeros(SHAPE, np.float32)
+    known = height_uncertainty(height, gradients, flat, error_of(0.0, 0.0, 8.0), LEVEL, at_rest)
+    assert 2.0 < known.sigma_um.min() <= known.sigma_um.max() < 4.0
+
+
+def test_what_the_map_reads_on_untouched_skin_is_not_known_better_than_that() -> None:
+    across = (np.arange(8, dtype=np.float32) - 3.5) / 3.5
+    bowl = 1e-3 * np.broadcast_to(across, (8, 8)).astype(np.float32)
+    known = known_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0), resting=(bowl, np.zeros_like(bowl)))
+    sag_um = 0.5 * 1e-3 * 0.5 * SHAPE[1] * PITCH_UM
+    drawn_um = np.abs(known.draws_um[:, 100, 2] - known.draws_um[:, 100, 128])
+    assert 0.5 * sag_um < np.sqrt((drawn_um**2).mean()) < 1.5 * sag_um
+
+
 def test_an_unsure_scale_of_the_pixel_pitch_counts_as_well() -> None:
     known = known_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0, 0.03), scale_share=0.04)
     np.testing.assert_allclose(known.sigma_um, 0.05 * np.abs(bump()), rtol=1e-3, atol=1e-3)
@@ -124,7 +168,7 @@ def test_slopes_are_less_sure_where_the_skin_is_steep_or_the_colour_strange() ->
     weight = np.ones(SHAPE, np.float32)
     weight[:, :100] = 0.04
     gradients = GradientField(p, 0.0 * p, weight > 0, weight)
-    error = SlopeError((0.0, 45.0), (0.0, 0.0), (0.5, 1.0), 8.0, (0.0, 0.0, 0.0), 0.0)
+    error = SlopeError((0.0, 45.0), (0.0, 0.0), (0.5, 1.0), 8.0, FAR, 0.0)
     sigma = slope_sigma(gradients, p, 0.0 * p, 0.0 * p, error)
     assert sigma[50, 200] == pytest.approx(2.0 * np.radians(1.0), rel=1e-3)
     assert sigma[50, 50] == pytest.approx(5.0 * sigma[50, 200], rel=1e-3)
