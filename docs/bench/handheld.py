@@ -19,6 +19,7 @@ from device.inverse_map import InverseMap
 from device.photometry import bin_bayer, divide
 from device.quick_look import QuickLookModel, quick_look
 from device.raw_file import read_raw
+from device.surface import Float32Array
 
 ROUNDS = 40
 
@@ -33,7 +34,10 @@ def measure(plan: Plan, maps: dict[Shape, InverseMap], folder: Path, tell: Calla
 
 
 def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> dict[str, Any]:
-    """Total and stages of a quick look of (H, W) pixels on one core, and how far its slopes are from the map's."""
+    """Total and stages of a quick look of (H, W) pixels on one core, and how right its slopes and heights are.
+
+    Slopes are compared with the map that their tables stand for, heights with the coin as it lies.
+    """
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     cv2.setNumThreads(1)
     frame = read_raw(folder / f"coin-{named(shape)}.tif")
@@ -55,6 +59,16 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     exact = inverse_map.gradients(intensity, model.binning)
     difference = np.hypot(slopes.p - exact.p, slopes.q - exact.q)[exact.valid]
     figures["slope_difference_mean"] = float(difference.mean())
+    truth_px = np.load(folder / f"coin-{named(shape)}.npy")
+    figures["height_error_share"] = _height_error_share(quick_look(binned, model).height.z_um, truth_px, model.binning)
     figures["height_size"] = named(binned.shape)
     figures["needs_numba"] = "numba" in sys.modules
     return figures
+
+
+def _height_error_share(z_px: Float32Array, truth_px: Float32Array, binning: int) -> float:
+    """Root mean square error of a reduced height map over that of the true relief, each set to mean zero."""
+    rows, columns = z_px.shape
+    cells = truth_px[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
+    truth = cells.mean(axis=(1, 3), dtype=np.float64)
+    return float((z_px - truth).std() / truth.std())

@@ -8,9 +8,9 @@ where the error that is left asks for them, and conjugate gradients around them 
 What is left. Shapes and coarse slopes are exact for slopes that belong to a surface, so that smoothing on the finest
 level repairs what noise alone has left, and how much it changes is a measure of that noise: without a tolerance cycles
 end when the estimated error is a share of it. The correction that a cycle brings is a measure of the error that it
-removed. One alone does not tell how fast errors fall, which holes with narrow bridges between them make slow; but such
-bridges show on the coarse levels too, whose cycles come first: what these leave behind is added. From the second cycle on
-the finest level's own corrections tell.
+removed. One alone does not tell how fast errors fall, which holes with narrow bridges between them make slow; but those
+show on the coarse levels too, whose cycles come first: what these leave behind is added. From the second cycle on the
+finest level's own corrections tell.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ CYCLE_SHARE: Final = 0.6
 SLOWED: Final = 0.25
 """How much more slowly what is left falls than what was removed (see `still_to_come`)."""
 
-NOISE_SHARE: Final = 0.7
-"""Tolerance, as a share of what the first smoothing changed, where none is given. Errors are stated half again too
-large; half as much as was changed adds less than 1 % to what noise does to the heights."""
+NOISE_SHARE: Final = 0.5
+"""Tolerance, as a share of what the first smoothing changed, where none is given: so much adds less than 1 % to what
+noise does to the heights."""
 
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
