@@ -1,6 +1,7 @@
 """A sequence of raw frames in memory to height maps, and how far they are from those of each frame alone.
 
-Lights and lens stand still while the coin moves: its shading relative to the skin at rest is what is shifted.
+Lights and lens stand still while the coin moves: its shading relative to the skin at rest is what is shifted. Specks of
+dust lie on the skin, black, and weigh little: without them every pixel of such a press weighs the same.
 
 Rates are those of whole sequences: frames are solved side by side as `retrosync video` does it, beginning and end
 included, when not all threads have a frame.
@@ -22,7 +23,7 @@ from timing import Stopwatch
 
 from device.photometry import demosaic
 from device.raw_file import read_raw
-from device.surface import Float32Array, GradientField
+from device.surface import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration
 from host_sync.frame_sequence import StoredFrame
@@ -37,6 +38,10 @@ STEP_PX = 16
 
 REST_BLUR_PX = 8.0
 """Smoothing of the skin at rest, of one colour's pixels: a frame brings noise of its own."""
+
+SPECKS = 40
+LARGEST_SPECK = 0.006
+"""Radius of a speck, as a share of the frame's columns."""
 
 CONVERGED_TOLERANCE_PX = 1e-5
 MOST_CYCLES = 40
@@ -94,17 +99,28 @@ def sequence(calibration: Calibration, folder: Path, shape: Shape, count: int) -
     """Raw frames of (H, W) pixels in which a coin moves, and their calibration."""
     coin = read_raw(folder / f"coin-{named(shape)}.tif")
     reference = read_raw(folder / f"reference-{named(shape)}.tif")
-    frames = [StoredFrame(f"frame {k}", _shifted(coin, reference, STEP_PX * k)) for k in range(count)]
+    dust = _dust(shape)
+    frames = [StoredFrame(f"frame {k}", _shifted(coin, reference, dust, STEP_PX * k)) for k in range(count)]
     return frames, resampled(calibration, demosaic(reference))
 
 
-def _shifted(coin: RawFrame, reference: RawFrame, columns: int) -> RawFrame:
-    """The frame of the coin with its relief moved to the right, under lights that stay where they are."""
+def _dust(shape: Shape) -> MaskArray:
+    """Where specks lie: bool array of shape (H, W)."""
+    rows, columns = shape
+    random, found = np.random.default_rng(0), np.zeros(shape, np.uint8)
+    for _ in range(SPECKS):
+        centre = int(random.uniform(0, columns)), int(random.uniform(0, rows))
+        cv2.circle(found, centre, 1 + int(random.uniform(0.0, LARGEST_SPECK) * columns), 1, cv2.FILLED)
+    return found.astype(np.bool_)
+
+
+def _shifted(coin: RawFrame, reference: RawFrame, dust: MaskArray, columns: int) -> RawFrame:
+    """The frame of the coin with its relief moved to the right, under lights and dust that stay where they are."""
     black = np.float32(reference.black_level_dn)
     rest = np.empty(reference.shape, np.float32)
     for row, column in np.ndindex(2, 2):
         colour = reference.mosaic[row::2, column::2].astype(np.float32) - black
         rest[row::2, column::2] = cv2.GaussianBlur(colour, (0, 0), REST_BLUR_PX)
     shading = (coin.mosaic.astype(np.float32) - black) / rest
-    counts = np.roll(shading, columns, axis=1) * rest + black
+    counts = np.where(dust, np.float32(0.0), np.roll(shading, columns, axis=1) * rest) + black
     return replace(coin, mosaic=np.clip(np.rint(counts), 0.0, coin.white_level_dn).astype(np.uint16))
