@@ -25,6 +25,7 @@ from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.coarsest import pseudo_inverse, solve_coarsest, write_divergence
 from host_sync.reconstruction.condense import condense, condense_pixels
 from host_sync.reconstruction.conjugate_gradients import conjugate_gradients
+from host_sync.reconstruction.correction import add_correction
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
@@ -37,13 +38,13 @@ SLOW_CONTRACTION: Final = 0.6
 START_SHARE: Final = 0.4
 """Error left after the first smoothing, as a share of what it changed (0.27 was measured without weights)."""
 
-CYCLE_SHARE: Final = 0.6
+CYCLE_SHARE: Final = 0.7
 """Error left after the first cycle, as a share of its correction; that of the coarse levels is added."""
 
 SLOWED: Final = 0.25
 """How much more slowly what is left falls than what was removed (see `still_to_come`)."""
 
-NOISE_SHARE: Final = 0.5
+NOISE_SHARE: Final = 0.55
 """Tolerance, as a share of what the first smoothing changed, where none is given: so much adds less than 1 % to what
 noise does to the heights."""
 
@@ -159,7 +160,7 @@ def _finest_cycles(
 ) -> Solution:
     """Start the finest level and improve it until it is good enough or a cycle gains too little.
 
-    A cycle's last sweeps and the next one's first are one pass over memory.
+    A cycle's last sweeps and the next one's first are one pass over memory; the last cycle's are left out.
     """
     weighted = field.weight is not None
     coarse, steps, both = levels[0], smoothing(), smoothing(2)
@@ -184,8 +185,8 @@ def _finest_cycles(
         corrections.append(root_mean_square(coarse.z))
         error = _remaining_error(corrections, solved.error)
         if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):
-            sweep(field, steps, before, after, coarse=coarse.z)
-            return Solution(after, tuple(residuals), error, tolerance)
+            add_correction(before, coarse.z, field.weight)
+            return Solution(before, tuple(residuals), error, tolerance)
         figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
         residuals.append(figures.residual)
         before, after = after, before

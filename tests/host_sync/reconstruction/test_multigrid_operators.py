@@ -10,10 +10,14 @@ from scipy import ndimage
 from device.fft_integrator import integrate_dct
 from device.surface import GradientField
 from host_sync.reconstruction.condense import condense
-from host_sync.reconstruction.grid_level import GridLevel, new_level
+from host_sync.reconstruction.correction import add_correction
+from host_sync.reconstruction.edge_slopes import edge_coefficients
+from host_sync.reconstruction.grid_level import GridLevel, PixelField, new_level
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.multigrid import Integrator, integrate
+from host_sync.reconstruction.sweep import sweep
 from host_sync.reconstruction.transfer import prolong_row, prolong_weighted_row, restrict_row
+from host_sync.reconstruction.v_cycle import smoothing
 
 
 def noisy(shape: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,6 +109,22 @@ def test_prolongation_keeps_sums_where_no_hole_cuts_it_off(holes: bool) -> None:
     else:
         np.testing.assert_allclose(fine, prolonged(coarse, shape, None), atol=1e-6)
         assert fine.sum() == pytest.approx(4.0 * float(coarse.sum()), abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (7, 12), (30, 41), (420, 333)])
+@pytest.mark.parametrize("holes", [False, True])
+def test_the_last_correction_is_what_a_pass_without_sweeps_adds(shape: tuple[int, int], holes: bool) -> None:
+    random = np.random.default_rng(0)
+    weight = weights(shape).astype(np.float32) if holes else None
+    z = random.normal(size=shape).astype(np.float32)
+    coarse = random.normal(size=((shape[0] + 1) // 2, (shape[1] + 1) // 2)).astype(np.float32)
+    slopes = np.zeros(shape, np.float32)
+    pixels = PixelField(slopes, slopes, weight, np.float32(1.0), edge_coefficients("two-point"), 1e-4)
+    expected = np.empty_like(z)
+    sweep(pixels, smoothing(0), z, expected, coarse=coarse)
+    add_correction(z, coarse, weight)
+    used = np.ones(shape, np.bool_) if weight is None else weight > 0.0
+    np.testing.assert_array_equal(z[used], expected[used])
 
 
 @pytest.mark.parametrize("shape", [(16, 24), (17, 23), (9, 5)])
