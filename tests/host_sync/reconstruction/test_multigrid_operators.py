@@ -9,10 +9,10 @@ from scipy import ndimage
 
 from device.fft_integrator import integrate_dct
 from device.surface import GradientField
-from host_sync.reconstruction.condense import condense
+from host_sync.reconstruction.condense import condense, condense_pixels
 from host_sync.reconstruction.correction import add_correction
-from host_sync.reconstruction.edge_slopes import edge_coefficients
-from host_sync.reconstruction.grid_level import GridLevel, PixelField, new_level
+from host_sync.reconstruction.edge_slopes import EdgeRule, edge_coefficients
+from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels, new_level
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.multigrid import Integrator, integrate
 from host_sync.reconstruction.sweep import sweep
@@ -125,6 +125,20 @@ def test_the_last_correction_is_what_a_pass_without_sweeps_adds(shape: tuple[int
     add_correction(z, coarse, weight)
     used = np.ones(shape, np.bool_) if weight is None else weight > 0.0
     np.testing.assert_array_equal(z[used], expected[used])
+
+
+@pytest.mark.parametrize("shape", [(3, 8), (8, 3), (5, 6), (64, 64), (401, 333), (1000, 401)])
+@pytest.mark.parametrize("rule", ["fourth-order", "two-point", "printed"])
+def test_without_weights_coarse_slopes_are_what_cells_with_shapes_make_them(
+    shape: tuple[int, int], rule: EdgeRule
+) -> None:
+    random = np.random.default_rng(0)
+    p, q = (random.normal(size=shape).astype(np.float32) for _ in range(2))
+    plain, weighted = (coarser_levels(shape, known)[0] for known in (False, True))
+    for level, weight in ((plain, None), (weighted, np.ones(shape, np.float32))):
+        condense_pixels(PixelField(p, q, weight, np.float32(1.0), edge_coefficients(rule), 1e-4), level, 0.5)
+    np.testing.assert_allclose(plain.slope_across, weighted.slope_across, atol=3e-6)
+    np.testing.assert_allclose(plain.slope_down, weighted.slope_down, atol=3e-6)
 
 
 @pytest.mark.parametrize("shape", [(16, 24), (17, 23), (9, 5)])
