@@ -38,7 +38,7 @@ SLOW_CONTRACTION: Final = 0.6
 START_SHARE: Final = 0.4
 """Error left after the first smoothing, as a share of what it changed (0.27 was measured without weights)."""
 
-CYCLE_SHARE: Final = 0.7
+CYCLE_SHARE: Final = 0.6
 """Error left after the first cycle, as a share of its correction; that of the coarse levels is added."""
 
 SLOWED: Final = 0.25
@@ -51,9 +51,9 @@ noise does to the heights."""
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
 
-COARSE_CYCLES: Final = 1, 0
-WEIGHTED_CYCLES: Final = 3, 1
-"""V-cycles on coarse levels in general and on the one below the pixels, without and with weights."""
+COARSE_CYCLES: Final = 0, 1
+WEIGHTED_CYCLES: Final = 1, 2, 3
+"""V-cycles on the level below the pixels and on those below it, the last for all that follow; without, with weights."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,10 +143,11 @@ def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -
     write_divergence(levels[-1])
     inverse = pseudo_inverse(levels[-1])
     solve_coarsest(levels[-1], inverse)
-    many, few = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
+    cycles = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
     error = 0.0
     for depth in range(len(levels) - 2, -1, -1):
-        error = nested_cycles(levels[depth:], inverse, many if depth else few) or error
+        times, after = cycles[min(depth, len(cycles) - 1)], 1 if depth else 0
+        error = nested_cycles(levels[depth:], inverse, times, after) or error
     return CoarseSolution(inverse, error)
 
 
@@ -181,7 +182,7 @@ def _finest_cycles(
     residuals = [first.residual]
     corrections: list[float] = []
     while True:
-        v_cycle(levels, solved.inverse)
+        v_cycle(levels, solved.inverse, after=0)
         corrections.append(root_mean_square(coarse.z))
         error = _remaining_error(corrections, solved.error)
         if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):

@@ -20,12 +20,14 @@ MOST_SHARE: Final = 0.9
 """Largest share of the correction before that is believed: where only rounding is left, corrections fall no more."""
 
 
-def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
+def v_cycle(levels: list[GridLevel], inverse: Float64Array, after: int = 1) -> None:
     """Leave in the first level's `z` the heights that one cycle from nought finds for its right-hand side.
 
     The right-hand sides of the levels below are overwritten.
 
     inverse : `pseudo_inverse` of the last level
+    after : how often the first level is smoothed after its correction; never where only pixels are finer, for whom
+        what is uneven in it is too small to matter
     """
     level, *rest = levels
     if not rest:
@@ -35,15 +37,17 @@ def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
     sweep(level, steps, None, level.spare, coarse_rhs=coarse.rhs)
     level.swap()
     v_cycle(rest, inverse)
-    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    sweep(level, smoothing(after), level.z, level.spare, coarse=coarse.z)
     level.swap()
 
 
-def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -> float:
+def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int, after: int = 1) -> float:
     """Solve the first level from the heights of the next one: add shapes, smooth, then improve by V-cycles.
 
     Returns the error that is left, as far as several cycles show it. A cycle's last sweeps and the next one's first are
     one pass over memory.
+
+    after : as for `v_cycle`, in the last cycle
     """
     level, coarse = levels[:2]
     steps = smoothing()
@@ -60,7 +64,7 @@ def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -
         level.swap()
     v_cycle(levels[1:], inverse)
     corrections.append(root_mean_square(coarse.z))
-    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    sweep(level, smoothing(after), level.z, level.spare, coarse=coarse.z)
     level.swap()
     return still_to_come(corrections)
 
