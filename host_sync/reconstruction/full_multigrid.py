@@ -51,7 +51,7 @@ noise does to the heights."""
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
 
-COARSE_CYCLES: Final = 0, 1
+COARSE_CYCLES: Final = 0, 0, 1
 WEIGHTED_CYCLES: Final = 1, 2, 3
 """V-cycles on the level below the pixels and on those below it, the last for all that follow; without, with weights."""
 
