@@ -22,6 +22,7 @@ from host_sync.compile_notice import tell_of_compiling
 from host_sync.detail_band import DetailBand
 from host_sync.errors import FrameSetError, HostError, SourceError
 from host_sync.frame_set import load_frame_set
+from host_sync.kernel_cache import keep_kernels_apart
 from host_sync.library import Library
 from host_sync.method_name import MethodName
 from host_sync.picture_format import PictureFormat
@@ -43,6 +44,7 @@ app = App(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    keep_kernels_apart()
     try:
         result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         sys.stdout.flush()

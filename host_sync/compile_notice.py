@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from host_sync.kernel_cache import forget_unused_states
+
 
 def compiled_before() -> bool:
     """Whether the cache on disk holds the kernels of an earlier run."""
@@ -14,5 +16,6 @@ def compiled_before() -> bool:
 
 def tell_of_compiling() -> None:
     """Write one line to a terminal when this run will compile; a log or a pipe is spared it."""
+    forget_unused_states()
     if sys.stderr.isatty() and not compiled_before():
         sys.stderr.write("retrosync: the first run compiles for this machine and takes a minute or two longer\n")

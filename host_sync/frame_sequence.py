@@ -119,7 +119,11 @@ class FolderSequence:
 
 
 class StackSequence:
-    """The pages of a TIFF file, each an RGB image of 8 or 16 bit."""
+    """The pages of a TIFF file, each an RGB image of 8 or 16 bit.
+
+    Each page says where the next one stands. Of a file that was cut, as many pages as can be found come first, and then
+    one `BadFrame` for all the rest, whose number nobody knows.
+    """
 
     rate_hz = None
 
@@ -127,7 +131,8 @@ class StackSequence:
         self._path = path
         try:
             with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
-                self.count = len(tiff.pages)
+                self._whole_pages = len(tiff.pages)
+                self._is_cut = _names_another_page(tiff)
                 first = tiff.pages.first
                 shape, dtype = first.shape, first.dtype
         except TIFF_READ_ERRORS as error:
@@ -136,10 +141,15 @@ class StackSequence:
             raise SequenceError(f"{path}: its pages hold {dtype} of shape {shape}: save RGB pages of 8 or 16 bit")
         self._shape, self._dtype = shape, dtype
 
+    @property
+    def count(self) -> int:
+        """How many pages there are; those that are lost count as one."""
+        return self._whole_pages + self._is_cut
+
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
         """Every page's frame."""
         with quiet_tiff_log(), tifffile.TiffFile(self._path) as tiff:
-            for number in range(self.count):
+            for number in range(self._whole_pages):
                 name = f"page {number + 1}"
                 try:
                     page = tiff.pages[number]
@@ -152,6 +162,9 @@ class StackSequence:
                     yield BadFrame(name, f"{self._path}: {name}: {reason}")
                 else:
                     yield StoredFrame(name, pixels)
+        if self._is_cut:
+            rest = f"all after page {self._whole_pages}"
+            yield BadFrame(rest, f"{self._path}: {rest} is missing, the file is cut short: fetch it again")
 
 
 class MovieSequence:
@@ -183,6 +196,16 @@ class MovieSequence:
                 yield StoredFrame(f"frame {number}", np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8))
         finally:
             movie.release()
+
+
+def _names_another_page(tiff: tifffile.TiffFile) -> bool:
+    """Whether the last page that was found says where the next one stands, when there is none."""
+    at = tiff.pages.next_page_offset
+    if at is None:
+        return True
+    tiff.filehandle.seek(at)
+    stored = tiff.filehandle.read(tiff.tiff.offsetsize)
+    return any(stored) or len(stored) < tiff.tiff.offsetsize
 
 
 def _read_file(path: Path) -> Pixels | RawFrame:

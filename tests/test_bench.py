@@ -33,9 +33,10 @@ def figures(**changed: Any) -> dict[str, Any]:
     """Integration of a full rectangle with every figure that its marks need."""
     part: dict[str, Any] = {
         "floor": {"min_ms": 4.0},
-        "ours": {"min_ms": 20.0, "rmse_px": 0.0401},
+        "ours": {"min_ms": 20.0, "rmse_px": 0.0399},
         "scipy dctn, 2 workers": {"min_ms": 80.0},
         "exact": {"rmse_px": 0.04},
+        "accuracy": {"over_exact": 1.002, "fields": 3},
     }
     return {"integration": {"unweighted": part | changed}}
 
@@ -51,10 +52,48 @@ def test_a_mark_is_met_at_its_limit_and_not_beyond(judge: Judge) -> None:
 
 
 def test_speed_does_not_count_without_accuracy(judge: Judge) -> None:
-    marks = judge(figures(ours={"min_ms": 1.0, "rmse_px": 0.05}))
+    marks = judge(figures(ours={"min_ms": 1.0, "rmse_px": 0.039}, accuracy={"over_exact": 1.011, "fields": 3}))
     assert marks["unweighted_over_dctn"]["value"] == 80.0
     assert marks["unweighted_over_dctn"]["met"] is False
     assert marks["unweighted_error"]["met"] is False
+
+
+def beside_pyamg(over_exact: float) -> dict[str, Any]:
+    solved = {"min_ms": 9000.0, "over_exact": 1.0001}
+    ours = {"min_ms": 20.0, "over_exact": over_exact}
+    part = {"ours, two-point": ours, "pyamg ruge-stuben": solved, "pyamg smoothed aggregation": solved}
+    return {"integration": {"beside pyamg": part}}
+
+
+def slopes(other_pixels: float) -> dict[str, Any]:
+    ours = {"min_ms": 1.0, "mean_difference_to_numpy_deg": 1e-6, "share_of_other_pixels": other_pixels}
+    return {"gradients": {"ours": ours, "torch network": {"min_ms": 20.0}}}
+
+
+def video(error_px: float) -> dict[str, Any]:
+    return {"video": {"weighted": {"best_fps": 30.0, "rmse_px": error_px}}}
+
+
+def handheld(height_error_share: float) -> dict[str, Any]:
+    look = {"height_error_share": height_error_share, "untabulated_height_error_share": 0.15}
+    return {"handheld": {"2028x1520": {"total": {"min_ms": 9.0}} | look}}
+
+
+@pytest.mark.parametrize(
+    ("name", "right", "wrong"),
+    [
+        ("weighted_over_pyamg", beside_pyamg(1.003), beside_pyamg(1.02)),
+        ("gradients_over_network", slopes(0.0), slopes(0.01)),
+        ("video_weighted_fps", video(0.003), video(0.5)),
+        ("handheld_ms", handheld(0.155), handheld(0.17)),
+    ],
+)
+def test_every_speed_asks_for_its_own_accuracy(
+    judge: Judge, name: str, right: dict[str, Any], wrong: dict[str, Any]
+) -> None:
+    assert judge(right)[name]["met"] is True
+    assert judge(wrong)[name]["met"] is False
+    assert judge(right)[name]["value"] == judge(wrong)[name]["value"]
 
 
 def test_a_missing_peer_is_neither_met_nor_missed(judge: Judge) -> None:
@@ -63,8 +102,6 @@ def test_a_missing_peer_is_neither_met_nor_missed(judge: Judge) -> None:
     for name in ("gradients_over_network", "weighted_over_pyamg", "pipeline_s", "two_workers"):
         assert marks[name]["value"] is None
         assert marks[name]["met"] is None
-    both = {"gradients": {"ours": {"min_ms": 1.0}, "torch network": {"min_ms": 20.0}}}
-    assert judge(both)["gradients_over_network"]["met"] is True
 
 
 def test_workers_are_judged_only_where_two_cores_are_idle(judge: Judge) -> None:

@@ -33,6 +33,7 @@ def measure(plan: Plan, calibration: Calibration, tell: Callable[[str], None]) -
     figures = side_by_side(methods, min(plan.rounds, 3))
     found, expected = methods["ours"](), methods["plain numpy"]()
     figures["ours"]["mean_difference_to_numpy_deg"] = _mean_difference_deg(found, expected)
+    figures["ours"]["share_of_other_pixels"] = float((found.valid != expected.valid).mean())
     small = _image(calibration, plan.small)
     small_map = at_size(calibration.inverse.map, plan.small)
     figures["small"] = side_by_side({"ours": lambda: estimate_slopes(small_map, small)}, plan.rounds)

@@ -19,6 +19,7 @@ from device.inverse_map import InverseMap
 from device.photometry import bin_bayer, divide
 from device.quick_look import QuickLookModel, quick_look
 from device.raw_file import read_raw
+from device.surface import Float32Array, Float64Array, GradientField
 
 ROUNDS = 40
 
@@ -33,7 +34,10 @@ def measure(plan: Plan, maps: dict[Shape, InverseMap], folder: Path, tell: Calla
 
 
 def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> dict[str, Any]:
-    """Total and stages of a quick look of (H, W) pixels on one core, and how far its slopes are from the map's."""
+    """Total and stages of a quick look of (H, W) pixels on one core, and how right its slopes and heights are.
+
+    Slopes are compared with the map that their tables stand for, heights with the coin as it lies.
+    """
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     cv2.setNumThreads(1)
     frame = read_raw(folder / f"coin-{named(shape)}.tif")
@@ -55,6 +59,27 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     exact = inverse_map.gradients(intensity, model.binning)
     difference = np.hypot(slopes.p - exact.p, slopes.q - exact.q)[exact.valid]
     figures["slope_difference_mean"] = float(difference.mean())
+    truth = _reduced(np.load(folder / f"coin-{named(shape)}.npy"), model.binning)
+    figures["height_error_share"] = _error_share(quick_look(binned, model).height.z_um, truth)
+    figures["untabulated_height_error_share"] = _error_share(_heights(exact) * model.binning, truth)
     figures["height_size"] = named(binned.shape)
     figures["needs_numba"] = "numba" in sys.modules
     return figures
+
+
+def _heights(slopes: GradientField) -> Float32Array:
+    """Heights as a quick look makes them of these slopes, in sensor pixels over its binning."""
+    trusted = np.minimum(np.float32(2.0) * slopes.weight, np.float32(1.0))
+    return integrate_dct(np.nan_to_num(slopes.p) * trusted, np.nan_to_num(slopes.q) * trusted, 1.0)
+
+
+def _reduced(truth_px: Float32Array, binning: int) -> Float64Array:
+    """Means of true heights over a quick look's pixels, sensor pixels."""
+    rows, columns = (size // binning for size in truth_px.shape)
+    cells = truth_px[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
+    return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
+
+
+def _error_share(z_px: Float32Array, truth_px: Float64Array) -> float:
+    """Root mean square error of a height map over that of the true relief, each set to mean zero."""
+    return float((z_px - truth_px).std() / truth_px.std())

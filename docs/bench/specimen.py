@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from plan import Shape, named
 
 from device.bundle_store import BundleStore
@@ -43,13 +44,19 @@ def twin_calibration(shape: Shape, folder: Path) -> CalibrationBundle:
 
 
 def render(shape: Shape, folder: Path) -> None:
-    """Write `reference-CxR.tif` and `coin-CxR.tif`: raw frames of the skin at rest and of a coin."""
-    with twin_hardware(build(twin_of(shape), VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))) as hardware:
+    """Write `reference-CxR.tif` and `coin-CxR.tif`, raw frames of the skin at rest and of a coin, and its heights.
+
+    These are the skin's true ones, in pixels: `coin-CxR.npy`, float32 array of shape (H, W).
+    """
+    bench = build(twin_of(shape), VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))
+    with twin_hardware(bench) as hardware:
         plan = CapturePlan.of_board(hardware)
         write_raw(folder / f"reference-{named(shape)}.tif", capture(hardware, plan))
         hardware.operator.ask(PressObject("coin"))
         hardware.button.wait_for_press(None)
         write_raw(folder / f"coin-{named(shape)}.tif", capture(hardware, plan))
+        truth = bench.truth()
+        np.save(folder / f"coin-{named(shape)}.npy", truth.z_um / np.float32(truth.pitch_um))
 
 
 def twin_of(shape: Shape) -> BoardProfile:

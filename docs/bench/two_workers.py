@@ -8,6 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import batch
 import cv2
 import numpy as np
 from fresh import thread_settings
@@ -37,6 +38,7 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
         "two_workers_fps": two_fps,
         "scaling": two_fps / one_fps,
         "scaling_of_counting": two_count / one_count,
+        "batch": batch.measure(plan, calibration, folder, shape),
     }
 
 

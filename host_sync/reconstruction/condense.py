@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from host_sync.reconstruction.cell_shape import slopes_across, slopes_down, unit_slopes_across, unit_slopes_down
+from host_sync.reconstruction.condense_unit import condense_unit_pixels
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
 from host_sync.reconstruction.row_bands import in_bands
@@ -22,6 +23,9 @@ RING: Final = 4
 
 def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
     """Write the edges of the level below the pixels; `apart` as `conductance` takes it."""
+    if field.weight is None:
+        condense_unit_pixels(field, coarse)
+        return
     nothing = (None, None, None, None, None, None)
     arguments = (
         field.p,
@@ -59,11 +63,10 @@ def _condense(
     nothing = ring(1, columns + 1)[0]
     offsets = ring(4, columns)
     start = max(first - 1, 0)
-    pixels = None if weight is None else ring(4, columns + 4)
+    pixels = None if p is None else ring(4, columns + 4)
     if p is not None:
         slope_across, slope_down = ring(RING, columns + 1), ring(RING, columns)
-        if weight is not None:
-            across, down = ring(RING, columns + 1), ring(RING, columns)
+        across, down = ring(RING, columns + 1), ring(RING, columns)
         first_edges(q, weight, scale, rule, 2 * start, pixels, down, slope_down)
     for r in range(start, last):
         if p is not None:

@@ -20,6 +20,9 @@ from host_sync.reconstruction.grid_level import GridLevel, edge_weights
 WINDOW: Final = 8
 """Iterations over which the rate of convergence is measured."""
 
+LEAST_RATE: Final = 0.5
+"""Least rate that is believed: a part that hangs by one bridge shows late, after steps that fell much faster."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KrylovSolution:
@@ -99,5 +102,5 @@ def _remaining_error(steps: list[float]) -> float:
     if len(steps) <= WINDOW:
         return float("inf")
     recent, before = max(steps[-WINDOW // 2 :]), max(steps[-WINDOW - 1 : -WINDOW // 2])
-    rate = (recent / before) ** (2.0 / (WINDOW + 1)) if before > 0.0 else 0.0
+    rate = max((recent / before) ** (2.0 / (WINDOW + 1)) if before > 0.0 else 0.0, LEAST_RATE)
     return recent * rate / (1.0 - rate) if rate < 1.0 else float("inf")

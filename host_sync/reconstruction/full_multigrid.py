@@ -6,9 +6,11 @@ solve for the correction one level down, interpolate it, smooth. The finest leve
 where the error that is left asks for them, and conjugate gradients around them where they gain too little.
 
 What is left. Shapes and coarse slopes are exact for slopes that belong to a surface, so that smoothing on the finest
-level repairs what noise alone has left, and how much it changes is a measure of that noise. Without a tolerance cycles
-end when the estimated error is less than half of it. The correction that a cycle brings is a measure of the error that
-it removed; with a contraction ρ per cycle the error left is about ρ times that.
+level repairs what noise alone has left, and how much it changes is a measure of that noise: without a tolerance cycles
+end when the estimated error is a share of it. The correction that a cycle brings is a measure of the error that it
+removed. One alone does not tell how fast errors fall, which holes with narrow bridges between them make slow; but those
+show on the coarse levels too, whose cycles come first: what these leave behind is added. From the second cycle on the
+finest level's own corrections tell.
 """
 
 from __future__ import annotations
@@ -23,29 +25,35 @@ from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.coarsest import pseudo_inverse, solve_coarsest, write_divergence
 from host_sync.reconstruction.condense import condense, condense_pixels
 from host_sync.reconstruction.conjugate_gradients import conjugate_gradients
+from host_sync.reconstruction.correction import add_correction
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
 from host_sync.reconstruction.rectangle import level_cells
 from host_sync.reconstruction.sweep import root_mean_square, sweep
-from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, v_cycle
+from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, still_to_come, v_cycle
 
-EXPECTED_CONTRACTION: Final = 0.5
-LEAST_CONTRACTION: Final = 0.1
 SLOW_CONTRACTION: Final = 0.6
 
 START_SHARE: Final = 0.4
-"""Error left after the first smoothing without weights, as a share of what it changed (0.27 was measured)."""
+"""Error left after the first smoothing, as a share of what it changed (0.27 was measured without weights)."""
 
-NOISE_SHARE: Final = 0.5
-"""Tolerance, as a share of what the first smoothing changed, where none is given."""
+CYCLE_SHARE: Final = 0.6
+"""Error left after the first cycle, as a share of its correction; that of the coarse levels is added."""
+
+SLOWED: Final = 0.25
+"""How much more slowly what is left falls than what was removed (see `still_to_come`)."""
+
+NOISE_SHARE: Final = 0.55
+"""Tolerance, as a share of what the first smoothing changed, where none is given: so much adds less than 1 % to what
+noise does to the heights."""
 
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
 
-COARSE_CYCLES: Final = 1, 0
-WEIGHTED_CYCLES: Final = 2, 1
-"""V-cycles on coarse levels in general and on the one below the pixels, without and with weights."""
+COARSE_CYCLES: Final = 0, 0, 1
+WEIGHTED_CYCLES: Final = 1, 2, 3
+"""V-cycles on the level below the pixels and on those below it, the last for all that follow; without, with weights."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +74,18 @@ class Solution:
     levelled: bool = False
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseSolution:
+    """What is known when the level below the pixels is solved.
+
+    inverse : pseudo-inverse of the coarsest level
+    error : estimated error of the finest level that had several cycles; nought where none had
+    """
+
+    inverse: Float64Array
+    error: float
+
+
 def full_multigrid(
     field: PixelField,
     levels: list[GridLevel],
@@ -81,8 +101,8 @@ def full_multigrid(
     """
     if not levels:
         return _solve_at_once(field, tolerance)
-    inverse = _coarse_solution(field, levels, APART)
-    solution = _finest_cycles(field, levels, inverse, heights, tolerance, max_cycles)
+    coarse = _coarse_solution(field, levels, APART)
+    solution = _finest_cycles(field, levels, coarse, heights, tolerance, max_cycles)
     cycles = max_cycles - len(solution.residuals)
     if not solution.error > solution.tolerance or cycles <= 0:
         return solution
@@ -94,7 +114,7 @@ def _conjugate_gradients(
 ) -> Solution:
     """The solution by conjugate gradients around V-cycles on levels that let no cycle diverge."""
     finest = written_level(field)
-    inverse = _coarse_solution(field, levels, 0.0)
+    inverse = _coarse_solution(field, levels, 0.0).inverse
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
     rhs = finest.rhs.astype(np.float64)
     if islands is None:
@@ -115,31 +135,33 @@ def _solve_at_once(field: PixelField, tolerance: float | None) -> Solution:
     return Solution(level.z, (), error, field.least_tolerance if tolerance is None else tolerance)
 
 
-def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -> Float64Array:
-    """Solve the level below the pixels, from the coarsest upwards; returns the coarsest level's pseudo-inverse."""
+def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -> CoarseSolution:
+    """Solve the level below the pixels, from the coarsest upwards."""
     condense_pixels(field, levels[0], apart)
     for level, coarse in pairwise(levels):
         condense(level, coarse, apart)
     write_divergence(levels[-1])
     inverse = pseudo_inverse(levels[-1])
     solve_coarsest(levels[-1], inverse)
-    many, few = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
+    cycles = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
+    error = 0.0
     for depth in range(len(levels) - 2, -1, -1):
-        nested_cycles(levels[depth:], inverse, many if depth else few)
-    return inverse
+        times, after = cycles[min(depth, len(cycles) - 1)], 1 if depth else 0
+        error = nested_cycles(levels[depth:], inverse, times, after) or error
+    return CoarseSolution(inverse, error)
 
 
 def _finest_cycles(
     field: PixelField,
     levels: list[GridLevel],
-    inverse: Float64Array,
+    solved: CoarseSolution,
     heights: tuple[Float32Array, Float32Array],
     tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
     """Start the finest level and improve it until it is good enough or a cycle gains too little.
 
-    A cycle's last sweeps and the next one's first are one pass over memory.
+    A cycle's last sweeps and the next one's first are one pass over memory; the last cycle's are left out.
     """
     weighted = field.weight is not None
     coarse, steps, both = levels[0], smoothing(), smoothing(2)
@@ -149,8 +171,10 @@ def _finest_cycles(
         level_cells(coarse.z, (field.p.shape[0], field.p.shape[1]))
     first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs, measured=True)
     tolerance = max(NOISE_SHARE * first.change, field.least_tolerance) if tolerance is None else tolerance
-    error = START_SHARE * first.change
-    if not np.isfinite(error) or max_cycles == 0 or (not weighted and error <= tolerance):
+    error = START_SHARE * first.change + solved.error
+    if not np.isfinite(first.change):
+        return Solution(before, (), float("nan"), tolerance)
+    if max_cycles == 0 or (not weighted and error <= tolerance):
         return Solution(before, (), error, tolerance, levelled=True)
     if not weighted:
         first = sweep(field, smoothing(0), before, after, coarse_rhs=coarse.rhs, measured=True)
@@ -158,12 +182,12 @@ def _finest_cycles(
     residuals = [first.residual]
     corrections: list[float] = []
     while True:
-        v_cycle(levels, inverse)
+        v_cycle(levels, solved.inverse, after=0)
         corrections.append(root_mean_square(coarse.z))
-        error = _remaining_error(corrections)
+        error = _remaining_error(corrections, solved.error)
         if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):
-            sweep(field, steps, before, after, coarse=coarse.z)
-            return Solution(after, tuple(residuals), error, tolerance)
+            add_correction(before, coarse.z, field.weight)
+            return Solution(before, tuple(residuals), error, tolerance)
         figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
         residuals.append(figures.residual)
         before, after = after, before
@@ -174,10 +198,8 @@ def _stalls(corrections: list[float]) -> bool:
     return len(corrections) > 2 and corrections[-1] > SLOW_CONTRACTION * corrections[-2]
 
 
-def _remaining_error(corrections: list[float]) -> float:
-    """Estimated error after the last of these corrections."""
-    last = corrections[-1]
-    if len(corrections) == 1 or corrections[-2] == 0.0:
-        return EXPECTED_CONTRACTION * last
-    contraction = max(last / corrections[-2], LEAST_CONTRACTION)
-    return last * contraction / (1.0 - contraction) if contraction < 1.0 else float("inf")
+def _remaining_error(corrections: list[float], coarse_error: float) -> float:
+    """Estimated error after the last of these corrections; `coarse_error` is what the coarse levels' cycles left."""
+    if len(corrections) == 1:
+        return CYCLE_SHARE * corrections[0] + coarse_error
+    return still_to_come(corrections, SLOWED)

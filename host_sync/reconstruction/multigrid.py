@@ -79,8 +79,8 @@ class Integrator:
     ) -> tuple[HeightMap, IntegrationReport]:
         """Height map of least squares, and how it was reached.
 
-        A pixel that is not valid or weighs nothing is a hole, NaN in the result. Each island (part that is connected
-        through neighbouring pixels) has a weighted mean of zero.
+        A pixel that is not valid or weighs nothing (less than `LEAST_WEIGHT` of the largest) is a hole, NaN in the
+        result. Each island (part that is connected through neighbouring pixels) has a weighted mean of zero.
 
         edges : how slopes become height differences between neighbours (see `edge_slopes`)
         tolerance_px : estimated algebraic error at which cycles end, pixels; None ends them where it is small beside

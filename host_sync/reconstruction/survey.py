@@ -14,6 +14,10 @@ from host_sync.reconstruction.row_bands import in_bands
 
 LEAST_SIDE_PX: Final = 3
 
+LEAST_WEIGHT: Final = 1e-12
+"""Share of the largest weight under which a weight counts as nought: noise is then a million times that of the best
+pixel, and single precision does not solve for both."""
+
 INFINITE: Final = np.int32(0x7F800000)
 MINUS_NOUGHT: Final = np.int32(-0x80000000)
 """Bits of the float32 values that they are named after; those of numbers that are not finite are larger or negative."""
@@ -24,7 +28,7 @@ class FieldSurvey:
     """What a gradient field holds.
 
     weight : float32 array of shape (H, W), nought at holes; None for a full rectangle of equal weights
-    largest : largest weight
+    largest : largest weight; 1 for a full rectangle of equal weights
     """
 
     weight: Float32Array | None
@@ -47,7 +51,7 @@ def survey(gradients: GradientField) -> FieldSurvey:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
     weight = np.ascontiguousarray(gradients.weight, np.float32)
     if _all_alike(gradients.valid, weight):
-        return FieldSurvey(None, float(weight[0, 0]))
+        return FieldSurvey(None, 1.0)
     counts, extremes = np.zeros((shape[0], 3), np.int32), np.zeros((shape[0], 2), np.int32)
     in_bands(_survey_rows, shape, gradients.valid, weight.view(np.int32), counts, extremes)
     used, odd, stray = (int(count) for count in counts.sum(axis=0))
@@ -59,8 +63,18 @@ def survey(gradients: GradientField) -> FieldSurvey:
         )
     smallest, largest = (float(w.view(np.float32)) for w in (extremes[:, 0].min(), extremes[:, 1].max()))
     if used == weight.size and smallest == largest:
-        return FieldSurvey(None, largest)
-    return FieldSurvey(np.where(gradients.valid, weight, np.float32(0.0)) if stray else weight, largest)
+        return FieldSurvey(None, 1.0)
+    if stray:
+        weight = np.where(gradients.valid, weight, np.float32(0.0))
+    if smallest < LEAST_WEIGHT * largest or largest < np.finfo(np.float32).tiny:
+        return FieldSurvey(_within_range(weight, largest), 1.0)
+    return FieldSurvey(weight, largest)
+
+
+def _within_range(weight: Float32Array, largest: float) -> Float32Array:
+    """The weights as shares of the largest, nought where that is too small to count."""
+    shares = weight.astype(np.float64) / largest
+    return np.where(shares >= LEAST_WEIGHT, shares, 0.0).astype(np.float32)
 
 
 def _all_alike(valid: MaskArray, weight: Float32Array) -> bool:
@@ -104,7 +118,13 @@ def refuse_slopes(gradients: GradientField) -> None:
             f"{faulty.sum()} valid pixels have no finite slope, the first in row {np.nonzero(faulty)[0][0]}: "
             "mark them as not valid"
         )
-    raise IntegrationError("the slopes are too large to be integrated in single precision: check their unit")
+    used = gradients.valid & (gradients.weight > 0.0)
+    steepest = np.where(used, np.maximum(np.abs(gradients.p), np.abs(gradients.q)), 0.0)
+    row = int(np.argmax(steepest)) // used.shape[1]
+    raise IntegrationError(
+        f"slopes as large as {steepest.max():.2g} (row {row}) cannot be integrated in single precision: "
+        "check their unit, or mark such pixels as not valid"
+    )
 
 
 @njit(cache=True, nogil=True)

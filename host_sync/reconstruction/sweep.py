@@ -125,7 +125,7 @@ def _band(
                 if p is not None:
                     next_edges(p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down)
                     system_row(r, across, slope_across, down, slope_down, rhs, inverse)
-                elif across is not None:
+                elif across is not None and sweeps > 0:
                     inverse_diagonal(across[r], down[r], down[r + 1], inverse[r % height])
             upper, lower = stages[0, t % height], stages[0, (t + 1) % height]
             if p is not None and nested:

@@ -11,18 +11,23 @@ from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.coarsest import solve_coarsest
 from host_sync.reconstruction.grid_level import GridLevel
 from host_sync.reconstruction.smoother import chebyshev_steps
-from host_sync.reconstruction.sweep import sweep
+from host_sync.reconstruction.sweep import root_mean_square, sweep
 
 SWEEPS: Final = 2
 """Sweeps before and after the correction."""
 
+MOST_SHARE: Final = 0.9
+"""Largest share of the correction before that is believed: where only rounding is left, corrections fall no more."""
 
-def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
+
+def v_cycle(levels: list[GridLevel], inverse: Float64Array, after: int = 1) -> None:
     """Leave in the first level's `z` the heights that one cycle from nought finds for its right-hand side.
 
     The right-hand sides of the levels below are overwritten.
 
     inverse : `pseudo_inverse` of the last level
+    after : how often the first level is smoothed after its correction; never where only pixels are finer, for whom
+        what is uneven in it is too small to matter
     """
     level, *rest = levels
     if not rest:
@@ -32,14 +37,17 @@ def v_cycle(levels: list[GridLevel], inverse: Float64Array) -> None:
     sweep(level, steps, None, level.spare, coarse_rhs=coarse.rhs)
     level.swap()
     v_cycle(rest, inverse)
-    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    sweep(level, smoothing(after), level.z, level.spare, coarse=coarse.z)
     level.swap()
 
 
-def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -> None:
+def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int, after: int = 1) -> float:
     """Solve the first level from the heights of the next one: add shapes, smooth, then improve by V-cycles.
 
-    A cycle's last sweeps and the next one's first are one pass over memory.
+    Returns the error that is left, as far as several cycles show it. A cycle's last sweeps and the next one's first are
+    one pass over memory.
+
+    after : as for `v_cycle`, in the last cycle
     """
     level, coarse = levels[:2]
     steps = smoothing()
@@ -47,14 +55,30 @@ def nested_cycles(levels: list[GridLevel], inverse: Float64Array, cycles: int) -
     sweep(level, steps, level.z, level.spare, coarse=coarse.z, nested=True, coarse_rhs=rhs)
     level.swap()
     if not cycles:
-        return
+        return 0.0
+    corrections = []
     for _ in range(cycles - 1):
         v_cycle(levels[1:], inverse)
+        corrections.append(root_mean_square(coarse.z))
         sweep(level, smoothing(2), level.z, level.spare, coarse=coarse.z, coarse_rhs=coarse.rhs)
         level.swap()
     v_cycle(levels[1:], inverse)
-    sweep(level, steps, level.z, level.spare, coarse=coarse.z)
+    corrections.append(root_mean_square(coarse.z))
+    sweep(level, smoothing(after), level.z, level.spare, coarse=coarse.z)
     level.swap()
+    return still_to_come(corrections)
+
+
+def still_to_come(corrections: list[float], slowed: float = 0.0) -> float:
+    """What all later cycles would bring if corrections went on to fall as the last two did; nought where there is one.
+
+    slowed : how far towards 1 the share that a correction is of the one before is raised
+    """
+    if len(corrections) < 2 or corrections[-2] == 0.0:
+        return 0.0
+    share = min(corrections[-1] / corrections[-2], MOST_SHARE)
+    share += slowed * (1.0 - share)
+    return corrections[-1] * share / (1.0 - share)
 
 
 @cache

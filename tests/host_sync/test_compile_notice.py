@@ -23,6 +23,7 @@ def test_it_is_said_once(
     words: int,
 ) -> None:
     monkeypatch.setattr(level, "cache_directory", lambda: tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     if cached:
         (tmp_path / "level._add_cells-1.py311.nbi").touch()

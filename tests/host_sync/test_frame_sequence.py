@@ -72,6 +72,23 @@ def test_a_page_unlike_the_first_is_named(tmp_path: Path) -> None:
     assert "page 2: is damaged or unlike the first page" in bad.reason
 
 
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}])
+def test_a_stack_that_was_cut_says_so_after_the_pages_it_still_has(tmp_path: Path, options: dict[str, object]) -> None:
+    path = tmp_path / "stack.tif"
+    with tifffile.TiffWriter(path, **options) as stack:
+        for value in (1, 2, 3, 4):
+            stack.write(picture(value), photometric="rgb", contiguous=False)
+    whole = path.read_bytes()
+    assert all(isinstance(frame, StoredFrame) for frame in open_sequence(path).frames())
+    path.write_bytes(whole[: len(whole) // 2])
+    sequence = open_sequence(path)
+    *pages, rest = sequence.frames()
+    assert 1 <= len(pages) < 4
+    assert sequence.count == len(pages) + 1
+    assert isinstance(rest, BadFrame)
+    assert f"all after page {len(pages)} is missing" in rest.reason
+
+
 def test_the_frames_of_a_movie_are_r_g_b(tmp_path: Path) -> None:
     path = tmp_path / "press.avi"
     movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (32, 24))

@@ -204,3 +204,32 @@ def test_nothing_valid_and_shapes_that_differ_are_refused() -> None:
     mixed = GradientField(*(array.astype(np.float32) for array in (p, q[:, :-1])), p > -9.0, np.ones_like(p))
     with pytest.raises(IntegrationError):
         integrate(mixed, 1.0)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("row", [0, 5, 19])
+def test_slopes_beyond_single_precision_are_refused_and_named(row: int, weighted: bool) -> None:
+    p, q, random = rough((20, 20))
+    q[row, 7] = -1e30
+    weight = random.uniform(0.1, 1.0, (20, 20)) if weighted else np.ones((20, 20))
+    with pytest.raises(IntegrationError, match=rf"1e\+30 \(row {row}\)"):
+        integrate(field(p, q, weight), 1.0)
+
+
+@pytest.mark.parametrize("scale", [1e-40, 1e-20, 3e38])
+def test_only_ratios_of_weights_count(scale: float) -> None:
+    p, q, random = rough((30, 40))
+    weight = random.choice([0.0, 0.25, 0.5, 1.0], (30, 40))
+    expected, _ = integrate(field(p, q, weight), 1.0)
+    scaled, _ = integrate(field(p, q, weight * scale), 1.0)
+    np.testing.assert_allclose(scaled.z_um, expected.z_um, atol=2e-3)
+
+
+@pytest.mark.parametrize("little", [1e-13, 1e-25, 1e-40])
+def test_a_weight_far_below_the_largest_is_a_hole(little: float) -> None:
+    p, q, random = rough((30, 40))
+    missing = random.random((30, 40)) < 0.3
+    expected, _ = integrate(field(p, q, np.where(missing, 0.0, 1.0)), 1.0)
+    found, report = integrate(field(p, q, np.where(missing, little, 1.0)), 1.0)
+    assert report.converged
+    np.testing.assert_array_equal(found.z_um, expected.z_um)

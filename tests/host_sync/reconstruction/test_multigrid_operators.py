@@ -9,11 +9,15 @@ from scipy import ndimage
 
 from device.fft_integrator import integrate_dct
 from device.surface import GradientField
-from host_sync.reconstruction.condense import condense
-from host_sync.reconstruction.grid_level import GridLevel, new_level
+from host_sync.reconstruction.condense import condense, condense_pixels
+from host_sync.reconstruction.correction import add_correction
+from host_sync.reconstruction.edge_slopes import EdgeRule, edge_coefficients
+from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels, new_level
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.multigrid import Integrator, integrate
+from host_sync.reconstruction.sweep import sweep
 from host_sync.reconstruction.transfer import prolong_row, prolong_weighted_row, restrict_row
+from host_sync.reconstruction.v_cycle import smoothing
 
 
 def noisy(shape: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,6 +109,36 @@ def test_prolongation_keeps_sums_where_no_hole_cuts_it_off(holes: bool) -> None:
     else:
         np.testing.assert_allclose(fine, prolonged(coarse, shape, None), atol=1e-6)
         assert fine.sum() == pytest.approx(4.0 * float(coarse.sum()), abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (7, 12), (30, 41), (420, 333)])
+@pytest.mark.parametrize("holes", [False, True])
+def test_the_last_correction_is_what_a_pass_without_sweeps_adds(shape: tuple[int, int], holes: bool) -> None:
+    random = np.random.default_rng(0)
+    weight = weights(shape).astype(np.float32) if holes else None
+    z = random.normal(size=shape).astype(np.float32)
+    coarse = random.normal(size=((shape[0] + 1) // 2, (shape[1] + 1) // 2)).astype(np.float32)
+    slopes = np.zeros(shape, np.float32)
+    pixels = PixelField(slopes, slopes, weight, np.float32(1.0), edge_coefficients("two-point"), 1e-4)
+    expected = np.empty_like(z)
+    sweep(pixels, smoothing(0), z, expected, coarse=coarse)
+    add_correction(z, coarse, weight)
+    used = np.ones(shape, np.bool_) if weight is None else weight > 0.0
+    np.testing.assert_array_equal(z[used], expected[used])
+
+
+@pytest.mark.parametrize("shape", [(3, 8), (8, 3), (5, 6), (64, 64), (401, 333), (1000, 401)])
+@pytest.mark.parametrize("rule", ["fourth-order", "two-point", "printed"])
+def test_without_weights_coarse_slopes_are_what_cells_with_shapes_make_them(
+    shape: tuple[int, int], rule: EdgeRule
+) -> None:
+    random = np.random.default_rng(0)
+    p, q = (random.normal(size=shape).astype(np.float32) for _ in range(2))
+    plain, weighted = (coarser_levels(shape, known)[0] for known in (False, True))
+    for level, weight in ((plain, None), (weighted, np.ones(shape, np.float32))):
+        condense_pixels(PixelField(p, q, weight, np.float32(1.0), edge_coefficients(rule), 1e-4), level, 0.5)
+    np.testing.assert_allclose(plain.slope_across, weighted.slope_across, atol=3e-6)
+    np.testing.assert_allclose(plain.slope_down, weighted.slope_down, atol=3e-6)
 
 
 @pytest.mark.parametrize("shape", [(16, 24), (17, 23), (9, 5)])

@@ -1,0 +1,72 @@
+"""The error that a solution states beside the one that it has, on weights, holes and bridges of every kind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from device.surface import GradientField
+from host_sync.reconstruction.multigrid import integrate
+
+SHAPE = (130, 97)
+NOISE = 0.02
+SEEDS = range(4)
+
+
+def weights(kind: str, random: np.random.Generator) -> np.ndarray:
+    """Weights of a field, nought at holes."""
+    weight = random.uniform(0.1, 1.0, SHAPE)
+    if kind == "decades":
+        weight = 10.0 ** random.uniform(-2.0, 0.0, SHAPE)
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for _ in range({"discs": 12, "bridges": 40}.get(kind, 0)):
+        centre = random.uniform(0, SHAPE[0]), random.uniform(0, SHAPE[1])
+        weight[np.hypot(row - centre[0], column - centre[1]) < random.uniform(1.5, 9.0)] = 0.0
+    if kind == "loose pixels":
+        weight[random.random(SHAPE) < 0.05] = 0.0
+    return weight.astype(np.float32)
+
+
+def noisy(kind: str, seed: int) -> GradientField:
+    """Slopes of a bowl with noise as their weights say."""
+    random = np.random.default_rng(seed)
+    weight = weights(kind, random)
+    sigma = NOISE / np.sqrt(np.where(weight > 0.0, weight, 1.0))
+    row, column = (at.astype(np.float32) for at in np.mgrid[: SHAPE[0], : SHAPE[1]])
+    p, q = (0.002 * at + sigma * random.standard_normal(SHAPE, np.float32) for at in (column, row))
+    return GradientField(p.astype(np.float32), q.astype(np.float32), weight > 0.0, weight)
+
+
+def stated_over_true(kind: str, cycles: int) -> list[float]:
+    """What solutions of one kind of field, as users get them or after so many cycles, state over what is true."""
+    ratios = []
+    for seed in SEEDS:
+        gradients = noisy(kind, seed)
+        exact, _ = integrate(gradients, 1.0, tolerance_px=1e-6)
+        height, report = integrate(gradients, 1.0, tolerance_px=1e-9 if cycles else None, max_cycles=cycles or 200)
+        error = (height.z_um - exact.z_um)[gradients.valid].astype(np.float64)
+        ratios.append(report.error_px / float(np.sqrt(np.square(error).mean())))
+    return ratios
+
+
+@pytest.mark.parametrize("cycles", [0, 1, 2, 3])
+def test_most_stated_errors_are_no_smaller_than_the_true_ones_and_none_is_far_off(cycles: int) -> None:
+    kinds = ("weights", "decades", "discs", "bridges", "loose pixels")
+    ratios = np.array([stated_over_true(kind, cycles) for kind in kinds])
+    assert np.mean(ratios >= 1.0) > 0.6
+    assert ratios.min() > 0.3
+    assert np.median(ratios) < 4.0
+
+
+def test_the_default_adds_less_than_a_hundredth_to_what_noise_does() -> None:
+    for kind in ("weights", "discs"):
+        for seed in SEEDS:
+            gradients = noisy(kind, seed)
+            row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+            truth = 0.001 * (column**2.0 + row**2.0)
+            exact, _ = integrate(gradients, 1.0, tolerance_px=1e-6)
+            found, _ = integrate(gradients, 1.0)
+            used = gradients.valid
+            noise, left = (float((a[used] - b[used]).std()) for a, b in
+                           ((exact.z_um, truth), (found.z_um, exact.z_um)))  # fmt: skip
+            assert np.hypot(noise, left) / noise < 1.01
