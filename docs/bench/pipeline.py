@@ -89,7 +89,7 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights as it is known already."""
     sigma = HeightUncertainty(known.sigma_um, known.draws_um)
-    spared = {"raised_slopes": None, "contradicted_slope": known.slope_sigma, "height_uncertainty": sigma}
+    spared = {"slopes_at_rest": None, "contradicted_slope": known.slope_sigma, "height_uncertainty": sigma}
     with ExitStack() as stack:
         for name, value in spared.items():
             stack.enter_context(patch.object(stages, name, return_value=value))
