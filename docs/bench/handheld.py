@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     cv2.setNumThreads(1)
     frame = read_raw(folder / f"coin-{named(shape)}.tif")
     reference = read_raw(folder / f"reference-{named(shape)}.tif")
-    model = QuickLookModel.prepare(reference, inverse_map, pitch_um=1.0)
+    tabled = replace(inverse_map, near=None, light=None)  # the curve of intensity, which alone the handheld fits
+    model = QuickLookModel.prepare(reference, tabled, pitch_um=1.0)
     binned = bin_bayer(frame, model.binning)
     intensity = divide(binned, model.divisor)
     slopes = model.slopes.gradients(intensity)
@@ -52,11 +54,11 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
         "intensity": lambda: divide(binned, model.divisor),
         "look up": lambda: model.slopes.gradients(intensity),
         "integrate": lambda: integrate_dct(slopes.p, slopes.q, 1.0),
-        "untabulated map": lambda: inverse_map.gradients(intensity, model.binning),
-        "build the tables": lambda: QuickLookModel.prepare(reference, inverse_map, pitch_um=1.0),
+        "untabulated map": lambda: tabled.gradients(intensity, model.binning),
+        "build the tables": lambda: QuickLookModel.prepare(reference, tabled, pitch_um=1.0),
     }
     figures: dict[str, Any] = side_by_side(methods, rounds)
-    exact = inverse_map.gradients(intensity, model.binning)
+    exact = tabled.gradients(intensity, model.binning)
     difference = np.hypot(slopes.p - exact.p, slopes.q - exact.q)[exact.valid]
     figures["slope_difference_mean"] = float(difference.mean())
     truth = _reduced(np.load(folder / f"coin-{named(shape)}.npy"), model.binning)
