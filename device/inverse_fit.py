@@ -24,7 +24,7 @@ from device.light_field import LightField
 from device.near_field import NearField
 from device.slope_curve import SlopeCurve
 from device.slope_learner import (
-    FEWEST_FOR_WAVES,
+    FEWEST_FOR_MANY_TERMS,
     CurveForm,
     SlopeLearner,
     learner_of,
@@ -139,7 +139,7 @@ def _learners(
     if light is None:
         return plain, [(plain, 1.0)]
     own = plain
-    if count >= FEWEST_FOR_WAVES:
+    if count >= FEWEST_FOR_MANY_TERMS:
         near, near_error = near_learner(samples, slope, count, shape)
         if near_error < NEAR_GAIN * error:
             own, error = near, near_error

@@ -48,12 +48,12 @@ class CurveForm:
 
 PLAIN_FORMS: Final = tuple(CurveForm(4, degree) for degree in (0, 1, 2))
 NEAR_FORMS: Final = (CurveForm(4, 2), CurveForm(5, 2), CurveForm(5, 2, 10.0))
-"""Forms of a curve that reads the slopes of a matt skin: place does little there, and higher degrees are safe."""
+"""Forms of a curve that reads the slopes of a matt skin: what is left to do there bends more, and less over place."""
 
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
-FEWEST_FOR_WAVES: Final = 8
+FEWEST_FOR_MANY_TERMS: Final = 8
 """Balls from which a curve may have waves or read near lights' slopes: what few balls say of so much is chance."""
 
 
@@ -123,7 +123,7 @@ def preferred_learner(
     light : for a curve that reads light
     """
     best = min((_at_best_penalty(samples, slope, count, shape, form, light) for form in PLAIN_FORMS), key=_error)
-    if count < FEWEST_FOR_WAVES:
+    if count < FEWEST_FOR_MANY_TERMS:
         return best
     wavy = _at_best_penalty(samples, slope, count, shape, wavy_form(), light)
     return wavy if wavy[1] < WAVY_GAIN * best[1] else best

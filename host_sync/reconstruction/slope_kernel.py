@@ -70,7 +70,7 @@ class SlopeKernel:
         near = inverse_map.near
         self._limits = _limits(inverse_map.curve)
         self._own = _tabled(inverse_map.own, 1.0 - share)
-        self._near = _ANY_LIGHTS if near is None else near.field.by_powers()
+        self._near = _NO_LIGHTS if near is None else near.field.by_powers()
         self._lit = self._own if light is None else _tabled(light.curve, share)
         self._light = _DARK if light is None else _light_by_column(light.field, inverse_map.shape[1])
 
@@ -125,7 +125,7 @@ class _Curve(NamedTuple):
 _DARK: Final = np.zeros((0, 3, 0), np.float32)
 """No light: the map has no curve that reads it."""
 
-_ANY_LIGHTS: Final = np.zeros((0, 3, POWERS, POWERS), np.float32)
+_NO_LIGHTS: Final = np.zeros((0, 3, POWERS, POWERS), np.float32)
 """No directions of lights: the map has no curve that reads near lights' slopes."""
 
 
