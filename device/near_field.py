@@ -50,11 +50,10 @@ class NearField:
 
         Where no slope is gentle every direction is nought: lights that say nothing.
         """
-        steepness = np.linalg.norm(slope, axis=1)
-        gentle = steepness < GENTLE
+        gentle = np.linalg.norm(slope, axis=1) < GENTLE
         place = monomials(field_position(samples.column[gentle], samples.row[gentle], shape), PLACE_DEGREE)
-        brightness = samples.intensity[gentle] * np.sqrt(1.0 + steepness[gentle, None] ** 2)
-        directions = np.linalg.lstsq(direction_features(slope[gentle], place), brightness - 1.0, rcond=None)[0]
+        features = direction_features(slope[gentle], place)
+        directions = np.linalg.lstsq(features, lit_by(samples.intensity[gentle], slope[gentle]), rcond=None)[0]
         return cls(directions.reshape(place.shape[1], 2, 3).astype(np.float32))
 
     def seen(self, intensity: Float32Array, place: Float64Array) -> Float32Array:
@@ -95,6 +94,11 @@ def direction_features(slope: Float64Array, place: Float64Array) -> Float64Array
     place : float64 array of shape (N, K), monomials of position
     """
     return np.asarray((place[:, :, None] * slope[:, None, :]).reshape(len(place), 2 * place.shape[1]))
+
+
+def lit_by(intensity: Float32Array, slope: Float64Array) -> Float64Array:
+    """a·g of a matt skin that shows intensities (N, 3) at slopes (N, 2): float64 array of shape (N, 3)."""
+    return np.asarray(intensity * np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True)) - 1.0)
 
 
 def _solved(intensity: Float32Array, across: Float64Array, down: Float64Array) -> Float32Array:

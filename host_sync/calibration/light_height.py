@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from device.ball import BallSamples
-from device.near_field import GENTLE, PLACE_DEGREE, direction_features
+from device.near_field import GENTLE, PLACE_DEGREE, direction_features, lit_by
 from device.polynomials import field_position, monomials, position_exponents
 from device.surface import Float64Array
 
@@ -35,7 +35,7 @@ def nearness_per_px(taught: BallSamples, shape: tuple[int, int]) -> float:
     rows = gentle[:: max(1, gentle.size // MOST_SAMPLES)]
     slope = np.stack([taught.p[rows], taught.q[rows]], axis=-1).astype(np.float64)
     place = field_position(taught.column[rows].astype(np.float64), taught.row[rows].astype(np.float64), shape)
-    brightness = taught.intensity[rows] * np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True)) - 1.0
+    brightness = lit_by(taught.intensity[rows], slope)
     features = direction_features(slope, monomials(place, PLACE_DEGREE))
     directions = _of_points(slope, place, brightness, shape)
     directions += np.linalg.lstsq(features, brightness - features @ directions, rcond=WELL_TOLD)[0]
