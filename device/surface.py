@@ -36,6 +36,14 @@ class GradientField:
     weight: Float32Array
 
 
+def full_rectangle(p: Float32Array, q: Float32Array) -> GradientField:
+    """Slopes that all count alike: every pixel is valid and weighs 1.
+
+    Validity and weights are views of one number each, not to be written to: nobody needs to look at every pixel's.
+    """
+    return GradientField(p, q, np.broadcast_to(np.True_, p.shape), np.broadcast_to(np.float32(1.0), p.shape))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMap:
     """A surface on a grid.

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface import Float32Array, GradientField
+from device.surface import Float32Array, GradientField, full_rectangle
 
 SLOPE_NOISE = 0.02
 """Standard deviation of a slope's noise where the weight is 1."""
@@ -42,12 +42,12 @@ class KnownField:
 
 
 def plain_field(shape: tuple[int, int], seed: int = 0) -> KnownField:
-    """A full rectangle of equal weights."""
+    """A full rectangle without weights."""
     truth, p, q = _surface(shape)
     rng = np.random.default_rng(seed)
     for slope in (p, q):
         slope += SLOPE_NOISE * rng.standard_normal(shape, np.float32)
-    return KnownField(truth, GradientField(p, q, np.ones(shape, bool), np.ones(shape, np.float32)))
+    return KnownField(truth, full_rectangle(p, q))
 
 
 def holed_field(shape: tuple[int, int], seed: int = 0) -> KnownField:

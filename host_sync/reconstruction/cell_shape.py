@@ -74,28 +74,6 @@ def weighted_shape(
         upper[width - 1], lower[width - 1] = z - y, z + y
 
 
-@njit(cache=True, fastmath=CONTRACT)
-def unit_slopes_across(top: Any, bottom: Any, upper: Any, lower: Any, out: Any) -> None:
-    """Write the slopes of the edges left of a row of coarse pixels, from both rows of fine edges and offsets."""
-    half, nought = np.float32(0.5), np.float32(0.0)
-    for i in range(1, out.size - 1):
-        c = 2 * i
-        slope = first_of(top, i) + first_of(bottom, i)
-        out[i] = half * (slope + ((upper[c - 1] - upper[c]) + (lower[c - 1] - lower[c])))
-    out[0], out[out.size - 1] = nought, nought
-
-
-@njit(cache=True, fastmath=CONTRACT)
-def unit_slopes_down(edges: Any, above: Any, below: Any, out: Any) -> None:
-    """Write the slopes of the edges above a row of coarse pixels, from the fine edges they cross and their offsets."""
-    half, width = np.float32(0.5), edges.size
-    for i in range(width // 2):
-        c = 2 * i
-        out[i] = half * ((edges[c] + edges[c + 1]) + ((above[c] - below[c]) + (above[c + 1] - below[c + 1])))
-    if width % 2:
-        out[out.size - 1] = edges[width - 1] + (above[width - 1] - below[width - 1])
-
-
 @njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def conductance(edge: Any, before: Any, after: Any, apart: Any) -> Any:
     """Share of a fine edge in the weight of the coarse edge that crosses it.

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from host_sync.reconstruction.cell_shape import slopes_across, slopes_down, unit_slopes_across, unit_slopes_down
-from host_sync.reconstruction.condense_unit import condense_unit_pixels
+from host_sync.reconstruction.cell_shape import slopes_across, slopes_down
+from host_sync.reconstruction.condense_unit import condense_unit_level, condense_unit_pixels
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
 from host_sync.reconstruction.row_bands import in_bands
@@ -42,7 +42,10 @@ def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
 
 
 def condense(level: GridLevel, coarse: GridLevel, apart: float) -> None:
-    """Write the edges of `coarse`, the right-hand side of `level` and, in its `z`, the shapes of its cells."""
+    """Write the edges of `coarse` and, of a level with weights, its right-hand side and (in `z`) shapes."""
+    if level.across is None:
+        condense_unit_level(level, coarse)
+        return
     nothing = (None, None, None, None, None)
     arguments = (*nothing, *_edges(level), level.rhs, level.z, *_edges(coarse), np.float32(apart), *level.shape)
     in_bands(_condense, level.shape, *arguments)
@@ -88,9 +91,7 @@ def _condense(
                 for c in range(columns):
                     shapes[row, c] = shape[c]
     if last == g_across.shape[0]:
-        g_down[last, :] = 0.0
-        if across is not None:
-            w_down[last, :] = 0.0
+        g_down[last, :], w_down[last, :] = 0.0, 0.0
 
 
 @njit(cache=True)
@@ -103,23 +104,13 @@ def _coarse_row(
     n = slope_down.shape[0]
     t, m, d = (2 * r - 1) % n, 2 * r % n, (2 * r + 1) % n
     single = 2 * r + 1 == rows
-    if across is None:
-        if single:
-            unit_slopes_across(slope_across[a], slope_across[a], upper, upper, g_across[r])
-        else:
-            unit_slopes_across(slope_across[a], slope_across[b], upper, lower, g_across[r])
-        if r > 0:
-            unit_slopes_down(slope_down[m], above, upper, g_down[r])
+    if single:
+        slopes_across(slope_across[a], nothing, across[a], nothing, upper, upper, apart, w_across[r], g_across[r])
     else:
-        if single:
-            slopes_across(slope_across[a], nothing, across[a], nothing, upper, upper, apart, w_across[r], g_across[r])
-        else:
-            slopes_across(
-                slope_across[a], slope_across[b], across[a], across[b], upper, lower, apart, w_across[r], g_across[r]
-            )
-        if r > 0:
-            slopes_down(slope_down[m], down[t], down[m], down[d], above, upper, apart, w_down[r], g_down[r])
+        slopes_across(
+            slope_across[a], slope_across[b], across[a], across[b], upper, lower, apart, w_across[r], g_across[r]
+        )
     if r == 0:
-        g_down[0, :] = 0.0
-        if across is not None:
-            w_down[0, :] = 0.0
+        g_down[0, :], w_down[0, :] = 0.0, 0.0
+    else:
+        slopes_down(slope_down[m], down[t], down[m], down[d], above, upper, apart, w_down[r], g_down[r])

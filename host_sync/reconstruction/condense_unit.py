@@ -31,11 +31,16 @@ SUMS, EDGES = 8, 4
 
 def condense_unit_pixels(field: PixelField, coarse: GridLevel) -> None:
     """Write the slopes of the edges of the level below pixels that weigh the same."""
-    in_bands(_condense, field.p.shape, field.p, field.q, field.rule, coarse.slope_across, coarse.slope_down)
+    in_bands(_condense_pixels, field.p.shape, field.p, field.q, field.rule, coarse.slope_across, coarse.slope_down)
+
+
+def condense_unit_level(level: GridLevel, coarse: GridLevel) -> None:
+    """Write the slopes of the edges of the level below one whose edges weigh the same."""
+    in_bands(_condense_edges, level.shape, level.slope_across, level.slope_down, coarse.slope_across, coarse.slope_down)
 
 
 @njit(cache=True, nogil=True)
-def _condense(p: Any, q: Any, rule: Any, across: Any, down: Any, begin: int, end: int) -> None:
+def _condense_pixels(p: Any, q: Any, rule: Any, across: Any, down: Any, begin: int, end: int) -> None:
     """Work on the cells of the fine rows `begin` (even) to `end` - 1."""
     rows, columns = p.shape
     first, last = begin // 2, (end + 1) // 2
@@ -51,6 +56,26 @@ def _condense(p: Any, q: Any, rule: Any, across: Any, down: Any, begin: int, end
         for row in range(edge, 2 * r + 2):
             _down_edges(sums, row, rows, rule, edges[row % EDGES])
         known, edge = min(2 * r + 3, rows), 2 * r + 2
+        _write_down(edges[(2 * r - 1) % EDGES], edges[2 * r % EDGES], edges[(2 * r + 1) % EDGES], down[r])
+        if r == 0:
+            down[0, :] = 0.0
+    if last == across.shape[0]:
+        down[last, :] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _condense_edges(
+    fine_across: Any, fine_down: Any, across: Any, down: Any, begin: int, end: int
+) -> None:  # fmt: skip
+    """Work on the cells of the fine rows `begin` (even) to `end` - 1."""
+    rows, columns = fine_across.shape[0], fine_down.shape[1]
+    first, last = begin // 2, (end + 1) // 2
+    both, edges = ring(1, columns + 1)[0], ring(EDGES, down.shape[1])
+    for r in range(first, last):
+        _add_rows(fine_across[2 * r], fine_across[min(2 * r + 1, rows - 1)], both)
+        _write_across(both, across[r])
+        for row in range(2 * r - 1 if r == first else 2 * r, min(2 * r + 2, rows + 1)):
+            _add_pairs(fine_down[max(row, 0)], edges[row % EDGES])
         _write_down(edges[(2 * r - 1) % EDGES], edges[2 * r % EDGES], edges[(2 * r + 1) % EDGES], down[r])
         if r == 0:
             down[0, :] = 0.0

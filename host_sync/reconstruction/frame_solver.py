@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from device.photometry import IntensityImage
-from device.surface import Float32Array, GradientField, MaskArray
+from device.surface import Float32Array, GradientField, MaskArray, full_rectangle
 from device.verdict import shaded_share
 from hal.frame import RawFrame
 from host_sync.calibration.full_calibration import Calibration, Method
@@ -82,7 +82,7 @@ class FrameSolver:
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         self._integrator = Integrator(self.shape)
-        self._equal = None if weighted else (np.ones(self.shape, np.bool_), np.ones(self.shape, np.float32))
+        self._all_valid = None if weighted else np.ones(self.shape, np.bool_)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -90,13 +90,13 @@ class FrameSolver:
         return {
             "method": self._method,
             "encoding": self._encoding,
-            "weighted": self._equal is None,
+            "weighted": self._all_valid is None,
             "forced": self._force,
         }
 
     def another(self) -> FrameSolver:
         """A solver of the same frames with working arrays of its own, for another thread."""
-        weighted = self._equal is None
+        weighted = self._all_valid is None
         return FrameSolver(self._calibration, self._method, self._encoding, weighted=weighted, force=self._force)
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameFigures:
@@ -147,10 +147,10 @@ class FrameSolver:
             found = self._slopes.evaluate(intensity)
         else:
             found = estimate(intensity, self._calibration, self._method)
-        if self._equal is None:
+        if self._all_valid is None:
             return found
         in_bands(_flatten, self.shape, found.p, found.q, found.valid)
-        return replace(found, valid=self._equal[0], weight=self._equal[1])
+        return replace(full_rectangle(found.p, found.q), valid=self._all_valid)
 
 
 def _sampled(image: IntensityImage) -> IntensityImage:

@@ -22,14 +22,15 @@ from typing import Final
 import numpy as np
 
 from device.surface import Float32Array, Float64Array
-from host_sync.reconstruction.coarsest import pseudo_inverse, solve_coarsest, write_divergence
+from host_sync.reconstruction.coarsest import DirectSolver, direct_solver, write_divergence
 from host_sync.reconstruction.condense import condense, condense_pixels
 from host_sync.reconstruction.conjugate_gradients import conjugate_gradients
-from host_sync.reconstruction.correction import add_correction
+from host_sync.reconstruction.correction import add_correction, add_weighted_correction
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
 from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
 from host_sync.reconstruction.rectangle import level_cells
+from host_sync.reconstruction.row_bands import Beside
 from host_sync.reconstruction.sweep import root_mean_square, sweep
 from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, still_to_come, v_cycle
 
@@ -65,6 +66,7 @@ class Solution:
     error : estimated algebraic error of the heights, root mean square; NaN where slopes were not finite
     tolerance : what it was asked to be
     levelled : whether a full rectangle has mean zero already
+    moments : those of the islands' runs (see `Islands`), where they are known
     """
 
     z: Float32Array
@@ -72,17 +74,18 @@ class Solution:
     error: float
     tolerance: float
     levelled: bool = False
+    moments: Float64Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseSolution:
     """What is known when the level below the pixels is solved.
 
-    inverse : pseudo-inverse of the coarsest level
+    solve : direct solver of the coarsest level
     error : estimated error of the finest level that had several cycles; nought where none had
     """
 
-    inverse: Float64Array
+    solve: DirectSolver
     error: float
 
 
@@ -90,19 +93,20 @@ def full_multigrid(
     field: PixelField,
     levels: list[GridLevel],
     heights: tuple[Float32Array, Float32Array],
-    islands: Islands | None,
+    islands: Beside[Islands] | None,
     tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
     """Least-squares heights; they stand in one of the two arrays `heights`, or in a new one.
 
+    islands : those of a field with weights; begun to be found when coarse levels leave a thread idle
     levels : those below the pixels, the finest first
     tolerance : estimated error of heights at which V-cycles end; None for a share of what noise leaves
     """
     if not levels:
         return _solve_at_once(field, tolerance)
-    coarse = _coarse_solution(field, levels, APART)
-    solution = _finest_cycles(field, levels, coarse, heights, tolerance, max_cycles)
+    coarse = _coarse_solution(field, levels, APART, islands)
+    solution = _finest_cycles(field, levels, coarse, heights, islands, tolerance, max_cycles)
     cycles = max_cycles - len(solution.residuals)
     if not solution.error > solution.tolerance or cycles <= 0:
         return solution
@@ -110,45 +114,53 @@ def full_multigrid(
 
 
 def _conjugate_gradients(
-    field: PixelField, levels: list[GridLevel], islands: Islands | None, so_far: Solution, max_cycles: int
+    field: PixelField,
+    levels: list[GridLevel],
+    islands: Beside[Islands] | None,
+    so_far: Solution,
+    max_cycles: int,
 ) -> Solution:
     """The solution by conjugate gradients around V-cycles on levels that let no cycle diverge."""
     finest = written_level(field)
-    inverse = _coarse_solution(field, levels, 0.0).inverse
+    solve = _coarse_solution(field, levels, 0.0).solve
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
     rhs = finest.rhs.astype(np.float64)
     if islands is None:
         rhs -= rhs.mean()
     else:
-        islands.balance(rhs)
+        islands.result().balance(rhs)
     start = finest.z.astype(np.float64)
     every = [finest, *levels]
-    found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, inverse), so_far.tolerance, max_cycles)
+    found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(every, solve), so_far.tolerance, max_cycles)
     return Solution(found.z, so_far.residuals + found.residuals, found.error, so_far.tolerance)
 
 
 def _solve_at_once(field: PixelField, tolerance: float | None) -> Solution:
     """The solution of a field so small that it is its own coarsest level."""
     level = written_level(field)
-    solve_coarsest(level, pseudo_inverse(level))
+    direct_solver(level)(level)
     error = 0.0 if np.isfinite(level.z).all() else float("nan")
     return Solution(level.z, (), error, field.least_tolerance if tolerance is None else tolerance)
 
 
-def _coarse_solution(field: PixelField, levels: list[GridLevel], apart: float) -> CoarseSolution:
-    """Solve the level below the pixels, from the coarsest upwards."""
+def _coarse_solution(
+    field: PixelField, levels: list[GridLevel], apart: float, meanwhile: Beside[Islands] | None = None
+) -> CoarseSolution:
+    """Solve the level below the pixels, from the coarsest upwards, and begin with what is to be done meanwhile."""
     condense_pixels(field, levels[0], apart)
     for level, coarse in pairwise(levels):
         condense(level, coarse, apart)
+    if meanwhile is not None:
+        meanwhile.begin()
     write_divergence(levels[-1])
-    inverse = pseudo_inverse(levels[-1])
-    solve_coarsest(levels[-1], inverse)
+    solve = direct_solver(levels[-1])
+    solve(levels[-1])
     cycles = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
     error = 0.0
     for depth in range(len(levels) - 2, -1, -1):
         times, after = cycles[min(depth, len(cycles) - 1)], 1 if depth else 0
-        error = nested_cycles(levels[depth:], inverse, times, after) or error
-    return CoarseSolution(inverse, error)
+        error = nested_cycles(levels[depth:], solve, times, after) or error
+    return CoarseSolution(solve, error)
 
 
 def _finest_cycles(
@@ -156,6 +168,7 @@ def _finest_cycles(
     levels: list[GridLevel],
     solved: CoarseSolution,
     heights: tuple[Float32Array, Float32Array],
+    islands: Beside[Islands] | None,
     tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
@@ -167,7 +180,7 @@ def _finest_cycles(
     coarse, steps, both = levels[0], smoothing(), smoothing(2)
     before, after = heights
     rhs = coarse.rhs if weighted else None
-    if not weighted:
+    if not weighted and levels[-1].across is not None:
         level_cells(coarse.z, (field.p.shape[0], field.p.shape[1]))
     first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs, measured=True)
     tolerance = max(NOISE_SHARE * first.change, field.least_tolerance) if tolerance is None else tolerance
@@ -182,12 +195,15 @@ def _finest_cycles(
     residuals = [first.residual]
     corrections: list[float] = []
     while True:
-        v_cycle(levels, solved.inverse, after=0)
+        v_cycle(levels, solved.solve, after=0)
         corrections.append(root_mean_square(coarse.z))
         error = _remaining_error(corrections, solved.error)
         if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):
-            add_correction(before, coarse.z, field.weight)
-            return Solution(before, tuple(residuals), error, tolerance)
+            if field.weight is None or islands is None:
+                add_correction(before, coarse.z)
+                return Solution(before, tuple(residuals), error, tolerance)
+            moments = add_weighted_correction(before, coarse.z, field.weight, islands.result())
+            return Solution(before, tuple(residuals), error, tolerance, moments=moments)
         figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
         residuals.append(figures.residual)
         before, after = after, before

@@ -12,6 +12,9 @@ from device.surface import Float32Array
 COARSEST_PX: Final = 16
 """A level of no more pixels is solved directly."""
 
+TRANSFORM_PX: Final = 1 << 18
+"""The same where every edge weighs 1."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelField:
@@ -72,12 +75,13 @@ def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
 
 
 def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
-    """All levels below one of this shape, 2:1 with sizes rounded up, down to one small enough to be solved directly.
+    """All levels below one of this shape, 2:1 with sizes rounded up, down to one small enough to be solved at once.
 
     Without weights, cells at an odd end hold half as many edges: from there on levels have weights.
     """
     levels: list[GridLevel] = []
-    while shape[0] * shape[1] > COARSEST_PX:
+    largest = COARSEST_PX
+    while shape[0] * shape[1] > largest:
         rows, columns = shape
         odd = rows % 2 == 1 or columns % 2 == 1
         shape = (rows + 1) // 2, (columns + 1) // 2
@@ -86,6 +90,7 @@ def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
             _write_odd_weights(level, rows, columns)
         levels.append(level)
         weighted = weighted or odd
+        largest = COARSEST_PX if weighted else TRANSFORM_PX
     return levels
 
 

@@ -19,6 +19,9 @@ from host_sync.reconstruction.row_bands import in_bands
 STRIDE: Final = 32
 """Pixels that are looked at together."""
 
+IN_LANES: Final = {"reassoc", "nsz", "contract"}
+"""Sums may be taken in lanes."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Islands:
@@ -28,6 +31,7 @@ class Islands:
     first : int64 array of shape (H + 1,), number of the first run of each row
     start, stop : int32 arrays of shape (runs,), first column of a run and the one after its last
     label : int32 array of shape (runs,), island of each run, 0 to `count` - 1
+    total : float64 array of shape (runs,), sum of each run's weights
     """
 
     count: int
@@ -35,23 +39,32 @@ class Islands:
     start: NDArray[np.int32]
     stop: NDArray[np.int32]
     label: NDArray[np.int32]
+    total: Float64Array
 
     def balance(self, rhs: Float64Array) -> None:
         """Subtract each island's mean from a right-hand side in place: rounding must not leave it unsolvable."""
-        means = self._means(rhs, np.ones(rhs.shape, np.float32))
-        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means[self.label], 0.0)
+        moments = self.moments(rhs, np.ones(rhs.shape, np.float32))
+        means = self._means(moments, (self.stop - self.start).astype(np.float64))
+        in_bands(_shift, rhs.shape, rhs, self.first, self.start, self.stop, means, 0.0)
 
-    def level(self, z: Float32Array, weight: Float32Array) -> None:
-        """Bring each island of z (float32 array of shape (H, W)) in place to weighted mean zero, holes to NaN."""
-        means = self._means(z, weight).astype(np.float32)[self.label]
+    def level(self, z: Float32Array, moments: Float64Array) -> None:
+        """Bring each island of z (float32 array of shape (H, W)) in place to weighted mean zero, holes to NaN.
+
+        moments : those of z and the weights
+        """
+        means = self._means(moments, self.total).astype(np.float32)
         in_bands(_shift, z.shape, z, self.first, self.start, self.stop, means, np.float32(np.nan))
 
-    def _means(self, z: Float32Array | Float64Array, weight: Float32Array) -> Float64Array:
-        """Weighted mean of each island, from the moments of its runs."""
-        moments = np.empty((self.start.size, 2))
+    def moments(self, z: Float32Array | Float64Array, weight: Float32Array) -> Float64Array:
+        """Σ w z of each run, float64 array of shape (runs,); z and weight have shape (H, W)."""
+        moments = np.empty(self.start.size)
         in_bands(_moments, z.shape, z, weight, self.first, self.start, self.stop, moments)
-        moment, total = (np.bincount(self.label, moments[:, i], self.count) for i in (0, 1))
-        return np.asarray(moment / total, np.float64)
+        return moments
+
+    def _means(self, moments: Float64Array, total: Float64Array) -> Float64Array:
+        """Weighted mean of each run's island, float64 array of shape (runs,)."""
+        moment, weight = (np.bincount(self.label, part, self.count) for part in (moments, total))
+        return np.asarray((moment / weight)[self.label], np.float64)
 
 
 def find_islands(weight: Float32Array) -> Islands:
@@ -59,10 +72,10 @@ def find_islands(weight: Float32Array) -> Islands:
     counts = np.zeros(weight.shape[0] + 1, np.int64)
     in_bands(_count_runs, weight.shape, weight, counts)
     first = np.cumsum(counts)
-    start, stop = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
-    in_bands(_write_runs, weight.shape, weight, first, start, stop)
+    start, stop, total = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32), np.empty(first[-1])
+    in_bands(_write_runs, weight.shape, weight, first, start, stop, total)
     label, count = _join_runs(first, start, stop)
-    return Islands(count, first, start, stop, label)
+    return Islands(count, first, start, stop, label, total)
 
 
 @njit(cache=True, nogil=True)
@@ -83,10 +96,12 @@ def _row_runs(row: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _write_runs(weight: Any, first: Any, start: Any, stop: Any, begin: int, end: int) -> None:
-    """Write where each run begins and ends."""
+def _write_runs(weight: Any, first: Any, start: Any, stop: Any, total: Any, begin: int, end: int) -> None:
+    """Write where each run begins and ends, and the sum of its weights."""
     for r in range(begin, end):
         _write_row_runs(weight[r], start[first[r] : first[r + 1]], stop[first[r] : first[r + 1]])
+        for run in range(first[r], first[r + 1]):
+            total[run] = _sum(weight[r, start[run] : stop[run]])
 
 
 @njit(cache=True)
@@ -148,20 +163,33 @@ def _join_runs(first: Any, start: Any, stop: Any) -> tuple[Any, int]:
 
 @njit(cache=True, nogil=True)
 def _moments(z: Any, weight: Any, first: Any, start: Any, stop: Any, moments: Any, begin: int, end: int) -> None:
-    """Write per run Σ w z and Σ w."""
+    """Write Σ w z of the runs of each row."""
     for r in range(begin, end):
-        for run in range(first[r], first[r + 1]):
-            _moment(z[r, start[run] : stop[run]], weight[r, start[run] : stop[run]], moments[run])
+        row_moments(z[r], weight[r], first[r], first[r + 1], start, stop, moments)
 
 
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _moment(z: Any, weight: Any, out: Any) -> None:
-    """Write Σ w z and Σ w of one run, summed in lanes."""
-    moment, total = 0.0, 0.0
+@njit(cache=True)
+def row_moments(z: Any, weight: Any, begin: int, end: int, start: Any, stop: Any, moments: Any) -> None:
+    """Write Σ w z of the runs `begin` to `end` - 1 of a row."""
+    for run in range(begin, end):
+        moments[run] = _moment(z[start[run] : stop[run]], weight[start[run] : stop[run]])
+
+
+@njit(cache=True, fastmath=IN_LANES)
+def _moment(z: Any, weight: Any) -> Any:
+    """Σ w z of one run."""
+    total = 0.0
     for c in range(z.size):
-        moment += np.float64(weight[c]) * z[c]
+        total += np.float64(weight[c]) * z[c]
+    return total
+
+
+@njit(cache=True, fastmath=IN_LANES)
+def _sum(weight: Any) -> Any:
+    total = 0.0
+    for c in range(weight.size):
         total += weight[c]
-    out[0], out[1] = moment, total
+    return total
 
 
 @njit(cache=True, nogil=True)

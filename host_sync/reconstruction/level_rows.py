@@ -15,7 +15,7 @@ from numba import njit
 from host_sync.reconstruction.cell_shape import unit_shape, weighted_shape
 from host_sync.reconstruction.edge_slopes import across_edges, down_edges, weight_row
 from host_sync.reconstruction.grid_level import GridLevel, PixelField, new_level
-from host_sync.reconstruction.smoother import CONTRACT, system_and_diagonal
+from host_sync.reconstruction.smoother import CONTRACT, inverse_diagonal, system_and_diagonal
 
 
 def written_level(field: PixelField) -> GridLevel:
@@ -115,6 +115,17 @@ def system_row(
 
 
 @njit(cache=True)
+def stored_or_made_row(
+    row: int, across: Any, slope_across: Any, down: Any, slope_down: Any, rhs: Any, inverse: Any
+) -> None:  # fmt: skip
+    """As `system_row`; where there are no slopes (None) the right-hand side stands already."""
+    if slope_across is not None:
+        system_row(row, across, slope_across, down, slope_down, rhs, inverse)
+    elif across is not None:
+        inverse_diagonal(across[row], down[row], down[row + 1], inverse[row % inverse.shape[0]])
+
+
+@njit(cache=True)
 def ring(rows: int, columns: int) -> Any:
     """A float32 array of this shape, nought."""
     return np.zeros((rows, columns), np.float32)
@@ -129,6 +140,8 @@ def shape_rows(
 
     nothing : float32 array of shape (W + 1,), nought, in the place of a missing row's edges
     """
+    if slope_across is None:
+        return
     a, b, d = row % slope_across.shape[0], (row + 1) % slope_across.shape[0], (row + 1) % slope_down.shape[0]
     width, single = upper.size, row + 1 == rows
     if across is None:

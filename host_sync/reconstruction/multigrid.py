@@ -17,6 +17,7 @@ from host_sync.reconstruction.full_multigrid import full_multigrid
 from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.rectangle import level_rectangle
+from host_sync.reconstruction.row_bands import Beside
 from host_sync.reconstruction.survey import FieldSurvey, refuse_slopes, survey
 
 LEAST_TOLERANCE_PX: Final = 1e-4
@@ -97,7 +98,7 @@ class Integrator:
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")
         field = _pixel_field(gradients, found, edges, pitch_um)
-        islands = None if found.weight is None else find_islands(found.weight)
+        islands = None if found.weight is None else Beside(find_islands, found.weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out
         levels = self._coarser(found.weight is not None)
         tolerance_um = None if tolerance_px is None else tolerance_px * pitch_um
@@ -107,14 +108,16 @@ class Integrator:
         if solution.z is not z:
             z[:] = solution.z
         if islands is not None and found.weight is not None:
-            islands.level(z, found.weight)
+            moments = solution.moments
+            parts = islands.result()
+            parts.level(z, parts.moments(z, found.weight) if moments is None else moments)
         elif not solution.levelled:
             level_rectangle(z)
         residuals = tuple(residual / pitch_um for residual in solution.residuals)
         return HeightMap(z, pitch_um), IntegrationReport(
             cycles=len(residuals),
             residuals=residuals,
-            islands=islands.count if islands else 1,
+            islands=islands.result().count if islands else 1,
             converged=solution.error <= solution.tolerance,
             error_px=solution.error / pitch_um,
         )

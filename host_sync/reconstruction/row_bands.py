@@ -13,16 +13,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
-from numba import get_num_threads
+from numba import get_num_threads, set_num_threads
 
 SMALL_PX: Final = 1 << 17
 """Fields of fewer pixels are worked on by one thread."""
 
 BANDS_PER_THREAD: Final = 6
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
 
 
 def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: Any) -> None:
@@ -31,8 +34,9 @@ def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: 
     Bands begin at even rows. What a kernel writes must not depend on where bands begin. As many threads work as
     `numba.set_num_threads` lets the calling one have.
     """
-    rows, threads = shape[0], get_num_threads()
-    if threads == 1 or rows * shape[1] < SMALL_PX:
+    rows = shape[0]
+    threads = 1 if rows * shape[1] < SMALL_PX else get_num_threads()
+    if threads == 1:
         kernel(*arguments, 0, rows)
         return
     pairs, count = (rows + 1) // 2, BANDS_PER_THREAD * threads
@@ -47,6 +51,38 @@ def in_bands(kernel: Callable[..., object], shape: tuple[int, ...], *arguments: 
         for job in jobs:
             if not job.cancel():
                 job.result()
+
+
+class Beside(Generic[Result]):
+    """A call that a helper makes while the caller goes on: for work that is not needed at once and fits no bands.
+
+    The helper works on one thread. Where the caller has but one itself, the call is made when it is begun.
+    """
+
+    def __init__(self, function: Callable[[Argument], Result], argument: Argument) -> None:
+        self._call: Callable[[], Result] = partial(function, argument)
+        self._wait: Callable[[], Result] | None = None
+
+    def begin(self) -> Callable[[], Result]:
+        """Begin, unless that was done before; returns what waits for the result."""
+        if self._wait is None:
+            self._wait = self._begun()
+        return self._wait
+
+    def result(self) -> Result:
+        """What the function returned, as soon as it has."""
+        return self.begin()()
+
+    def _begun(self) -> Callable[[], Result]:
+        if get_num_threads() > 1:
+            return _helpers(os.getpid()).submit(_alone, self._call).result
+        result = self._call()
+        return lambda: result
+
+
+def _alone(call: Callable[[], Result]) -> Result:
+    set_num_threads(1)
+    return call()
 
 
 @cache

@@ -70,6 +70,21 @@ def relax_row(
         out[c] = z + step * inverse[c] * flow
 
 
+@njit(cache=True)
+def scale_row(rhs: Any, inverse: Any, step: Any, out: Any) -> None:
+    """Write a row of step D⁻¹b: the step from heights that are nought."""
+    for c in range(out.size):
+        out[c] = step * inverse[c] * rhs[c]
+
+
+@njit(cache=True)
+def unit_scale_row(rhs: Any, step: Any, out: Any) -> None:
+    """The same where every edge weighs 1, as `unit_relax_row`."""
+    scale = np.float32(0.25) * step
+    for c in range(out.size):
+        out[c] = scale * rhs[c]
+
+
 @njit(cache=True, fastmath=CONTRACT)
 def unit_residual_row(up: Any, mid: Any, low: Any, rhs: Any, out: Any) -> None:
     """Write a row of b - Az where every edge weighs 1 and padding repeats the border."""

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from device.surface import Float32Array, GradientField, MaskArray
 from host_sync.errors import IntegrationError
@@ -49,6 +50,8 @@ def survey(gradients: GradientField) -> FieldSurvey:
         raise IntegrationError(f"the parts of the gradient field differ in shape ({shapes}): give arrays of one (H, W)")
     if len(shape) != 2 or min(shape) < LEAST_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs 3x3 pixels or more")
+    if _is_one_number(gradients.weight) and gradients.weight[0, 0] == 1.0 and _holds_everywhere(gradients.valid):
+        return FieldSurvey(None, 1.0)
     weight = np.ascontiguousarray(gradients.weight, np.float32)
     if _all_alike(gradients.valid, weight):
         return FieldSurvey(None, 1.0)
@@ -75,6 +78,15 @@ def _within_range(weight: Float32Array, largest: float) -> Float32Array:
     """The weights as shares of the largest, nought where that is too small to count."""
     shares = weight.astype(np.float64) / largest
     return np.where(shares >= LEAST_WEIGHT, shares, 0.0).astype(np.float32)
+
+
+def _is_one_number(values: NDArray[Any]) -> bool:
+    """Whether all pixels are the same one in memory (see `full_rectangle`)."""
+    return not any(values.strides)
+
+
+def _holds_everywhere(mask: MaskArray) -> bool:
+    return bool(mask[0, 0] if _is_one_number(mask) else mask.all())
 
 
 def _all_alike(valid: MaskArray, weight: Float32Array) -> bool:

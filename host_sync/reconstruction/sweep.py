@@ -16,17 +16,17 @@ from numba import njit
 
 from device.surface import Float32Array
 from host_sync.reconstruction.grid_level import GridLevel, PixelField
-from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, system_row
+from host_sync.reconstruction.level_rows import first_edges, next_edges, ring, shape_rows, stored_or_made_row
 from host_sync.reconstruction.row_bands import in_bands
-from host_sync.reconstruction.smoother import inverse_diagonal, square_difference, square_sum
-from host_sync.reconstruction.sweep_stages import start_rows, write_relaxed, write_residual
+from host_sync.reconstruction.smoother import square_difference, square_sum
+from host_sync.reconstruction.sweep_stages import start_rows, write_first, write_relaxed, write_residual
 from host_sync.reconstruction.transfer import copy_row, restrict_row
 
 SLOPES: Final = 4
 """Rows of slopes at hand where they are made on the way and go with no weights, which later stages read."""
 
 CHANGE_STEP: Final = 4
-"""One row in so many tells how much smoothing changes: noise is alike in all of them."""
+"""One row in so many tells how much smoothing changes and how large a correction is: noise is alike in all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,11 @@ class SweepFigures:
 
     residual: float
     change: float
+
+
+NOTHING: Final = np.empty((0, 0), np.float32)
+NO_SQUARES: Final = np.empty((2, 0))
+UNKNOWN: Final = SweepFigures(0.0, 0.0)
 
 
 def sweep(
@@ -55,53 +60,60 @@ def sweep(
     """What a pass over the level found, noughts unless it is `measured`.
 
     steps : float32 array of shape (sweeps,), relaxation factors
-    z_in : heights to start from, or the cells' shapes; None for nought (and for shapes that the pass makes itself)
+    z_in : heights to start from, or the shapes of the cells of a level with weights; None for nought, and for shapes
+        that the pass makes itself, as it does of pixels and of levels without weights
     z_out : receives the smoothed heights; another array than `z_in`
     coarse : heights of the next level, added before smoothing; None for nothing
     nested : the coarse heights are those of whole cells, to which shapes are added, instead of a correction
     coarse_rhs : receives the restricted residual; None where it is not wanted
     """
-    nothing = np.empty((0, 0), np.float32)
     rows, columns = z_out.shape
-    squares = np.zeros((2, rows if measured else 0))
+    squares = np.zeros((2, rows)) if measured else NO_SQUARES
     source: tuple[Any, ...]
     if isinstance(level, PixelField):
-        source = (level.p, level.q, level.weight, level.scale, level.rule, None, None, None)
+        source = (level.p, level.q, level.weight, level.scale, level.rule, *(None,) * 5)
+    elif nested and level.across is None:
+        rhs = None if coarse_rhs is None else level.rhs
+        source = (*(None,) * 5, rhs, None, None, level.slope_across, level.slope_down)
     else:
-        source = (None, None, None, None, None, level.rhs, level.across, level.down)
+        source = (*(None,) * 5, level.rhs, level.across, level.down, None, None)
     arguments = (
         *source,
         steps,
-        nothing if z_in is None else z_in,
-        nothing if coarse is None else coarse,
+        NOTHING if z_in is None else z_in,
+        NOTHING if coarse is None else coarse,
         nested,
         z_out,
-        nothing if coarse_rhs is None else coarse_rhs,
+        NOTHING if coarse_rhs is None else coarse_rhs,
         squares,
     )
     in_bands(_band, z_out.shape, *arguments)
+    if not measured:
+        return UNKNOWN
     residual, change = squares.sum(axis=1)
     looked_at = len(range(0, rows, CHANGE_STEP)) * columns
     return SweepFigures(float(np.sqrt(residual / z_out.size)), float(np.sqrt(change / looked_at)))
 
 
 def root_mean_square(values: Float32Array) -> float:
-    """Root mean square of a float32 array of shape (H, W)."""
+    """Root mean square of one row in `CHANGE_STEP` of a float32 array of shape (H, W): enough for an estimate."""
     squares = np.zeros(len(values))
     in_bands(_row_squares, values.shape, values, squares)
-    return float(np.sqrt(squares.sum() / values.size))
+    looked_at = len(range(0, len(values), CHANGE_STEP)) * values.shape[1]
+    return float(np.sqrt(squares.sum() / looked_at))
 
 
 @njit(cache=True, nogil=True)
 def _row_squares(values: Any, squares: Any, first: int, last: int) -> None:
-    for r in range(first, last):
+    for r in range(first + -first % CHANGE_STEP, last, CHANGE_STEP):
         squares[r] = square_sum(values[r])
 
 
 @njit(cache=True, nogil=True)
 def _band(
-    p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, steps: Any, z_in: Any,
-    coarse: Any, nested: bool, z_out: Any, coarse_rhs: Any, squares: Any, first: int, last: int,
+    p: Any, q: Any, weight: Any, scale: Any, rule: Any, rhs: Any, across: Any, down: Any, slope_across: Any,
+    slope_down: Any, steps: Any, z_in: Any, coarse: Any, nested: bool, z_out: Any, coarse_rhs: Any, squares: Any,
+    first: int, last: int,
 ) -> None:  # fmt: skip
     """Pass over the rows `first` to `last` - 1."""
     rows, columns = z_out.shape
@@ -112,10 +124,13 @@ def _band(
     nothing, residual, inner = ring(1, columns + 1)[0], ring(1, columns)[0], slice(1, columns + 1)
     begin, end = max(first - halo, 0) // 2 * 2, min((last + halo + 1) // 2 * 2, rows)
     pixels = None if weight is None else ring(4, columns + 4)
-    inverse = ring(height, columns)
+    inverse, shaped = ring(height, columns), nested and z_in.size == 0
+    from_nought = z_in.size == 0 and coarse.size == 0
+    if rhs is None:
+        rhs = ring(height, columns)
     if p is not None:
         at_hand = SLOPES if weight is None else height
-        rhs, slope_across, slope_down = ring(height, columns), ring(at_hand, columns + 1), ring(at_hand, columns)
+        slope_across, slope_down = ring(at_hand, columns + 1), ring(at_hand, columns)
         if weight is not None:
             across, down = ring(height, columns + 1), ring(height, columns)
         first_edges(q, weight, scale, rule, begin, pixels, down, slope_down)
@@ -124,24 +139,26 @@ def _band(
             for r in range(t, min(t + 2, end)):
                 if p is not None:
                     next_edges(p, q, weight, scale, rule, r, pixels, across, slope_across, down, slope_down)
-                    system_row(r, across, slope_across, down, slope_down, rhs, inverse)
-                elif across is not None and sweeps > 0:
-                    inverse_diagonal(across[r], down[r], down[r + 1], inverse[r % height])
+                if p is not None or sweeps > 0:
+                    stored_or_made_row(r, across, slope_across, down, slope_down, rhs, inverse)
             upper, lower = stages[0, t % height], stages[0, (t + 1) % height]
-            if p is not None and nested:
+            if shaped:
                 shape_rows(
                     t, rows, across, slope_across, down, slope_down, nothing, coarse[t // 2], upper[inner], lower[inner]
                 )  # fmt: skip
-            start_rows(t, rows, z_in, p is not None and nested, coarse, nested, across, down, upper, lower)
+            if not from_nought:
+                start_rows(t, rows, z_in, shaped, coarse, nested, across, down, upper, lower)
         for s in range(1, sweeps + 1):
             r, margin = t - s, halo - s
             if max(first - margin, 0) <= r < min(last + margin, rows):
-                out = stages[s, r % height]
-                if s == sweeps and not restricts:
-                    write_relaxed(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, z_out[r])
+                padded, last_stage = stages[s, r % height], s == sweeps and not restricts
+                out = z_out[r] if last_stage else padded[inner]
+                if s == 1 and from_nought:
+                    write_first(rhs, across, inverse, steps[0], r, out)
                 else:
-                    write_relaxed(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, out[inner])
-                    out[0], out[columns + 1] = out[1], out[columns]
+                    write_relaxed(stages[s - 1], rhs, across, down, inverse, steps[s - 1], r, rows, out)
+                if not last_stage:
+                    padded[0], padded[columns + 1] = padded[1], padded[columns]
         r = t - sweeps
         if first <= r < last:
             if sweeps == 0 or restricts:

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from host_sync.reconstruction.smoother import relax_row, residual_row, unit_relax_row, unit_residual_row
+from host_sync.reconstruction.smoother import (
+    relax_row,
+    residual_row,
+    scale_row,
+    unit_relax_row,
+    unit_residual_row,
+    unit_scale_row,
+)
 from host_sync.reconstruction.transfer import add_cells, copy_row, prolong_row, prolong_weighted_row
 
 
@@ -40,6 +47,16 @@ def start_rows(
                 a, d = r % across.shape[0], (r + r % 2) % down.shape[0]
                 prolong_weighted_row(coarse[near], coarse[far], across[a], down[d], out)
         out[0], out[columns + 1] = out[1], out[columns]
+
+
+@njit(cache=True)
+def write_first(rhs: Any, across: Any, inverse: Any, step: Any, r: int, out: Any) -> None:
+    """Write row `r` of the first stage where all heights are nought, without padding."""
+    b = rhs[r % rhs.shape[0]]
+    if across is None:
+        unit_scale_row(b, step, out)
+    else:
+        scale_row(b, inverse[r % inverse.shape[0]], step, out)
 
 
 @njit(cache=True)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from device.fft_integrator import integrate_dct
-from device.surface import GradientField
+from device.surface import GradientField, full_rectangle
+from host_sync.errors import IntegrationError
+from host_sync.reconstruction.coarsest import direct_solver, pseudo_inverse, write_divergence
 from host_sync.reconstruction.condense import condense, condense_pixels
-from host_sync.reconstruction.correction import add_correction
+from host_sync.reconstruction.conjugate_gradients import laplacian
+from host_sync.reconstruction.correction import add_correction, add_weighted_correction
 from host_sync.reconstruction.edge_slopes import EdgeRule, edge_coefficients
-from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels, new_level
+from host_sync.reconstruction.grid_level import GridLevel, PixelField, coarser_levels, new_level, unit_weights
 from host_sync.reconstruction.islands import find_islands
 from host_sync.reconstruction.multigrid import Integrator, integrate
 from host_sync.reconstruction.sweep import sweep
@@ -111,7 +116,7 @@ def test_prolongation_keeps_sums_where_no_hole_cuts_it_off(holes: bool) -> None:
         assert fine.sum() == pytest.approx(4.0 * float(coarse.sum()), abs=1e-4)
 
 
-@pytest.mark.parametrize("shape", [(3, 3), (7, 12), (30, 41), (420, 333)])
+@pytest.mark.parametrize("shape", [(3, 3), (4, 4), (5, 6), (7, 12), (30, 41), (420, 333)])
 @pytest.mark.parametrize("holes", [False, True])
 def test_the_last_correction_is_what_a_pass_without_sweeps_adds(shape: tuple[int, int], holes: bool) -> None:
     random = np.random.default_rng(0)
@@ -122,7 +127,12 @@ def test_the_last_correction_is_what_a_pass_without_sweeps_adds(shape: tuple[int
     pixels = PixelField(slopes, slopes, weight, np.float32(1.0), edge_coefficients("two-point"), 1e-4)
     expected = np.empty_like(z)
     sweep(pixels, smoothing(0), z, expected, coarse=coarse)
-    add_correction(z, coarse, weight)
+    if weight is None:
+        add_correction(z, coarse)
+    else:
+        islands = find_islands(weight)
+        moments = add_weighted_correction(z, coarse, weight, islands)
+        np.testing.assert_allclose(moments, islands.moments(z, weight), atol=1e-12)
     used = np.ones(shape, np.bool_) if weight is None else weight > 0.0
     np.testing.assert_array_equal(z[used], expected[used])
 
@@ -139,6 +149,61 @@ def test_without_weights_coarse_slopes_are_what_cells_with_shapes_make_them(
         condense_pixels(PixelField(p, q, weight, np.float32(1.0), edge_coefficients(rule), 1e-4), level, 0.5)
     np.testing.assert_allclose(plain.slope_across, weighted.slope_across, atol=3e-6)
     np.testing.assert_allclose(plain.slope_down, weighted.slope_down, atol=3e-6)
+
+
+@pytest.mark.parametrize("shape", [(3, 8), (8, 3), (5, 6), (64, 64), (401, 333), (1000, 402)])
+def test_the_same_holds_from_a_level_without_weights_to_the_next(shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(0)
+    edges = [
+        random.normal(size=size).astype(np.float32) for size in ((shape[0], shape[1] + 1), (shape[0] + 1, shape[1]))
+    ]
+    edges[0][:, [0, -1]], edges[1][[0, -1]] = 0.0, 0.0
+    found = []
+    for weighted in (False, True):
+        fine, coarse = new_level(shape, weighted), coarser_levels(shape, weighted)[0]
+        fine.slope_across, fine.slope_down = edges
+        if weighted:
+            fine.across, fine.down = unit_weights(shape)
+        condense(fine, coarse, 0.5)
+        found.append((coarse.slope_across, coarse.slope_down))
+    for plain, weighted_slopes in zip(*found, strict=True):
+        np.testing.assert_allclose(plain, weighted_slopes, atol=3e-6)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (8, 6), (30, 41), (380, 507)])
+def test_a_level_without_weights_is_solved_exactly_by_cosines(shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(1)
+    level = new_level(shape, weighted=False)
+    level.slope_across[:], level.slope_down[:] = random.normal(size=level.slope_across.shape), 0.3
+    level.slope_across[:, [0, -1]], level.slope_down[[0, -1]] = 0.0, 0.0
+    write_divergence(level)
+    direct_solver(level)(level)
+    left = laplacian(level, level.z.astype(np.float64)) - level.rhs
+    assert np.abs(left).max() < 2e-6 * np.abs(level.z).max()
+    assert abs(float(level.z.mean(dtype=np.float64))) < 1e-6
+    if level.z.size < 100:
+        inverted = pseudo_inverse(level) @ level.rhs.ravel().astype(np.float64)
+        np.testing.assert_allclose(level.z.ravel(), inverted - inverted.mean(), atol=1e-5)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("times", [1, 2])
+def test_the_first_sweep_from_nought_is_that_of_heights_that_are_nought(weighted: bool, times: int) -> None:
+    shape, random = (31, 47), np.random.default_rng(2)
+    level = new_level(shape, weighted)
+    level.rhs[:] = random.normal(size=shape)
+    if weighted:
+        level.across, level.down = (
+            random.uniform(0.1, 1.0, edge.shape).astype(np.float32) for edge in unit_weights(shape)
+        )
+        level.across[:, [0, -1]], level.down[[0, -1]] = 0.0, 0.0
+    found = []
+    for start in (None, np.zeros(shape, np.float32)):
+        z, coarse_rhs = np.empty(shape, np.float32), np.empty((16, 24), np.float32)
+        sweep(level, smoothing(times), start, z, coarse_rhs=coarse_rhs)
+        found.append((z, coarse_rhs))
+    for from_nought, from_zeros in zip(*found, strict=True):
+        np.testing.assert_array_equal(from_nought, from_zeros)
 
 
 @pytest.mark.parametrize("shape", [(16, 24), (17, 23), (9, 5)])
@@ -176,7 +241,7 @@ def test_islands_are_those_of_a_flood_fill() -> None:
         assert islands.count == count
         z = random.normal(size=weight.shape).astype(np.float32)
         expected = z - ndimage.mean(z, labels, np.arange(count + 1))[labels]
-        islands.level(z, weight)
+        islands.level(z, islands.moments(z, weight))
         np.testing.assert_array_equal(np.isnan(z), weight == 0.0)
         np.testing.assert_allclose(z[weight > 0.0], expected[weight > 0.0], atol=1e-5)
 
@@ -199,6 +264,24 @@ def test_neither_threads_nor_repetition_change_a_bit(weighted: bool) -> None:
         numba.set_num_threads(threads)
     np.testing.assert_array_equal(heights[0], heights[1])
     np.testing.assert_array_equal(heights[1], heights[2])
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (64, 96), (65, 96), (1088, 1456)])
+def test_a_full_rectangle_that_says_so_has_the_same_heights_with_mean_zero(shape: tuple[int, int]) -> None:
+    _, p, q = noisy(shape)
+    said = full_rectangle(p.astype(np.float32), q.astype(np.float32))
+    height, report = integrate(said, 2.0)
+    written, _ = integrate(field(p, q, np.ones(shape)), 2.0)
+    np.testing.assert_array_equal(height.z_um, written.z_um)
+    assert report.islands == 1
+    assert abs(float(height.z_um.mean(dtype=np.float64))) < 1e-6 * float(np.abs(height.z_um).max())
+
+
+def test_a_field_that_says_that_no_pixel_is_valid_is_refused() -> None:
+    _, p, q = noisy((8, 8))
+    said = full_rectangle(p.astype(np.float32), q.astype(np.float32))
+    with pytest.raises(IntegrationError, match="no pixel"):
+        integrate(replace(said, valid=np.broadcast_to(np.False_, (8, 8))), 1.0)
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (151, 203)])

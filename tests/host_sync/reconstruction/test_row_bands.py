@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from threading import Event, get_ident
 
+import numba
 import pytest
 
 from host_sync.reconstruction import row_bands
-from host_sync.reconstruction.row_bands import in_bands
+from host_sync.reconstruction.row_bands import Beside, in_bands
 
 PATIENCE_S = 20.0
 
@@ -50,6 +51,33 @@ def test_another_thread_works_too_and_its_error_is_the_callers() -> None:
 
     with pytest.raises(ValueError, match="in a helper"):
         in_bands(kernel, (60, 10))
+
+
+def test_a_call_beside_is_made_once_by_a_helper_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(row_bands, "get_num_threads", lambda: 3)
+    begun = Event()
+    seen: list[tuple[int, int, bool]] = []
+
+    def work(number: int) -> int:
+        seen.append((get_ident(), numba.get_num_threads(), begun.wait(PATIENCE_S)))
+        return number + 1
+
+    beside = Beside(work, 1)
+    beside.begin()
+    begun.set()
+    assert [beside.result(), beside.result()] == [2, 2]
+    ((thread, threads, went_on),) = seen
+    assert thread != get_ident()
+    assert threads == 1
+    assert went_on
+
+
+def test_a_caller_of_one_thread_makes_the_call_itself_and_an_error_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(row_bands, "get_num_threads", lambda: 1)
+    assert Beside(lambda _: get_ident(), None).result() == get_ident()
+    monkeypatch.setattr(row_bands, "get_num_threads", lambda: 3)
+    with pytest.raises(ZeroDivisionError):
+        Beside(lambda number: 1 // number, 0).result()
 
 
 def test_a_small_field_stays_with_its_caller() -> None:
