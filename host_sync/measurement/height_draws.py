@@ -30,7 +30,7 @@ from host_sync.measurement.result_surface import ResultSurface
 
 SEED: Final = 25178
 
-UNLIKE_BALLS_SHARE: Final = 0.11
+UNLIKE_BALLS_SHARE: Final = 0.09
 """Root mean square error of step heights and amplitudes of raised faces on the twin, whose lights are 25 mm away
 (`docs/accuracy/measured_coverage.py`); what an instrument of your own does, a step of known height tells."""
 
@@ -40,7 +40,7 @@ Share = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Standard uncertainties, as shares, that the calibration did not measure; None leaves them out.
 
-    unlike_balls_share : of heights on surfaces that no ball is like; 0 for a ball
+    unlike_balls_share : of heights on surfaces that no ball is like; 0.02 holds a ball's own radius
     """
 
     pixel_pitch_share: Share | None = None
