@@ -44,9 +44,8 @@ def edge_coefficients(rule: EdgeRule) -> Float32Array:
 
 @njit(cache=True, error_model="numpy")
 def _edge_weight(w_a: Any, w_b: Any) -> Any:
-    """Harmonic mean of neighbours' weights, nought where either is a hole."""
-    harmonic = np.float32(2.0) * w_a * (w_b / max(w_a + w_b, LEAST))
-    return harmonic if min(w_a, w_b) > np.float32(0.0) else np.float32(0.0)
+    """Harmonic mean of neighbours' weights (none is negative), nought where either is a hole."""
+    return np.float32(2.0) * w_a * (w_b / max(w_a + w_b, LEAST))
 
 
 @njit(cache=True, fastmath=CONTRACT, error_model="numpy")
