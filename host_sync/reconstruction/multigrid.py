@@ -92,11 +92,14 @@ class Integrator:
         Raises
         ------
         IntegrationError
-            Shapes differ, a valid pixel has no finite slope or weight, or no pixel is valid.
+            Shapes differ, a valid pixel has no finite slope or weight, no pixel is valid, or `out` cannot receive the
+            heights.
         """
         found = survey(gradients)
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")
+        if out is not None and (out.shape != self._shape or out.dtype != np.float32 or not out.flags.writeable):
+            raise IntegrationError(f"heights need a writable float32 array of shape {self._shape}: give such an `out`")
         field = _pixel_field(gradients, found, edges, pitch_um)
         islands = None if found.weight is None else Beside(find_islands, found.weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out
