@@ -241,7 +241,8 @@ def test_what_single_precision_cannot_reach_ends_where_it_can_and_says_so(kind: 
     weight = np.ones((60, 45))
     if kind == "holes":
         weight[20:30, 10:25] = 0.0
-    gradients = field(*random.standard_normal((2, 60, 45)), weight)
+    p, q = random.standard_normal((2, 60, 45))
+    gradients = field(p, q, weight)
     height, report = integrate(gradients, 1.0, edges="two-point", tolerance_px=0.0)
     error = np.sqrt(np.nanmean((height.z_um - direct(gradients)) ** 2))
     assert error < 5e-6
@@ -253,4 +254,4 @@ def test_what_single_precision_cannot_reach_ends_where_it_can_and_says_so(kind: 
 def test_heights_go_to_no_array_that_cannot_receive_them(rows: int, dtype: str) -> None:
     out = np.empty((rows, 30), dtype)
     with pytest.raises(IntegrationError, match=r"float32 array of shape \(20, 30\)"):
-        Integrator((20, 30)).integrate(field(*np.zeros((2, 20, 30))), 1.0, out=out)
+        Integrator((20, 30)).integrate(field(np.zeros((20, 30)), np.zeros((20, 30))), 1.0, out=out)
