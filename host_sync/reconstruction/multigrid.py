@@ -85,7 +85,8 @@ class Integrator:
 
         edges : how slopes become height differences between neighbours (see `edge_slopes`)
         tolerance_px : estimated algebraic error at which cycles end, pixels; None ends them where it is small beside
-            what noise does to the heights
+            what noise does to the heights. Where it is less than single precision reaches, they end there, and the
+            report says that it was not reached
         max_cycles : V-cycles on the finest level after which it ends in any case
         out : C-contiguous float32 array of shape (H, W) that receives the heights; None for a new one
 
