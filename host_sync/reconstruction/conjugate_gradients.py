@@ -23,6 +23,10 @@ WINDOW: Final = 8
 LEAST_RATE: Final = 0.5
 """Least rate that is believed: a part that hangs by one bridge shows late, after steps that fell much faster."""
 
+ROUNDING: Final = 4.0 * float(np.finfo(np.float32).eps)
+"""Share of the heights that single precision of slopes and results leaves in doubt. Steps beyond it gain nothing, and
+far beyond it follow rounding errors alone, without end."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KrylovSolution:
@@ -52,8 +56,8 @@ def conjugate_gradients(
     direction, image, energy = np.zeros_like(z), np.zeros_like(z), 1.0
     steps: list[float] = []
     residuals: list[float] = []
-    error = np.inf
-    while len(steps) < max_cycles and error > tolerance:
+    error, least = np.inf, 0.0
+    while len(steps) < max_cycles and error > max(tolerance, least):
         size = _rms(residual)
         residuals.append(size)
         if size == 0.0:
@@ -71,8 +75,8 @@ def conjugate_gradients(
         z += length * direction
         residual -= length * image
         steps.append(abs(length) * _rms(direction))
-        error = _remaining_error(steps)
-    return KrylovSolution(z.astype(np.float32), tuple(residuals), error)
+        error, least = _remaining_error(steps), ROUNDING * _rms(z)
+    return KrylovSolution(z.astype(np.float32), tuple(residuals), max(error, least))
 
 
 def laplacian(level: GridLevel, z: Float64Array) -> Float64Array:

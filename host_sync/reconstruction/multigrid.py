@@ -85,18 +85,22 @@ class Integrator:
 
         edges : how slopes become height differences between neighbours (see `edge_slopes`)
         tolerance_px : estimated algebraic error at which cycles end, pixels; None ends them where it is small beside
-            what noise does to the heights
+            what noise does to the heights. Where it is less than single precision reaches, they end there, and the
+            report says that it was not reached
         max_cycles : V-cycles on the finest level after which it ends in any case
         out : C-contiguous float32 array of shape (H, W) that receives the heights; None for a new one
 
         Raises
         ------
         IntegrationError
-            Shapes differ, a valid pixel has no finite slope or weight, or no pixel is valid.
+            Shapes differ, a valid pixel has no finite slope or weight, no pixel is valid, or `out` cannot receive the
+            heights.
         """
         found = survey(gradients)
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")
+        if out is not None and (out.shape != self._shape or out.dtype != np.float32 or not out.flags.writeable):
+            raise IntegrationError(f"heights need a writable float32 array of shape {self._shape}: give such an `out`")
         field = _pixel_field(gradients, found, edges, pitch_um)
         islands = None if found.weight is None else Beside(find_islands, found.weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 from device.surface import GradientField
 from host_sync.errors import IntegrationError
 from host_sync.reconstruction.edge_slopes import EdgeRule
-from host_sync.reconstruction.multigrid import integrate
+from host_sync.reconstruction.multigrid import Integrator, integrate
 
 SHAPES = [(3, 3), (3, 200), (5, 7), (127, 65), (64, 64)]
 
@@ -233,3 +233,25 @@ def test_a_weight_far_below_the_largest_is_a_hole(little: float) -> None:
     found, report = integrate(field(p, q, np.where(missing, little, 1.0)), 1.0)
     assert report.converged
     np.testing.assert_array_equal(found.z_um, expected.z_um)
+
+
+@pytest.mark.parametrize("kind", ["uniform", "holes"])
+def test_what_single_precision_cannot_reach_ends_where_it_can_and_says_so(kind: str) -> None:
+    random = np.random.default_rng(8)
+    weight = np.ones((60, 45))
+    if kind == "holes":
+        weight[20:30, 10:25] = 0.0
+    p, q = random.standard_normal((2, 60, 45))
+    gradients = field(p, q, weight)
+    height, report = integrate(gradients, 1.0, edges="two-point", tolerance_px=0.0)
+    error = np.sqrt(np.nanmean((height.z_um - direct(gradients)) ** 2))
+    assert error < 5e-6
+    assert not report.converged
+    assert 0.3 * error < report.error_px < 5e-6
+
+
+@pytest.mark.parametrize(("rows", "dtype"), [(19, "float32"), (21, "float32"), (20, "float64")])
+def test_heights_go_to_no_array_that_cannot_receive_them(rows: int, dtype: str) -> None:
+    out = np.empty((rows, 30), dtype)
+    with pytest.raises(IntegrationError, match=r"float32 array of shape \(20, 30\)"):
+        Integrator((20, 30)).integrate(field(np.zeros((20, 30)), np.zeros((20, 30))), 1.0, out=out)

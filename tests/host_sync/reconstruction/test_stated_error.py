@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.fft import dctn, idctn
 
-from device.surface import GradientField
+from device.surface import GradientField, full_rectangle
 from host_sync.reconstruction.multigrid import integrate
 
 SHAPE = (130, 97)
@@ -70,3 +71,34 @@ def test_the_default_adds_less_than_a_hundredth_to_what_noise_does() -> None:
             noise, left = (float((a[used] - b[used]).std()) for a, b in
                            ((exact.z_um, truth), (found.z_um, exact.z_um)))  # fmt: skip
             assert np.hypot(noise, left) / noise < 1.01
+
+
+def by_cosines(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Two-point least squares of a full rectangle, float64, mean zero."""
+    rhs = np.zeros(p.shape)
+    across, down = (p[:, 1:] + p[:, :-1]) / 2.0, (q[1:] + q[:-1]) / 2.0
+    rhs[:, 1:] += across
+    rhs[:, :-1] -= across
+    rhs[1:] += down
+    rhs[:-1] -= down
+    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in p.shape)
+    eigenvalue = np.add.outer(rows, columns)
+    eigenvalue[0, 0] = np.inf
+    return np.asarray(idctn(dctn(rhs, norm="ortho") / eigenvalue, norm="ortho"))
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (65, 64), (97, 101), (255, 257), (255, 1023), (9, 3001), (3, 1501)])
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_slopes_that_contradict_each_other_in_long_waves_are_no_worse_than_stated(
+    shape: tuple[int, int], noise: float
+) -> None:
+    random = np.random.default_rng(3)
+    row, column = (np.arange(size) + 0.5 for size in shape)
+    p, q = np.zeros(shape), np.zeros(shape)
+    p += np.cos(np.pi * row / shape[0])[:, None]
+    q -= np.cos(np.pi * column / shape[1])
+    gradients = full_rectangle(*((s + noise * random.standard_normal(shape)).astype(np.float32) for s in (p, q)))
+    height, report = integrate(gradients, 1.0, edges="two-point")
+    exact = by_cosines(gradients.p.astype(np.float64), gradients.q.astype(np.float64))
+    error = float(np.sqrt(np.square(height.z_um - exact).mean()))
+    assert 0.8 * error < report.error_px < 10.0 * error
