@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 partly done (what failed is named), 2 bad input, 3 connect
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
+from device.ending_signals import ending_like_ctrl_c
 from device.errors import DeviceError
 from host_sync.commands import devices, exporting, gaging, measuring, offload, rendering, reporting, viewing
 from host_sync.commands import library as library_commands
@@ -46,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     keep_kernels_apart()
     try:
-        result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        with ending_like_ctrl_c(signal.SIGTERM):
+            result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         sys.stdout.flush()
     except SourceError as error:
         return complain(error, CONNECTION)

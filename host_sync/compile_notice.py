@@ -9,7 +9,7 @@ from host_sync.kernel_cache import forget_unused_states
 
 def compiled_before() -> bool:
     """Whether the cache on disk holds the kernels of an earlier run."""
-    from host_sync.reconstruction.level import cache_directory
+    from host_sync.reconstruction.rest_level import cache_directory
 
     return any(cache_directory().glob("level.*.nbi"))
 

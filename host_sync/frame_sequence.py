@@ -6,6 +6,7 @@ Frames are decoded one by one as they are asked for. A frame that cannot be read
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -172,7 +173,7 @@ class MovieSequence:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        movie = cv2.VideoCapture(str(path))
+        movie = _opened(path)
         try:
             self.count = int(movie.get(cv2.CAP_PROP_FRAME_COUNT)) if movie.isOpened() else 0
             rate_hz = float(movie.get(cv2.CAP_PROP_FPS))
@@ -185,17 +186,27 @@ class MovieSequence:
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
         """Every frame, R, G, B."""
-        movie = cv2.VideoCapture(str(self._path))
+        movie = _opened(self._path)
         try:
             for number in range(1, self.count + 1):
                 found, pixels = movie.read()
                 if not found:
-                    rest = f"frames {number} to {self.count}"
+                    rest = f"frame {number}" if number == self.count else f"frames {number} to {self.count}"
                     yield BadFrame(rest, f"{self._path}: {rest} cannot be decoded: fetch the file again")
                     return
                 yield StoredFrame(f"frame {number}", np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8))
         finally:
             movie.release()
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    """The movie; what its decoder has to say of it is said here in other words, not on the terminal."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.VideoCapture(str(path))
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _names_another_page(tiff: tifffile.TiffFile) -> bool:
@@ -216,6 +227,8 @@ def _read_file(path: Path) -> Pixels | RawFrame:
     FrameSetError, RecordError
         It cannot be read; names it.
     """
+    if path.exists() and not path.is_file():
+        raise FrameSetError(f"{path}: is no file: take it out of the folder")
     if path.suffix.lower() in (".tif", ".tiff") and _page_count(path) == _RAW_PAGES:
         return read_raw(path)
     pixels = read_pixels(path)

@@ -20,7 +20,7 @@ from device.inverse_map import InverseMap
 from device.photometry import IntensityImage
 from device.surface import Float32Array, GradientField, HeightMap
 from host_sync.calibration.light_height import nearness_per_px
-from host_sync.reconstruction.level import levelled, untouched_skin
+from host_sync.reconstruction.rest_level import levelled, untouched_skin
 
 MOST_PRESSES: Final = 3
 """Presses whose apexes are measured."""

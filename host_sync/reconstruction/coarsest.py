@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import Final
 
 import numpy as np
 from numba import get_num_threads
@@ -17,7 +18,7 @@ from scipy.fft import dctn, idctn
 from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.grid_level import GridLevel, edge_weights
 
-LOOSE = 1e-10
+LOOSE: Final = 1e-10
 """Eigenvalue of D^-½ A D^-½ below which a mode is the free level of an island."""
 
 DirectSolver = Callable[[GridLevel], None]

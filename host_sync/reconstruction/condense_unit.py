@@ -64,9 +64,7 @@ def _condense_pixels(p: Any, q: Any, rule: Any, across: Any, down: Any, begin: i
 
 
 @njit(cache=True, nogil=True)
-def _condense_edges(
-    fine_across: Any, fine_down: Any, across: Any, down: Any, begin: int, end: int
-) -> None:  # fmt: skip
+def _condense_edges(fine_across: Any, fine_down: Any, across: Any, down: Any, begin: int, end: int) -> None:
     """Work on the cells of the fine rows `begin` (even) to `end` - 1."""
     rows, columns = fine_across.shape[0], fine_down.shape[1]
     first, last = begin // 2, (end + 1) // 2

@@ -20,10 +20,10 @@ from host_sync.frame_set_file import Encoding
 from host_sync.reconstruction.colour_planes import in_planes
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import empty_intensity, raw_intensity, stored_intensity
-from host_sync.reconstruction.level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.multigrid import Integrator
 from host_sync.reconstruction.pipeline import estimate, refuse_doubtful
 from host_sync.reconstruction.plausibility import SAMPLES_ALONG, frame_doubts, rest_doubts
+from host_sync.reconstruction.rest_level import height_of_rest_um, untouched_skin
 from host_sync.reconstruction.row_bands import in_bands
 from host_sync.reconstruction.slope_kernel import SlopeKernel, empty_gradients
 
@@ -82,7 +82,9 @@ class FrameSolver:
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         self._integrator = Integrator(self.shape)
-        self._all_valid = None if weighted else np.ones(self.shape, np.bool_)
+        self._weighted = weighted
+        # Written out, unlike that of a full rectangle: whoever looks for untouched skin reads every pixel's.
+        self._everywhere = np.ones((0, 0) if weighted else self.shape, np.bool_)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -90,14 +92,13 @@ class FrameSolver:
         return {
             "method": self._method,
             "encoding": self._encoding,
-            "weighted": self._all_valid is None,
+            "weighted": self._weighted,
             "forced": self._force,
         }
 
     def another(self) -> FrameSolver:
         """A solver of the same frames with working arrays of its own, for another thread."""
-        weighted = self._all_valid is None
-        return FrameSolver(self._calibration, self._method, self._encoding, weighted=weighted, force=self._force)
+        return FrameSolver(self._calibration, self._method, self._encoding, weighted=self._weighted, force=self._force)
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameFigures:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its figures.
@@ -147,10 +148,10 @@ class FrameSolver:
             found = self._slopes.evaluate(intensity)
         else:
             found = estimate(intensity, self._calibration, self._method)
-        if self._all_valid is None:
+        if self._weighted:
             return found
         in_bands(_flatten, self.shape, found.p, found.q, found.valid)
-        return replace(full_rectangle(found.p, found.q), valid=self._all_valid)
+        return replace(full_rectangle(found.p, found.q), valid=self._everywhere)
 
 
 def _sampled(image: IntensityImage) -> IntensityImage:

@@ -3,14 +3,8 @@
 Edges are made coarser level by level (`condense`), the coarsest level is solved, and each level starts from the one
 below it by adding the shapes of its cells. Coarse levels are then improved by V-cycles: smooth, restrict the residual,
 solve for the correction one level down, interpolate it, smooth. The finest level is smoothed; it takes V-cycles only
-where the error that is left asks for them, and conjugate gradients around them where they gain too little.
-
-What is left. Shapes and coarse slopes are exact for slopes that belong to a surface, so that smoothing on the finest
-level repairs what noise alone has left, and how much it changes is a measure of that noise: without a tolerance cycles
-end when the estimated error is a share of it. The correction that a cycle brings is a measure of the error that it
-removed. One alone does not tell how fast errors fall, which holes with narrow bridges between them make slow; but those
-show on the coarse levels too, whose cycles come first: what these leave behind is added. From the second cycle on the
-finest level's own corrections tell.
+where the error that is left asks for them (`stated_error`), and conjugate gradients around them where they gain too
+little.
 """
 
 from __future__ import annotations
@@ -31,23 +25,9 @@ from host_sync.reconstruction.islands import Islands
 from host_sync.reconstruction.level_rows import written_level
 from host_sync.reconstruction.rectangle import level_cells
 from host_sync.reconstruction.row_bands import Beside
+from host_sync.reconstruction.stated_error import NOISE_SHARE, START_SHARE, error_left, stalls
 from host_sync.reconstruction.sweep import root_mean_square, sweep
-from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, still_to_come, v_cycle
-
-SLOW_CONTRACTION: Final = 0.6
-
-START_SHARE: Final = 0.4
-"""Error left after the first smoothing, as a share of what it changed (0.27 was measured without weights)."""
-
-CYCLE_SHARE: Final = 0.6
-"""Error left after the first cycle, as a share of its correction; that of the coarse levels is added."""
-
-SLOWED: Final = 0.25
-"""How much more slowly what is left falls than what was removed (see `still_to_come`)."""
-
-NOISE_SHARE: Final = 0.55
-"""Tolerance, as a share of what the first smoothing changed, where none is given: so much adds less than 1 % to what
-noise does to the heights."""
+from host_sync.reconstruction.v_cycle import nested_cycles, smoothing, v_cycle
 
 APART: Final = 0.5
 """Share of the bound of paths apart in coarse weights (see `conductance`)."""
@@ -191,7 +171,7 @@ def _finest_cycles(
     if not np.isfinite(first.change):
         return Solution(before, (), float("nan"), tolerance)
     if max_cycles == 0 or (not weighted and error <= tolerance):
-        return Solution(before, (), error, tolerance, levelled=True)
+        return Solution(before, (), error, tolerance, levelled=not weighted)
     if not weighted:
         first = sweep(field, smoothing(0), before, after, coarse_rhs=coarse.rhs, measured=True)
         before, after = after, before
@@ -200,8 +180,8 @@ def _finest_cycles(
     while True:
         v_cycle(levels, solved.solve, after=0)
         corrections.append(root_mean_square(coarse.z))
-        error = _remaining_error(corrections, solved.error)
-        if error <= tolerance or len(corrections) >= max_cycles or _stalls(corrections):
+        error = error_left(corrections, solved.error)
+        if error <= tolerance or len(corrections) >= max_cycles or stalls(corrections):
             if field.weight is None or islands is None:
                 add_correction(before, coarse.z)
                 return Solution(before, tuple(residuals), error, tolerance)
@@ -210,15 +190,3 @@ def _finest_cycles(
         figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
         residuals.append(figures.residual)
         before, after = after, before
-
-
-def _stalls(corrections: list[float]) -> bool:
-    """Whether the last cycle fell short of the contraction that V-cycles are worth repeating for."""
-    return len(corrections) > 2 and corrections[-1] > SLOW_CONTRACTION * corrections[-2]
-
-
-def _remaining_error(corrections: list[float], coarse_error: float) -> float:
-    """Estimated error after the last of these corrections; `coarse_error` is what the coarse levels' cycles left."""
-    if len(corrections) == 1:
-        return CYCLE_SHARE * corrections[0] + coarse_error
-    return still_to_come(corrections, SLOWED)

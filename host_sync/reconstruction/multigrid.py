@@ -93,9 +93,11 @@ class Integrator:
         Raises
         ------
         IntegrationError
-            Shapes differ, a valid pixel has no finite slope or weight, no pixel is valid, or `out` cannot receive the
-            heights.
+            The pitch is no positive number, shapes differ, a valid pixel has no finite slope or weight, no pixel is
+            valid, or `out` cannot receive the heights.
         """
+        if not (np.isfinite(pitch_um) and pitch_um > 0.0):
+            raise IntegrationError(f"a pixel pitch of {pitch_um} µm is none: give the distance of neighbouring pixels")
         found = survey(gradients)
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, not {gradients.valid.shape}")

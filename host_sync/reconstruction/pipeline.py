@@ -19,10 +19,10 @@ from host_sync.calibration.slope_error import SlopeError
 from host_sync.reconstruction.extrapolation import extrapolated
 from host_sync.reconstruction.intensity_checks import check_intensity
 from host_sync.reconstruction.intensity_kernel import raw_intensity
-from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import IntegrationReport, integrate
 from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
 from host_sync.reconstruction.printed_integration import integrate_as_printed
+from host_sync.reconstruction.rest_level import levelled, untouched_skin
 from host_sync.reconstruction.slope_kernel import evaluate
 from host_sync.reconstruction.uncertainty import contradicted_slope, height_uncertainty, slope_sigma, slopes_at_rest
 

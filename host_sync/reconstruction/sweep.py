@@ -25,8 +25,12 @@ from host_sync.reconstruction.transfer import copy_row, restrict_row
 SLOPES: Final = 4
 """Rows of slopes at hand where they are made on the way and go with no weights, which later stages read."""
 
-CHANGE_STEP: Final = 4
-"""One row in so many tells how much smoothing changes and how large a correction is: noise is alike in all of them."""
+CHANGE_STEP: Final = 5
+"""One row in so many of a large level tells how much smoothing changes and how large a correction is; an odd number,
+so that no pattern that the 2:1 coarsening makes stands in all of them or in none."""
+
+LARGE_PX: Final = 1 << 21
+"""Pixels of such a level; of a smaller one all rows are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,7 @@ class SweepFigures:
     """Root mean squares over the level, pixels.
 
     residual : of the residual that was restricted; nought where none was
-    change : of what smoothing changed, in one row of `CHANGE_STEP`
+    change : of what smoothing changed, in the rows that are looked at
     """
 
     residual: float
@@ -91,21 +95,28 @@ def sweep(
     if not measured:
         return UNKNOWN
     residual, change = squares.sum(axis=1)
-    looked_at = len(range(0, rows, CHANGE_STEP)) * columns
+    looked_at = len(range(0, rows, rows_apart(z_out.size))) * columns
     return SweepFigures(float(np.sqrt(residual / z_out.size)), float(np.sqrt(change / looked_at)))
 
 
 def root_mean_square(values: Float32Array) -> float:
-    """Root mean square of one row in `CHANGE_STEP` of a float32 array of shape (H, W): enough for an estimate."""
+    """Root mean square of the rows that are looked at of a float32 array of shape (H, W): enough for an estimate."""
     squares = np.zeros(len(values))
     in_bands(_row_squares, values.shape, values, squares)
-    looked_at = len(range(0, len(values), CHANGE_STEP)) * values.shape[1]
+    looked_at = len(range(0, len(values), rows_apart(values.size))) * values.shape[1]
     return float(np.sqrt(squares.sum() / looked_at))
+
+
+@njit(cache=True)
+def rows_apart(pixels: int) -> int:
+    """How far apart the rows are that are looked at of a level of so many pixels, from its first on."""
+    return CHANGE_STEP if pixels > LARGE_PX else 1
 
 
 @njit(cache=True, nogil=True)
 def _row_squares(values: Any, squares: Any, first: int, last: int) -> None:
-    for r in range(first + -first % CHANGE_STEP, last, CHANGE_STEP):
+    step = rows_apart(values.size)
+    for r in range(first + -first % step, last, step):
         squares[r] = square_sum(values[r])
 
 
@@ -125,7 +136,7 @@ def _band(
     begin, end = max(first - halo, 0) // 2 * 2, min((last + halo + 1) // 2 * 2, rows)
     pixels = None if weight is None else ring(4, columns + 4)
     inverse, shaped = ring(height, columns), nested and z_in.size == 0
-    from_nought = z_in.size == 0 and coarse.size == 0
+    from_nought, step = z_in.size == 0 and coarse.size == 0, rows_apart(z_out.size)
     if rhs is None:
         rhs = ring(height, columns)
     if p is not None:
@@ -163,7 +174,7 @@ def _band(
         if first <= r < last:
             if sweeps == 0 or restricts:
                 copy_row(stages[sweeps, r % height], 1, z_out[r], 0, columns)
-            if squares.size > 0 and r % CHANGE_STEP == 0:
+            if squares.size > 0 and r % step == 0:
                 squares[1, r] = square_difference(z_out[r], stages[0, r % height, inner])
         r = t - sweeps - 1
         if restricts and first <= r < last:

@@ -11,13 +11,11 @@ from device.surface import Float32Array
 from host_sync.reconstruction.coarsest import DirectSolver
 from host_sync.reconstruction.grid_level import GridLevel
 from host_sync.reconstruction.smoother import chebyshev_steps
+from host_sync.reconstruction.stated_error import still_to_come
 from host_sync.reconstruction.sweep import root_mean_square, sweep
 
 SWEEPS: Final = 2
 """Sweeps before and after the correction."""
-
-MOST_SHARE: Final = 0.9
-"""Largest share of the correction before that is believed: where only rounding is left, corrections fall no more."""
 
 
 def v_cycle(levels: list[GridLevel], solve: DirectSolver, after: int = 1) -> None:
@@ -67,18 +65,6 @@ def nested_cycles(levels: list[GridLevel], solve: DirectSolver, cycles: int, aft
     sweep(level, smoothing(after), level.z, level.spare, coarse=coarse.z)
     level.swap()
     return still_to_come(corrections)
-
-
-def still_to_come(corrections: list[float], slowed: float = 0.0) -> float:
-    """What all later cycles would bring if corrections went on to fall as the last two did; nought where there is one.
-
-    slowed : how far towards 1 the share that a correction is of the one before is raised
-    """
-    if len(corrections) < 2 or corrections[-2] == 0.0:
-        return 0.0
-    share = min(corrections[-1] / corrections[-2], MOST_SHARE)
-    share += slowed * (1.0 - share)
-    return corrections[-1] * share / (1.0 - share)
 
 
 @cache

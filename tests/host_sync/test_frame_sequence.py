@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -100,6 +103,38 @@ def test_the_frames_of_a_movie_are_r_g_b(tmp_path: Path) -> None:
     assert (sequence.count, sequence.rate_hz) == (3, pytest.approx(30.0))
     for frame, value in zip(frames, (20, 60, 100), strict=True):
         np.testing.assert_allclose(frame.pixels.mean(axis=(0, 1)), [value, 0, 200], atol=6.0)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    (frame,) = open_sequence(tmp_path).frames()
+    assert isinstance(frame, BadFrame)
+    assert "is no file" in frame.reason
+
+
+def test_the_last_frame_of_a_movie_that_is_cut_is_named_alone(tmp_path: Path) -> None:
+    path = tmp_path / "press.avi"
+    movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (32, 24))
+    for value in (20, 60, 100):
+        movie.write(picture(value)[..., ::-1])
+    movie.release()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b"00dc", 0, whole.index(b"idx1"))])
+    *_, last = open_sequence(path).frames()
+    assert isinstance(last, BadFrame)
+    assert last.name == "frame 3"
+
+
+def test_a_movies_decoder_does_not_speak_for_itself(tmp_path: Path) -> None:
+    """In a process of its own: the decoder asks once how much it may say."""
+    torn = tmp_path / "torn.mp4"
+    torn.write_bytes(b"\0\0\0\x18ftypisom\0\0\2\0isomiso2" + bytes(64))
+    opening = (
+        f"from host_sync.frame_sequence import MovieSequence\nMovieSequence(__import__('pathlib').Path({str(torn)!r}))"
+    )
+    said = subprocess.run([sys.executable, "-c", opening], capture_output=True, text=True, check=False).stderr
+    assert said.splitlines()[-1].endswith("holds no frames that can be decoded: convert it, or fetch it again")
+    assert "moov" not in said
 
 
 def test_what_holds_no_frames_is_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def test_a_kernel_that_another_calls_is_compiled_anew_when_its_file_changes(tmp_
 def test_the_command_line_chooses_before_numba_is_loaded(tmp_path: Path) -> None:
     code = (
         "import sys, os; from host_sync.__main__ import main; main(['--version']); assert 'numba' not in sys.modules; "
-        "from host_sync.reconstruction.level import cache_directory; print(os.environ['NUMBA_CACHE_DIR']); "
+        "from host_sync.reconstruction.rest_level import cache_directory; print(os.environ['NUMBA_CACHE_DIR']); "
         "print(cache_directory())"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}

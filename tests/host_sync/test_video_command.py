@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -131,6 +133,24 @@ def test_an_interrupted_command_says_so_and_ends_with_130(
     monkeypatch.setattr("host_sync.commands.offload.pull", interrupt)
     assert main(["pull", str(calibrated_root), "--library", str(tmp_path / "library")]) == 130
     assert capsys.readouterr().err == "retrosync: stopped: what was not finished is not there\n"
+
+
+def test_a_command_that_is_told_to_end_leaves_nothing_half_written(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    begun: list[Path] = []
+
+    def told_to_end(*_arguments: object, **_options: object) -> None:
+        begun.extend(tmp_path.glob(".out*"))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("host_sync.reconstruction.sequence_job.FrameCrew", told_to_end)
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err.endswith("stopped: what was not finished is not there\n")
+    assert begun
+    assert not list(tmp_path.glob("*out*"))
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_paths_are_printed_as_they_are_and_nobody_watching_sees_no_blank_line(

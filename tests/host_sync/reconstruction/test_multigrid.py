@@ -255,3 +255,17 @@ def test_heights_go_to_no_array_that_cannot_receive_them(rows: int, dtype: str) 
     out = np.empty((rows, 30), dtype)
     with pytest.raises(IntegrationError, match=r"float32 array of shape \(20, 30\)"):
         Integrator((20, 30)).integrate(field(np.zeros((20, 30)), np.zeros((20, 30))), 1.0, out=out)
+
+
+@pytest.mark.parametrize("pitch_um", [0.0, -5.0, float("nan"), float("inf")])
+def test_a_pitch_that_is_none_is_refused(pitch_um: float) -> None:
+    with pytest.raises(IntegrationError, match="pixel pitch"):
+        integrate(field(np.zeros((9, 8)), np.zeros((9, 8))), pitch_um)
+
+
+def test_one_odd_row_is_seen_by_the_stated_error() -> None:
+    p, q = np.zeros((31, 37)), np.zeros((31, 37))
+    p[15] = np.random.default_rng(0).standard_normal(37)
+    height, report = integrate(field(p, q), 1.0, edges="two-point")
+    error = np.sqrt(np.mean((height.z_um - direct(field(p, q))) ** 2))
+    assert report.error_px > 0.5 * error

@@ -7,8 +7,8 @@ import pytest
 from device.surface import GradientField, HeightMap, surface_slopes
 from host_sync.calibration.elevation import TaughtElevation
 from host_sync.calibration.slope_error import SlopeError
-from host_sync.reconstruction.level import levelled, untouched_skin
 from host_sync.reconstruction.multigrid import integrate
+from host_sync.reconstruction.rest_level import levelled, untouched_skin
 from host_sync.reconstruction.uncertainty import HeightUncertainty, contradicted_slope, height_uncertainty, slope_sigma
 
 SHAPE = (200, 256)
