@@ -34,6 +34,10 @@ class KeptDct:
         np.multiply(np.add(q[1:], q[:-1], out=down), np.float32(0.5), out=down)
         rhs[1:] += down
         rhs[:-1] -= down
+        return self.transforms(rhs)
+
+    def transforms(self, rhs: Float32Array) -> Float32Array:
+        """The heights of a right-hand side, which is overwritten: the transform forth and back, and no more."""
         spectrum = dctn(rhs, type=2, norm="ortho", overwrite_x=True, workers=self._workers)
         spectrum /= self._eigenvalue
         spectrum[0, 0] = 0.0

@@ -36,7 +36,7 @@ STAGES = {
     "doubts": ("intensity_checks.check_intensity", "plausibility.frame_doubts", "plausibility.rest_doubts"),
     "slopes": ("pipeline.estimate",),
     "integration": ("multigrid.integrate",),
-    "level": ("level.untouched_skin", "level.levelled"),
+    "level": ("rest_level.untouched_skin", "rest_level.levelled"),
     "slopes of the surface": ("surface.surface_slopes",),
     "sigma map": ("uncertainty.slopes_at_rest", "uncertainty.contradicted_slope", "uncertainty.height_uncertainty"),
     "sigma of slopes": ("uncertainty.slope_sigma",),

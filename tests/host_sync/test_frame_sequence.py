@@ -129,10 +129,9 @@ def test_a_movies_decoder_does_not_speak_for_itself(tmp_path: Path) -> None:
     """In a process of its own: the decoder asks once how much it may say."""
     torn = tmp_path / "torn.mp4"
     torn.write_bytes(b"\0\0\0\x18ftypisom\0\0\2\0isomiso2" + bytes(64))
-    opening = (
-        f"from host_sync.frame_sequence import MovieSequence\nMovieSequence(__import__('pathlib').Path({str(torn)!r}))"
-    )
-    said = subprocess.run([sys.executable, "-c", opening], capture_output=True, text=True, check=False).stderr
+    opening = "import sys, pathlib; from host_sync.frame_sequence import *; MovieSequence(pathlib.Path(sys.argv[1]))"
+    command = [sys.executable, "-c", opening, str(torn)]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stderr
     assert said.splitlines()[-1].endswith("holds no frames that can be decoded: convert it, or fetch it again")
     assert "moov" not in said
 
