@@ -11,7 +11,7 @@ def compiled_before() -> bool:
     """Whether the cache on disk holds the kernels of an earlier run."""
     from host_sync.reconstruction.rest_level import cache_directory
 
-    return any(cache_directory().glob("level.*.nbi"))
+    return any(cache_directory().glob("rest_level.*.nbi"))
 
 
 def tell_of_compiling() -> None:
