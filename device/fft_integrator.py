@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import dctn, idctn
 
-from device.surface import Float32Array
+from device.surface import Float32Array, Float64Array
 
 
 def integrate_dct(p: Float32Array, q: Float32Array, pitch_um: float) -> Float32Array:
@@ -35,7 +35,15 @@ def integrate_dct(p: Float32Array, q: Float32Array, pitch_um: float) -> Float32A
 @lru_cache(maxsize=2)
 def _inverse_eigenvalues(shape: tuple[int, ...], pitch_um: float) -> Float32Array:
     """Heights that twice the divergence makes, µm, cosine by cosine: float32 array of shape (H, W), mean nought."""
+    return np.asarray(0.5 * pitch_um / eigenvalues(shape), np.float32)
+
+
+def eigenvalues(shape: tuple[int, ...]) -> Float64Array:
+    """Right-hand sides of the least squares that heights of 1 make, cosine by cosine: float64 array of shape (H, W).
+
+    The mean's, which is nought, is infinite: divided by these, a right-hand side gives heights of mean nought.
+    """
     rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in shape)
     eigenvalue = np.add.outer(rows, columns)
     eigenvalue[0, 0] = np.inf
-    return np.asarray(0.5 * pitch_um / eigenvalue, np.float32)
+    return np.asarray(eigenvalue)

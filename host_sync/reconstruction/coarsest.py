@@ -15,6 +15,7 @@ import numpy as np
 from numba import get_num_threads
 from scipy.fft import dctn, idctn
 
+from device.fft_integrator import eigenvalues
 from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.grid_level import GridLevel, edge_weights
 
@@ -74,7 +75,4 @@ def _solve_by_cosines(level: GridLevel) -> None:
 @lru_cache(maxsize=4)
 def _inverse_eigenvalues(shape: tuple[int, int]) -> Float64Array:
     """Heights of the right-hand side's cosines, float64 array of this shape; nought for the mean."""
-    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in shape)
-    eigenvalue = np.add.outer(rows, columns)
-    eigenvalue[0, 0] = np.inf
-    return np.asarray(1.0 / eigenvalue)
+    return np.asarray(1.0 / eigenvalues(shape))

@@ -42,7 +42,7 @@ def condense_pixels(field: PixelField, coarse: GridLevel, apart: float) -> None:
 
 
 def condense(level: GridLevel, coarse: GridLevel, apart: float) -> None:
-    """Write the edges of `coarse` and, of a level with weights, its right-hand side and (in `z`) shapes."""
+    """Write the edges of `coarse`; where `level` has weights, also its right-hand side and, in its `z`, the shapes."""
     if level.across is None:
         condense_unit_level(level, coarse)
         return

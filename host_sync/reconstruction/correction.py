@@ -60,16 +60,11 @@ def _add_row(near: Any, far: Any, weight: Any, beyond: Any, z: Any) -> None:
 
     weight, beyond : weights of the row and of the next one towards `far`. (What a hole itself gets is of no account.)
     """
-    quarter, nought, last = np.float32(0.25), np.float32(0.0), near.size - 1
+    quarter, nought = np.float32(0.25), np.float32(0.0)
     whole = max(z.size // 2 - 2, 0)
-    for end in (0, whole + 1):
-        for cell in range(end, 1 if end == 0 else near.size):
-            for c in range(2 * cell, min(2 * cell + 2, z.size)):
-                towards = 2 * (c % 2) - 1
-                up, side = far[cell] - near[cell], near[min(max(cell + towards, 0), last)] - near[cell]
-                base = near[cell] + (quarter * up if beyond[c] > nought else nought)
-                over = weight[min(max(c + towards, 0), z.size - 1)] > nought
-                z[c] += base + (quarter * side if over else nought)
+    _add_cell(0, near, far, weight, beyond, z)
+    for cell in range(whole + 1, near.size):
+        _add_cell(cell, near, far, weight, beyond, z)
     middle, behind, above, z = near[1:], near[2:], far[1:], z[2:]
     after, beyond = weight[4:], beyond[2:]
     for i in range(whole):
@@ -79,3 +74,15 @@ def _add_row(near: Any, far: Any, weight: Any, beyond: Any, z: Any) -> None:
         second = m + (up if beyond[2 * i + 1] > nought else nought)
         z[2 * i] += first + (left if second_of(weight, i) > nought else nought)
         z[2 * i + 1] += second + (right if first_of(after, i) > nought else nought)
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def _add_cell(cell: int, near: Any, far: Any, weight: Any, beyond: Any, z: Any) -> None:
+    """The same for one cell, which may lie at an end of the row."""
+    quarter, nought, last = np.float32(0.25), np.float32(0.0), near.size - 1
+    for c in range(2 * cell, min(2 * cell + 2, z.size)):
+        towards = 2 * (c % 2) - 1
+        up, side = far[cell] - near[cell], near[min(max(cell + towards, 0), last)] - near[cell]
+        base = near[cell] + (quarter * up if beyond[c] > nought else nought)
+        over = weight[min(max(c + towards, 0), z.size - 1)] > nought
+        z[c] += base + (quarter * side if over else nought)

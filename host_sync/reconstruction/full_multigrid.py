@@ -82,8 +82,8 @@ def full_multigrid(
 ) -> Solution:
     """Least-squares heights; they stand in one of the two arrays `heights`, or in a new one.
 
-    islands : those of a field with weights; begun to be found when coarse levels leave a thread idle
     levels : those below the pixels, the finest first
+    islands : those of a field with weights; begun to be found when coarse levels leave a thread idle
     tolerance : estimated error of heights at which V-cycles end; None for a share of what noise leaves
     """
     if not levels:

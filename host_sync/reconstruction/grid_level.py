@@ -43,7 +43,7 @@ class GridLevel:
     across, down : float32 arrays of shapes (H, W + 1) and (H + 1, W), weights of the edges left of and above each
         pixel, nought at both ends; None where every edge weighs 1
     slope_across, slope_down : float32 arrays of the same shapes, slopes of those edges, pixels of the level
-    z : float32 array of shape (H, W), heights, pixels (before they are known, the shapes of the cells)
+    z : float32 array of shape (H, W), heights, pixels (before they are known, with weights, the shapes of the cells)
     spare : float32 array of shape (H, W), receives the heights of the next sweep
     rhs : float32 array of shape (H, W), right-hand side, pixels
     """

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from device.surface import Float32Array, Float64Array
 from host_sync.reconstruction.row_bands import in_bands
+from host_sync.reconstruction.smoother import IN_LANES
 
 STRIDE: Final = 32
 """Pixels that are looked at together."""
-
-IN_LANES: Final = {"reassoc", "nsz", "contract"}
-"""Sums may be taken in lanes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +99,7 @@ def _write_runs(weight: Any, first: Any, start: Any, stop: Any, total: Any, begi
     for r in range(begin, end):
         _write_row_runs(weight[r], start[first[r] : first[r + 1]], stop[first[r] : first[r + 1]])
         for run in range(first[r], first[r + 1]):
-            total[run] = _sum(weight[r, start[run] : stop[run]])
+            total[run] = row_sum(weight[r, start[run] : stop[run]])
 
 
 @njit(cache=True)
@@ -185,10 +183,11 @@ def _moment(z: Any, weight: Any) -> Any:
 
 
 @njit(cache=True, fastmath=IN_LANES)
-def _sum(weight: Any) -> Any:
+def row_sum(values: Any) -> Any:
+    """Sum of a row, or of a part of one."""
     total = 0.0
-    for c in range(weight.size):
-        total += weight[c]
+    for c in range(values.size):
+        total += values[c]
     return total
 
 
@@ -199,12 +198,13 @@ def _shift(z: Any, first: Any, start: Any, stop: Any, mean: Any, hole: Any, begi
         done = 0
         for run in range(first[r], first[r + 1]):
             z[r, done : start[run]] = hole
-            _subtract(z[r, start[run] : stop[run]], mean[run])
+            subtract(z[r, start[run] : stop[run]], mean[run])
             done = stop[run]
         z[r, done:] = hole
 
 
 @njit(cache=True)
-def _subtract(z: Any, mean: Any) -> None:
+def subtract(z: Any, mean: Any) -> None:
+    """Take a number from every pixel of a row, or of a part of one."""
     for c in range(z.size):
         z[c] -= mean

@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit
 
 from device.surface import Float32Array
+from host_sync.reconstruction.islands import row_sum, subtract
 from host_sync.reconstruction.row_bands import in_bands
 
 
 def level_rectangle(z: Float32Array) -> None:
     """Bring z (float32 array of shape (H, W)) of a full rectangle in place to mean zero."""
-    in_bands(_subtract, z.shape, z, np.float32(_row_sums(z).sum() / z.size))
+    in_bands(_subtract_rows, z.shape, z, np.float32(_row_sums(z).sum() / z.size))
 
 
 def level_cells(z: Float32Array, shape: tuple[int, int]) -> None:
@@ -28,7 +29,7 @@ def level_cells(z: Float32Array, shape: tuple[int, int]) -> None:
     pixels = np.full(len(z), 2.0)
     if rows % 2:
         pixels[-1] = 1.0
-    in_bands(_subtract, z.shape, z, np.float32((of_rows * pixels).sum() / (rows * columns)))
+    in_bands(_subtract_rows, z.shape, z, np.float32((of_rows * pixels).sum() / (rows * columns)))
 
 
 def _row_sums(z: Float32Array) -> Any:
@@ -41,21 +42,10 @@ def _row_sums(z: Float32Array) -> Any:
 def _write_row_sums(z: Any, sums: Any, begin: int, end: int) -> None:
     """Write the sum of each row."""
     for r in range(begin, end):
-        sums[r] = _row_sum(z[r])
-
-
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _row_sum(z: Any) -> Any:
-    """Sum of a row, in lanes."""
-    total = 0.0
-    for c in range(z.size):
-        total += z[c]
-    return total
+        sums[r] = row_sum(z[r])
 
 
 @njit(cache=True, nogil=True)
-def _subtract(z: Any, mean: Any, begin: int, end: int) -> None:
+def _subtract_rows(z: Any, mean: Any, begin: int, end: int) -> None:
     for r in range(begin, end):
-        row = z[r]
-        for c in range(row.size):
-            row[c] -= mean
+        subtract(z[r], mean)

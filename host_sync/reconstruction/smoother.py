@@ -20,6 +20,9 @@ LOWEST, HIGHEST = 0.5, 2.0
 CONTRACT: Final = {"contract"}
 """A product and a sum may become one instruction; nothing may be reordered."""
 
+IN_LANES: Final = {"reassoc", "nsz", "contract"}
+"""Sums may be taken in lanes: those that no height is made from, but means and figures for the report."""
+
 
 def chebyshev_steps(sweeps: int) -> Float32Array:
     """Relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST, HIGHEST]."""
@@ -106,16 +109,16 @@ def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, step: Any, out: Any) -
         out[c] = z + scale * (rhs[c] + (((mid[c] - z) + (mid[c + 2] - z)) + ((up[c + 1] - z) + (low[c + 1] - z))))
 
 
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+@njit(cache=True, fastmath=IN_LANES)
 def square_sum(row: Any) -> Any:
-    """Sum of a row's squares; only figures for the report may be summed in lanes."""
+    """Sum of a row's squares."""
     total = np.float32(0.0)
     for c in range(row.size):
         total += row[c] * row[c]
     return total
 
 
-@njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+@njit(cache=True, fastmath=IN_LANES)
 def square_difference(a: Any, b: Any) -> Any:
     """Sum of the squares of two rows' difference."""
     total = np.float32(0.0)

@@ -18,6 +18,8 @@ from hal.frame import RawFrame
 from host_sync.errors import SequenceError
 from host_sync.frame_sequence import BadFrame, StoredFrame, open_sequence
 
+VALUES = 20, 60, 100
+
 
 def picture(value: int, dtype: type = np.uint8) -> np.ndarray:
     rgb = np.zeros((24, 32, 3), dtype)
@@ -92,16 +94,22 @@ def test_a_stack_that_was_cut_says_so_after_the_pages_it_still_has(tmp_path: Pat
     assert f"all after page {len(pages)} is missing" in rest.reason
 
 
-def test_the_frames_of_a_movie_are_r_g_b(tmp_path: Path) -> None:
+@pytest.fixture
+def movie(tmp_path: Path) -> Path:
+    """Three frames, whose red is `VALUES`."""
     path = tmp_path / "press.avi"
-    movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (32, 24))
-    for value in (20, 60, 100):
-        movie.write(picture(value)[..., ::-1])
-    movie.release()
-    sequence = open_sequence(path)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (32, 24))
+    for value in VALUES:
+        writer.write(picture(value)[..., ::-1])
+    writer.release()
+    return path
+
+
+def test_the_frames_of_a_movie_are_r_g_b(movie: Path) -> None:
+    sequence = open_sequence(movie)
     frames = list(sequence.frames())
     assert (sequence.count, sequence.rate_hz) == (3, pytest.approx(30.0))
-    for frame, value in zip(frames, (20, 60, 100), strict=True):
+    for frame, value in zip(frames, VALUES, strict=True):
         np.testing.assert_allclose(frame.pixels.mean(axis=(0, 1)), [value, 0, 200], atol=6.0)
 
 
@@ -112,15 +120,10 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     assert "is no file" in frame.reason
 
 
-def test_the_last_frame_of_a_movie_that_is_cut_is_named_alone(tmp_path: Path) -> None:
-    path = tmp_path / "press.avi"
-    movie = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (32, 24))
-    for value in (20, 60, 100):
-        movie.write(picture(value)[..., ::-1])
-    movie.release()
-    whole = path.read_bytes()
-    path.write_bytes(whole[: whole.rindex(b"00dc", 0, whole.index(b"idx1"))])
-    *_, last = open_sequence(path).frames()
+def test_the_last_frame_of_a_movie_that_is_cut_is_named_alone(movie: Path) -> None:
+    whole = movie.read_bytes()
+    movie.write_bytes(whole[: whole.rindex(b"00dc", 0, whole.index(b"idx1"))])
+    *_, last = open_sequence(movie).frames()
     assert isinstance(last, BadFrame)
     assert last.name == "frame 3"
 
