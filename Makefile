@@ -16,7 +16,7 @@ MAKEFLAGS += --no-builtin-rules --no-print-directory
 
 unexport PYTHONPATH PYTHONHOME
 # numba keys compiled code by one file's time stamp; code that a kernel calls from another file is covered by this name.
-export NUMBA_CACHE_DIR = $(abspath $(VENV))/numba/$(shell cat host_sync/*/*.py | cksum | cut -d ' ' -f 1)
+export NUMBA_CACHE_DIR = $(abspath $(VENV))/numba/$(shell cat host_sync/*/*.py device/*/*.py | cksum | cut -d ' ' -f 1)
 export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
@@ -27,24 +27,24 @@ help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
-	@"$(VENV)/bin/python" docs/demo/story.py --out demo-output
+	@"$(VENV)/bin/python" -m tests.demo.story --out demo-output
 
 accuracy: set-up ## every mark of accuracy, on the twin and on real frames when there are some; writes accuracy.json
-	@"$(VENV)/bin/python" docs/accuracy/accuracy.py $(ARGS)
+	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.accuracy $(ARGS)
 
 methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
-	@"$(VENV)/bin/python" docs/accuracy/methods.py $(ARGS)
+	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.methods $(ARGS)
 
 test: set-up ## the one gate: lint, types, import contracts, tests
 	@"$(VENV)/bin/python" -m pytest
 
-powercut: set-up ## a thousand power cuts on a recorded ext4 (wants root and qemu-storage-daemon)
-	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/test_power_cut.py
+powercut: set-up ## a thousand power cuts on a recorded ext4, and every call into the system failing once (wants root, qemu-storage-daemon, gcc)
+	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/store/test_power_cut.py tests/host_sync/offload/test_io_faults.py
 
 fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by coverage, where atheris is installed
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/host_sync/test_mutations.py
 	if "$(VENV)/bin/python" -c 'import atheris' 2>/dev/null; then
-	    PYTHONPATH=. "$(VENV)/bin/python" docs/fuzz/records.py 120
+	    "$(VENV)/bin/python" -m tests.fuzz.records 120
 	else
 	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
 	fi
@@ -63,14 +63,14 @@ test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus,
 
 bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
 	@bash .ci/set-up-bench "$(VENV)"
-	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" docs/bench/run.py $(if $(QUICK),--quick)
+	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" -m tests.benchmarks.speed.run $(if $(QUICK),--quick)
 
 format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
 
-board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ anew
-	@PYTHONPATH=. "$(VENV)/bin/python" docs/board/drawings.py
+board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
+	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 
 release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/ and systemd/ (docs/build.md)
 	@rm -rf dist/release

@@ -1,1 +1,1 @@
-"""The instrument: the records it writes, calibration, quick look, scanning. Files directly here are portable."""
+"""The instrument: records, calibration, quick look, acquisition, screens; CONTRIBUTING.md lists the portable rooms."""

@@ -1,1 +1,1 @@
-"""The hardware layer: photons and currents. Camera, lights, button; real drivers and their twin."""
+"""The hardware layer: camera, lights, button; real drivers and their twin."""

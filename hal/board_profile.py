@@ -9,37 +9,41 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from hal.board_complaints import explain, not_finite
-from hal.board_parts import (
-    ButtonFacts,
-    Channel,
-    EvenSize,
-    IndicatorFacts,
-    LibcameraFacts,
-    LightDriverFacts,
-    NotNegative,
-    Positive,
-    PowerFacts,
-    Table,
-)
+from hal.config_errors import explain, not_finite
 from hal.errors import BoardProfileError
 from hal.frame import BayerOrder, CameraSettings
 
 ASPECT_TOLERANCE: Final = 0.02
-"""An aiming view of other proportions than the sensor's is cropped by libcamera."""
+"""Relative tolerance of the aspect ratio; libcamera crops an aiming view that differs more from the sensor."""
+
 
 LIVE_AIMING_US: Final = 80_000.0
-"""Frames at least this often make ten aiming views a second with some of the time to spare."""
+"""Maximum frame period for ten aiming views per second with time to spare."""
 
-Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Channel = Annotated[int, msgspec.Meta(ge=0, le=15)]
+BusNumber = Annotated[int, msgspec.Meta(ge=0, le=99)]
+BusAddress = Annotated[int, msgspec.Meta(ge=0x08, le=0x77)]
+LineOffset = Annotated[int, msgspec.Meta(ge=0, le=255)]
+EvenSize = Annotated[int, msgspec.Meta(ge=16, multiple_of=2)]
+Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Exposure = Annotated[float, msgspec.Meta(gt=0, le=1e7)]
-Row3 = tuple[float, float, float]
+Gain = Annotated[float, msgspec.Meta(ge=1, le=64)]
+Triple = tuple[float, float, float]
 
 
-class SensorFacts(Table, frozen=True):
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the profile; unknown keys are refused."""
+
+
+class SensorConfig(Table, frozen=True):
     """The sensor and its scale: counts in dn, charge in electrons, pitch at the skin in µm.
 
-    exposure_step_us : exposures come in whole steps of this, µs: the time of a line, or of two
+    exposure_step_us : exposures are multiples of this, µs: the time of one line or of two
+    min_exposure_us : shortest exposure, µs; one step when not stated
+    min_gain, max_gain : limits of the analogue gain; libcamera clamps a request beyond them without an error
     """
 
     model: str
@@ -52,82 +56,151 @@ class SensorFacts(Table, frozen=True):
     full_well_e: Positive
     read_noise_e: NotNegative
     exposure_step_us: Positive = 10.0
+    min_exposure_us: Positive | None = None
+    min_gain: Gain = 1.0
+    max_gain: Gain = 16.0
 
 
-class CameraFacts(Table, frozen=True):
-    """Exposure (µs) and analogue gain that this board scans with."""
+class CameraConfig(Table, frozen=True):
+    """Exposure (µs) and analogue gain of scans on this board."""
 
     exposure_us: Exposure
-    analogue_gain: Annotated[float, msgspec.Meta(ge=1, le=64)]
+    analogue_gain: Gain
 
     @property
     def settings(self) -> CameraSettings:
-        """The same as the request that a camera takes."""
+        """The same as a camera request."""
         return CameraSettings(self.exposure_us, self.analogue_gain)
 
 
-class LightFacts(Table, frozen=True):
-    """One light: its place in the skin's frame (mm) and the current (mA) that this board scans with.
+class LightConfig(Table, frozen=True):
+    """One light: its position in the skin frame (mm) and its current (mA) for scans on this board.
 
-    channels : of the light driver, one an LED; each carries that current
+    channels : channels of the light driver, one per LED; each carries that current
+    max_ma : largest continuous current of its LEDs, mA; no request may exceed it
     """
 
     name: str
     colour: Literal["R", "G", "B"]
-    position_mm: Row3
+    position_mm: Triple
     current_ma: Positive
     channels: tuple[Channel, ...] = ()
+    max_ma: Positive | None = None
 
 
-class GelFacts(Table, frozen=True):
+class GelConfig(Table, frozen=True):
     """The gel: identity and thickness of its slab (mm)."""
 
     id: str
     slab_thickness_mm: Positive
 
 
-class TwinFacts(Table, frozen=True):
-    """What only the twin needs to know about the world that it simulates.
+class LibcameraConfig(Table, frozen=True):
+    """Request to libcamera for this sensor.
 
-    crosstalk[c][l] : share of light l that colour filter c passes
-    yield_e_per_ma_ms : electrons per mA and ms of a pixel whose skin faces a light 25 mm away
-    camera_distance_mm : from the resting skin to the entrance pupil
+    camera_id : part of the name that libcamera gives to exactly one camera, such as "imx477@1a"
+    raw_bits : bits of the unpacked raw format; a Pi 5 delivers 16, shifted up, whatever the sensor has
+    sensor_bits : bits of the sensor's own mode
+    frame_period_us : locked frame duration
+    aiming_columns, aiming_rows : size of the small stream for aiming
+    buffer_count : frames in flight; 1 drops every second frame, more need more of the kernel's contiguous memory
+    lens_position : dioptres, for a module with a motorized lens
+    """
+
+    camera_id: Annotated[str, msgspec.Meta(min_length=3)]
+    raw_bits: Literal[8, 10, 12, 14, 16]
+    sensor_bits: Literal[8, 10, 12, 14, 16]
+    frame_period_us: Positive
+    aiming_columns: EvenSize = 320
+    aiming_rows: EvenSize = 240
+    buffer_count: Annotated[int, msgspec.Meta(ge=2, le=8)] = 2
+    lens_position: NotNegative | None = None
+
+
+class LightDriverConfig(Table, frozen=True):
+    """The chip that drives the lights, its address, and the resistor (ohm) that sets its currents."""
+
+    chip: Literal["PCA9955B", "TLC59116"]
+    bus: BusNumber
+    address: BusAddress
+    reference_ohm: Positive
+
+
+class ButtonConfig(Table, frozen=True):
+    """The button's line: label of the GPIO chip (its number differs between kernels) and offset on it."""
+
+    chip_label: str
+    line: LineOffset
+    active_low: bool = True
+
+
+class IndicatorConfig(Table, frozen=True):
+    """The status LED or buzzer: either a GPIO line of the button's chip, or a spare channel of the light driver."""
+
+    line: LineOffset | None = None
+    channel: Channel | None = None
+    current_ma: Positive = 2.0
+
+
+class FuelGaugeConfig(Table, frozen=True):
+    """A battery gauge on the I²C bus."""
+
+    chip: Literal["MAX17048"]
+    bus: BusNumber
+    address: BusAddress = 0x36
+
+
+class PowerConfig(Table, frozen=True):
+    """Source of under-voltage flags, and the fuel gauge if there is one."""
+
+    throttled: Literal["sysfs", "vcgencmd"] = "sysfs"
+    fuel_gauge: FuelGaugeConfig | None = None
+
+
+class TwinConfig(Table, frozen=True):
+    """Facts that only the twin needs about the world that it simulates.
+
+    crosstalk[c][l] : fraction of light l that colour filter c passes
+    yield_e_per_ma_ms : electrons per mA and ms in a pixel whose skin faces a light 25 mm away
+    camera_distance_mm : from the untouched skin to the entrance pupil
     distortion : relative radial shift at the corner of the field, positive for barrel
+    pigment_contrast : standard deviation of the coat's reflectance from pixel to pixel, a fraction; 0: an even coat
     """
 
     skin: Literal["diffuse", "flake", "sharp-flake"] = "diffuse"
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
-    crosstalk: tuple[Row3, Row3, Row3] = ((1.0, 0.10, 0.02), (0.08, 1.0, 0.12), (0.02, 0.15, 1.0))
+    crosstalk: tuple[Triple, Triple, Triple] = ((1.0, 0.10, 0.02), (0.08, 1.0, 0.12), (0.02, 0.15, 1.0))
     yield_e_per_ma_ms: Positive = 500.0
     camera_distance_mm: Positive = 160.0
     light_radius_mm: Positive = 1.0
-    vignetting: Share = 0.15
+    vignetting: Fraction = 0.15
     distortion: Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)] = 0.0
     point_spread_px: NotNegative = 0.5
+    pigment_contrast: Fraction = 0.0
     frame_period_us: Positive = 16_667.0
     control_delay_frames: Annotated[int, msgspec.Meta(ge=0)] = 3
 
 
 class BoardProfile(Table, frozen=True):
-    """One board: everything that is a fact about hardware and nothing that is a choice of the user.
+    """One board: facts about its hardware, no choices of the user.
 
     driver : "picamera2" for a real board, "twin" for a simulated one, "twin-camera" for this machine's bus and lines
-        under the twin's camera
+        with the twin's camera
     """
 
     schema: Literal["retrograph.board/1"]
     name: str
     driver: Literal["twin", "twin-camera", "picamera2"]
-    sensor: SensorFacts
-    camera: CameraFacts
-    lights: tuple[LightFacts, LightFacts, LightFacts]
-    gel: GelFacts
-    twin: TwinFacts | None = None
-    libcamera: LibcameraFacts | None = None
-    light_driver: LightDriverFacts | None = None
-    button: ButtonFacts | None = None
-    indicator: IndicatorFacts | None = None
-    power: PowerFacts | None = None
+    sensor: SensorConfig
+    camera: CameraConfig
+    lights: tuple[LightConfig, LightConfig, LightConfig]
+    gel: GelConfig
+    twin: TwinConfig | None = None
+    libcamera: LibcameraConfig | None = None
+    light_driver: LightDriverConfig | None = None
+    button: ButtonConfig | None = None
+    indicator: IndicatorConfig | None = None
+    power: PowerConfig | None = None
 
     @property
     def currents_ma(self) -> dict[str, float]:
@@ -136,8 +209,8 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """What this board can do beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current",
-        and "live-aiming", ten views a second with time to spare."""
+        """Capabilities beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current", and
+        "live-aiming" (ten views per second with time to spare)."""
         has = {
             "indicator": self.indicator is not None,
             "under-voltage": self.power is not None,
@@ -146,16 +219,16 @@ class BoardProfile(Table, frozen=True):
             "live-aiming": self.libcamera is not None and self.libcamera.frame_period_us <= LIVE_AIMING_US,
             "light-current": self.light_driver is not None and self.light_driver.chip == "PCA9955B",
         }
-        return frozenset(name for name, there in has.items() if there)
+        return frozenset(name for name, present in has.items() if present)
 
 
 def profile_names() -> tuple[str, ...]:
-    """Names of the profiles that come with the program, sorted."""
+    """Names of the profiles shipped with the program, sorted."""
     return tuple(sorted(path.stem for path in _profile_folder().glob("*.toml")))
 
 
 def load_board_profile(name_or_path: str | Path) -> BoardProfile:
-    """The profile of that name among those that come with the program, or the one at that path (`….toml`).
+    """The shipped profile of that name, or the one at that path (`….toml`).
 
     Raises
     ------
@@ -189,41 +262,61 @@ def _locate(name_or_path: str | Path) -> Path:
         return Path(name_or_path)
     if name_or_path not in profile_names():
         known = ", ".join(profile_names())
-        raise BoardProfileError(f"there is no board profile {name_or_path!r}: name one of {known}, or a .toml file")
+        raise BoardProfileError(f"unknown board profile {name_or_path!r}: name one of {known}, or a .toml file")
     return _profile_folder() / f"{name_or_path}.toml"
 
 
 def _check(profile: BoardProfile, path: Path) -> None:
-    """Refuse what each key allows alone but the keys together do not."""
-    for complaint in _complaints(profile):
+    """Refuse combinations of keys that are valid one by one."""
+    for complaint in _errors(profile):
         raise BoardProfileError(f"{path}: {complaint}")
 
 
-def _complaints(profile: BoardProfile) -> Iterator[str]:
+def _errors(profile: BoardProfile) -> Iterator[str]:
     for key in not_finite(profile):
         yield f"{key}: is not finite; accepted: a finite number"
     colours = "".join(light.colour for light in profile.lights)
     if colours != "RGB":
-        yield f"lights: colours are {', '.join(colours)}; accepted is the order R, G, B"
+        yield f"lights: colours are {', '.join(colours)}; accepted: the order R, G, B"
     if len(profile.currents_ma) != len(profile.lights):
-        yield "lights: two of them have the same name; give each its own"
+        yield "lights: two have the same name; give each its own"
     for light in profile.lights:
+        if light.max_ma is not None and light.current_ma > light.max_ma:
+            yield (
+                f"lights: current_ma of {light.name} is {light.current_ma:g}; accepted: at most its max_ma, "
+                f"{light.max_ma:g}"
+            )
         if light.position_mm[2] <= 0.0:
-            yield f"lights: position_mm of {light.name} is not above the skin; accepted is z > 0"
+            yield f"lights: position_mm of {light.name} is not above the skin; accepted: z > 0"
     if profile.sensor.white_level_dn <= profile.sensor.black_level_dn:
-        yield "sensor.white_level_dn: accepted is more than black_level_dn"
+        yield "sensor.white_level_dn: accepted: more than black_level_dn"
+    yield from _exposure_errors(profile.sensor, profile.camera)
     if profile.driver != "picamera2" and profile.twin is None:
-        yield f"twin: the driver {profile.driver!r} needs a [twin] table; an empty one is accepted"
+        yield f"twin: the driver {profile.driver!r} needs a [twin] table; it may be empty"
     if profile.driver != "twin":
-        yield from _complaints_of_wiring(profile)
+        yield from _wiring_errors(profile)
 
 
-def _complaints_of_wiring(profile: BoardProfile) -> Iterator[str]:
-    """What a real board's profile lacks or contradicts."""
+def _exposure_errors(sensor: SensorConfig, camera: CameraConfig) -> Iterator[str]:
+    """Requests that the sensor cannot grant: every frame would be refused because its metadata differ."""
+    if not sensor.min_gain <= camera.analogue_gain <= sensor.max_gain:
+        yield (
+            f"camera.analogue_gain: the {sensor.model} has no gain of {camera.analogue_gain:g}; accepted: "
+            f"{sensor.min_gain:g} to {sensor.max_gain:g}"
+        )
+    shortest_us = sensor.min_exposure_us or sensor.exposure_step_us
+    if camera.exposure_us < shortest_us:
+        yield f"camera.exposure_us: accepted: at least {shortest_us:g}, the shortest exposure of the {sensor.model}"
+
+
+def _wiring_errors(profile: BoardProfile) -> Iterator[str]:
+    """Problems in the tables that a real board needs."""
     for name in ("libcamera", "light_driver", "button"):
         if getattr(profile, name) is None and (name, profile.driver) != ("libcamera", "twin-camera"):
             yield f"{name}: the driver {profile.driver!r} needs a [{name}] table"
     for light in profile.lights:
+        if light.max_ma is None:
+            yield f"lights: {light.name} has no max_ma; accepted: the largest continuous current of its LEDs, mA"
         if not light.channels:
             yield f"lights: {light.name} has no channels; accepted: channels of the light driver, such as [0, 1]"
     used = [channel for light in profile.lights for channel in light.channels]
@@ -239,13 +332,13 @@ def _complaints_of_wiring(profile: BoardProfile) -> Iterator[str]:
         yield f"indicator.line: {indicator.line} is the button's line; accepted: another line"
     camera = profile.libcamera
     if camera and profile.sensor.white_level_dn >= 2**camera.raw_bits:
-        yield f"sensor.white_level_dn: accepted is less than 2^raw_bits, {2**camera.raw_bits}"
+        yield f"sensor.white_level_dn: accepted: less than 2^raw_bits, {2**camera.raw_bits}"
     if camera and profile.camera.exposure_us > camera.frame_period_us:
-        yield "camera.exposure_us: accepted is at most libcamera.frame_period_us"
+        yield "camera.exposure_us: accepted: at most libcamera.frame_period_us"
     if camera:
         rows = camera.aiming_columns * profile.sensor.rows / profile.sensor.columns
         if abs(camera.aiming_rows - rows) > ASPECT_TOLERANCE * rows:
             yield (
-                f"libcamera.aiming_rows: {camera.aiming_rows} would show a part of the field only; accepted is about "
-                f"{2 * round(rows / 2)}, as the sensor's proportions have it"
+                f"libcamera.aiming_rows: {camera.aiming_rows} would show only a part of the field; accepted: about "
+                f"{2 * round(rows / 2)}, the sensor's aspect ratio"
             )

@@ -1,4 +1,4 @@
-"""Clocks: the machine's own, and a virtual one that moves only when somebody sleeps on it."""
+"""Clocks: the system clock, and a virtual one that advances only in `sleep`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ _NS_PER_S = 1_000_000_000
 
 
 class SystemClock:
-    """The machine's clock."""
+    """The system clock."""
 
     def monotonic_ns(self) -> int:
-        """Nanoseconds since boot or thereabouts, never backwards."""
+        """Monotonic time, ns."""
         return time.monotonic_ns()
 
     def wall_time_s(self) -> float:
-        """Seconds since 1970 as the machine believes them."""
+        """Seconds since 1970 by the system clock."""
         return time.time()
 
     def sleep(self, duration_s: float) -> None:
@@ -24,7 +24,7 @@ class SystemClock:
 
 
 class VirtualClock:
-    """A clock whose time passes only in `sleep`, so that hours take no time and runs repeat exactly.
+    """A clock that advances only in `sleep`, so that hours take no time and runs repeat exactly.
 
     Parameters
     ----------
@@ -46,6 +46,6 @@ class VirtualClock:
         return self._wall_start_s + (self._now_ns - self._start_ns) / _NS_PER_S
 
     def sleep(self, duration_s: float) -> None:
-        """Advance by `duration_s` seconds at once, by a nanosecond at least when it is positive."""
+        """Advance by `duration_s` seconds at once, by at least 1 ns when it is positive."""
         if duration_s > 0.0:
             self._now_ns += max(round(duration_s * _NS_PER_S), 1)

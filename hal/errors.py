@@ -1,4 +1,4 @@
-"""One root error for the hardware layer; each leaf is also the built-in error that it resembles.
+"""Root error of the hardware layer; each leaf is also the built-in error that it resembles.
 
 A message is one sentence: what failed, where, and what to check.
 """
@@ -9,15 +9,15 @@ class HalError(Exception):
 
 
 class BoardProfileError(HalError, ValueError):
-    """A board profile is missing or wrong. Mend the file and the key that the message names."""
+    """A board profile is missing or wrong. Correct the file and key that the message names."""
 
 
 class CameraError(HalError, OSError):
-    """The camera is absent, stalled, or granted something other than what was asked. Check its cable and mode."""
+    """The camera is absent or stalled, or granted other settings than requested. Check its cable and mode."""
 
 
 class FrameTimeout(CameraError, TimeoutError):
-    """No frame came in time. Check the camera cable; press again when it answers."""
+    """No frame arrived in time. Check the camera cable; press again when it answers."""
 
 
 class LightError(HalError, OSError):
@@ -33,12 +33,12 @@ class IndicatorError(HalError, OSError):
 
 
 class PowerError(HalError, OSError):
-    """Supply or battery cannot be read. Check the gauge's address, or take it out of the board profile."""
+    """Supply or battery cannot be read. Check the gauge's address, or remove it from the board profile."""
 
 
 class DriverMissing(HalError, ImportError):
-    """A library that this board's drivers need is not installed. Install what the message names."""
+    """A package that this board's drivers need is not installed. Install what the message names."""
 
 
 class OperatorError(HalError, ValueError):
-    """The operator was asked for something that cannot be done, such as an unknown surface on the twin."""
+    """A request to the operator cannot be carried out, such as an unknown specimen on the twin."""

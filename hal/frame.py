@@ -1,4 +1,4 @@
-"""The raw frame: one exposure of a Bayer sensor, with the metadata that proves how it was taken."""
+"""The raw frame: one exposure of a Bayer sensor, with metadata that confirms how it was taken."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BAYER_ORDERS: Final[tuple[BayerOrder, ...]] = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What the camera is asked for, or what a frame's metadata says was granted."""
+    """Settings requested from the camera, or granted according to a frame's metadata."""
 
     exposure_us: float
     analogue_gain: float
@@ -26,9 +26,9 @@ class RawFrame:
 
     mosaic : uint16 array of shape (H, W), sensor counts (dn); H and W are even
     bayer_order : colours of the top left 2x2 pixels, in reading order
-    black_level_dn : counts of a pixel that saw no light
+    black_level_dn : counts of a pixel without light
     white_level_dn : counts at which a pixel is saturated
-    granted : exposure and gain as this frame's own metadata states them
+    granted : exposure and gain from this frame's own metadata
     sensor_timestamp_ns : monotonic time at which the exposure of the first row began, ns
     """
 

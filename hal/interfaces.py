@@ -1,32 +1,31 @@
-"""The Protocols of the hardware layer, on one page. Real drivers and the twin satisfy the same ones.
+"""The Protocols of the hardware layer, implemented by real drivers and by the twin.
 
-Every device is a context manager: entering acquires it, leaving releases it (lights dark) on any exit.
-Positions are in millimetres in the skin's frame: x along columns, y along rows (downwards), z towards the
-camera, origin where the optical axis meets the resting skin.
+Every device is a context manager: entering acquires it, leaving releases it (lights off) on any exit. Positions are in
+millimetres in the skin frame: x along columns, y along rows (downwards), z towards the camera, origin where the optical
+axis meets the untouched skin.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.frame import CameraSettings, RawFrame
-from hal.power_reading import PowerReading as PowerReading
 
 
 class Clock(Protocol):
-    """Time, injected, so that tests and the twin run in virtual time."""
+    """Injected time, so that tests and the twin run in virtual time."""
 
     def monotonic_ns(self) -> int:
-        """Nanoseconds that never run backwards; the time base of `RawFrame.sensor_timestamp_ns`."""
+        """Monotonic time, ns; the time base of `RawFrame.sensor_timestamp_ns`."""
         ...
 
     def wall_time_s(self) -> float:
-        """Seconds since 1970 as the machine believes them: an annotation, never an identity."""
+        """Seconds since 1970 by the system clock: an annotation, never an identity."""
         ...
 
     def sleep(self, duration_s: float) -> None:
@@ -35,14 +34,14 @@ class Clock(Protocol):
 
 
 class Camera(Protocol):
-    """A locked-down raw camera: nothing automatic, controls that act some frames late.
+    """A raw camera with all automatics off, whose controls act some frames late.
 
-    One that has stalled or gone is opened anew by the next call; `apply` is the one to make while it is dark.
+    A camera that has stalled or disappeared is reopened by the next call; call `apply` for that while lights are off.
     """
 
     @property
     def camera_id(self) -> str:
-        """The identity that the driver reports, so that a frame is never taken for another camera's."""
+        """Identity reported by the driver."""
         ...
 
     @property
@@ -51,7 +50,7 @@ class Camera(Protocol):
         ...
 
     def apply(self, settings: CameraSettings) -> None:
-        """Ask for exposure and gain; frames show them some frames later, in their own metadata."""
+        """Request exposure and gain; later frames confirm them in their own metadata."""
         ...
 
     def next_frame(self, timeout_s: float) -> RawFrame:
@@ -62,12 +61,12 @@ class Camera(Protocol):
         FrameTimeout
             No frame was completed within `timeout_s`.
         CameraError
-            The camera is gone or delivers another format than was granted.
+            The camera disappeared or delivers another format than it granted.
         """
         ...
 
     def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
-        """The next small grey picture for aiming, uint8 array of shape (h, w): for the eye, no measure of light.
+        """The next small grey picture for aiming, uint8 array of shape (h, w); not for measurement.
 
         Raises
         ------
@@ -83,7 +82,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LightFault:
-    """An advisory fault flag of one light: what the chip believes, such as "open" or "short"."""
+    """Advisory fault flag of one light, as the chip reports it, such as "open" or "short"."""
 
     light: str
     kind: str
@@ -98,12 +97,12 @@ class Lights(Protocol):
         ...
 
     @property
-    def highest_ma(self) -> float:
-        """The most that a light can be driven with, mA."""
+    def max_ma(self) -> float:
+        """Maximum current of a light, mA."""
         ...
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """What the driver makes of these currents (mA): its nearest steps, which `switch_on` then really drives.
+        """The nearest currents (mA) that the driver can set, which `switch_on` then applies.
 
         Raises
         ------
@@ -113,7 +112,7 @@ class Lights(Protocol):
         ...
 
     def switch_on(self, currents_ma: Mapping[str, float]) -> None:
-        """Drive each named light with its current (mA); lights that are not named go dark.
+        """Drive each named light with its current (mA); all others are off.
 
         Raises
         ------
@@ -122,14 +121,14 @@ class Lights(Protocol):
         """
         ...
 
-    def dark(self) -> None:
-        """Every light off."""
+    def off(self) -> None:
+        """Switch every light off."""
         ...
 
     def faults(self) -> tuple[LightFault, ...]:
-        """Advisory fault flags of what shines; empty when the chip reports none.
+        """Advisory fault flags of the lights that are on; empty when the chip reports none.
 
-        Looking may change the light for a moment: never during an exposure that counts.
+        Reading them may change the light for a moment: never call it during an exposure of a scan.
         """
         ...
 
@@ -147,28 +146,28 @@ class ButtonPress:
 
 
 class Button(Protocol):
-    """The push button, already debounced.
+    """The push button, debounced.
 
-    A button that is down when it is first looked at counts from its next press.
+    A button that is down when it is first read counts from its next press.
     """
 
     def wait_for_push(self, timeout_s: float | None) -> int | None:
-        """When the next press began (ns), told while the button is still down; None after `timeout_s`.
+        """Time at which the next press began (ns), while the button is still down; None after `timeout_s`.
 
-        Each press is told once. `wait_for_press` then waits for the same press's end, if anybody wants to know it.
+        Each press is reported once. `wait_for_press` then waits for the release of the same press, if needed.
         """
         ...
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press once it is over, or None when `timeout_s` went by without one (None waits for ever)."""
+        """The next press after its release, or None after `timeout_s` (None waits without limit)."""
         ...
 
     def is_down(self) -> bool:
         """Whether the button is down now."""
         ...
 
-    def forget_presses(self) -> int:
-        """Drop every press so far, and say how many of them `wait_for_push` had not told."""
+    def clear_presses(self) -> int:
+        """Drop all presses so far; returns how many of them `wait_for_push` had not reported."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -177,15 +176,17 @@ class Button(Protocol):
 
 
 Refusal = Literal["refused", "refused: calibration", "refused: full", "refused: hardware"]
+
+
 Cue = Literal["idle", "busy", "may lift", "good", "doubtful", "retake", "pairing", "calibration", Refusal]
-"""What an indicator can say; "refused" alone is: busy, push again."""
+"""Patterns of an indicator; plain "refused" means: busy, push again."""
 
 
 class Indicator(Protocol):
-    """A status LED or buzzer: one bit, so that every cue is a rhythm and colour carries nothing."""
+    """A status LED or buzzer: one bit, so every cue is a rhythm, independent of colour."""
 
     def show(self, cue: Cue) -> None:
-        """Play a cue and leave the light as the cue ends: on while busy, else off.
+        """Play a cue and leave the indicator as the cue ends: on while busy, else off.
 
         Raises
         ------
@@ -199,11 +200,44 @@ class Indicator(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
+@dataclass(frozen=True, slots=True)
+class PowerReading:
+    """Supply and battery; None means "not measured".
+
+    under_voltage : the supply voltage is too low now
+    was_under_voltage : it was too low at some time since boot
+    throttled : the processor is slowed down now
+    battery_mv, battery_share : cell voltage (mV) and charge (0 to 1)
+    complaints : one sentence for each part of the board that did not answer
+    """
+
+    under_voltage: bool | None = None
+    was_under_voltage: bool | None = None
+    throttled: bool | None = None
+    battery_mv: float | None = None
+    battery_share: float | None = None
+    complaints: tuple[str, ...] = ()
+
+    def with_earlier(self, earlier: PowerReading) -> PowerReading:
+        """This reading combined with the problems of an earlier one."""
+
+        def either(one: bool | None, other: bool | None) -> bool | None:
+            return one if other is None else other if one is None else one or other
+
+        return replace(
+            self,
+            under_voltage=either(self.under_voltage, earlier.under_voltage),
+            was_under_voltage=either(self.was_under_voltage, earlier.was_under_voltage),
+            throttled=either(self.throttled, earlier.throttled),
+            complaints=tuple(dict.fromkeys((*earlier.complaints, *self.complaints))),
+        )
+
+
 class Power(Protocol):
     """Supply and battery."""
 
     def read(self) -> PowerReading:
-        """What is measured now; a part that does not answer costs its own figures and leaves a complaint."""
+        """Read all sensors; one that does not answer gives None and an entry in `complaints`."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -218,7 +252,7 @@ class LiftOff:
 
 @dataclass(frozen=True, slots=True)
 class PressBall:
-    """Request: press a ball of `radius_mm` where the field is crossed at (`column_share`, `row_share`), 0 to 1."""
+    """Request: press a ball of `radius_mm` at (`column_share`, `row_share`) of the field, 0 to 1."""
 
     radius_mm: float
     column_share: float
@@ -227,7 +261,7 @@ class PressBall:
 
 @dataclass(frozen=True, slots=True)
 class PressObject:
-    """Request: press an object of the user's choice; the twin knows its gallery by `name`."""
+    """Request: press an object of the user; the twin knows its specimens by `name`."""
 
     name: str
 
@@ -236,8 +270,8 @@ OperatorRequest = LiftOff | PressBall | PressObject
 
 
 class Operator(Protocol):
-    """Whoever holds the instrument. A person needs only the words on the screen; the twin's operator
-    carries the request out in the simulated world and then pushes its button."""
+    """The person who holds the instrument, or the twin's operator, which carries out the request in the simulated world
+    and then pushes the button."""
 
     def ask(self, request: OperatorRequest) -> None:
         """Hand over one request and return at once; the answer is a press of the button.

@@ -1,19 +1,19 @@
-"""One root error for the workstation; each leaf is also the built-in error that it resembles.
+"""Root error of the workstation; each leaf is also the built-in error that it resembles.
 
 A message is one sentence that names the file or part and says what to do.
 """
 
 
 class HostError(Exception):
-    """Root of every error that the workstation raises for bad input or a state it refuses."""
+    """Root of every error that the workstation raises for bad input or an unusable state."""
 
 
 class FrameSetError(HostError, ValueError):
-    """A frame set or one of its images cannot be used. Mend the file and the key that the message names."""
+    """A frame set or one of its images cannot be used. Correct the file and key that the message names."""
 
 
 class SequenceError(HostError, ValueError):
-    """A sequence of frames cannot be used, or none of its frames can. Mend or name what the message says."""
+    """A sequence cannot be used, or no frame of it could be reconstructed. Correct what the message names."""
 
 
 class SourceError(HostError, OSError):
@@ -21,15 +21,15 @@ class SourceError(HostError, OSError):
 
 
 class LibraryError(HostError, OSError):
-    """The library cannot be read or written: full, read-only, missing or busy. Mend that, then repeat."""
+    """The library cannot be read or written: full, read-only, missing or busy. Correct that, then repeat."""
 
 
 class BusyBundle(LibraryError):
-    """A bundle is coming from another source at this moment. Repeat when that is done."""
+    """Another command is fetching this bundle. Repeat when it has finished."""
 
 
 class NoSuchBundle(HostError, LookupError):
-    """No bundle of the library, or more than one, answers to a name. Give more of its id."""
+    """No bundle of the library, or more than one, matches a name. Give more of its id."""
 
 
 class MissingCalibration(HostError, LookupError):
@@ -41,44 +41,48 @@ class MissingResult(HostError, LookupError):
 
 
 class ResultError(HostError, OSError):
-    """Results cannot be written where they belong: full, read-only or in the way. Free it or choose another place."""
+    """Results cannot be written: the place is full, read-only or occupied. Free it or choose another."""
+
+
+class UnreadableResult(HostError, ValueError):
+    """A file of a result or quick look is missing, damaged or too large. Reconstruct the scan, or pull it again."""
 
 
 class IntegrationError(HostError, ValueError):
-    """Slopes cannot be integrated: shapes differ, or values are not numbers. Mask what is invalid first."""
+    """Slopes cannot be integrated: shapes differ, or values are not finite. Mask invalid values first."""
 
 
 class NoSource(HostError, LookupError):
-    """What was named is neither a folder with scans nor a paired device. Name another, or pair it."""
+    """The name is neither a folder with scans nor a paired device. Name another, or pair it."""
 
 
 class SourceLost(SourceError):
-    """The connection, or the card, went away in the middle. What came is kept: repeat the command to go on."""
+    """The connection or the card was lost during a transfer. What arrived is kept: repeat the command to continue."""
 
 
 class SourceRefused(SourceError):
-    """A device shows another key than it was paired with, or does not accept ours. Read why, then pair it again."""
+    """A device shows another key than at pairing, or rejects ours. Read why, then pair it again."""
 
 
 class PairingError(HostError, ValueError):
-    """Pairing failed: a wrong code, or something else answered. Open the device's window again and repeat."""
+    """Pairing failed: a wrong code, or another machine answered. Open the device's window again and repeat."""
 
 
 class ExportError(HostError, OSError):
-    """An export cannot be written. Free the place or choose another."""
+    """An export cannot be written. Free space or choose another place."""
 
 
 class FilterError(HostError, ValueError):
-    """A filter cannot be what was asked: its nesting index is no length, or two leave nothing. Give other indices."""
+    """Filter settings are invalid: a nesting index is not positive, or two indices leave no band. Change them."""
 
 
 class MeasurementError(HostError, ValueError):
-    """A result or a recipe cannot be measured as asked. Mend the file, key or place that the message names."""
+    """A result or recipe cannot be measured. Correct the file, key or place that the message names."""
 
 
 class RenderError(HostError, ValueError):
-    """A picture cannot be made as it was asked for. Give another size, light, viewpoint or kind of file."""
+    """A picture cannot be drawn as requested. Choose another size, light, viewpoint or format."""
 
 
 class ViewError(HostError, LookupError):
-    """What was to be looked at is not there, or cannot be shown. Name a library, a result or another scan."""
+    """The item to view does not exist or cannot be shown. Name a library, a result or another scan."""

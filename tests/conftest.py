@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.bundle_store import BundleStore
-from device.calibration_bundle import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
-from device.fingerprint import Fingerprint
-from device.raw_file import write_raw
-from device.scan_bundle import Annotations, ScanBundle, ScanRecord, SettingsRecord, VerdictRecord
-from device.scanning.calibrate import calibrate
+from device.acquisition.calibrate import calibrate
+from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
+from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.bundles.raw_frame import write_raw
+from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictRecord
+from device.store.store import BundleStore
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame
 from hal.hardware import Hardware
-from hal.twin.bench import Bench, build
-from hal.twin.hardware import twin_hardware
+from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.hardware import twin_hardware
 
 SHAPE = (32, 48)
 
@@ -147,13 +147,13 @@ def calibrated_root(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardP
 
 
 @pytest.fixture
-def bench(small_twin: BoardProfile) -> Bench:
+def bench(small_twin: BoardProfile) -> SimulatedScene:
     """A world of the small twin, in virtual time."""
     return build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))
 
 
 @pytest.fixture
-def hardware(bench: Bench) -> Hardware:
+def hardware(bench: SimulatedScene) -> Hardware:
     """The devices of that world."""
     return twin_hardware(bench)
 

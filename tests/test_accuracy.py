@@ -1,33 +1,17 @@
 """The arithmetic behind `make accuracy`: what it measures of surfaces whose errors are known."""
 
-import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from device.surface import HeightMap, surface_slopes
-from hal.twin.bench import TwinTruth
+from device.surface.fields import HeightMap, surface_slopes
+from hal.simulator.bench import TwinTruth
+from tests.benchmarks.accuracy import ball_error, marks, methods, pattern, sigma_coverage
 
-FOLDER = Path(__file__).parents[1] / "docs" / "accuracy"
 PITCH_UM = 10.0
 RADIUS_UM = 800.0
-
-
-@pytest.fixture(scope="module")
-def accuracy() -> Iterator[ModuleType]:
-    """The folder's modules, importable by name as its scripts import them."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
-        yield importlib
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(FOLDER)):
-            del sys.modules[name]
 
 
 def sphere(radius_um: float) -> np.ndarray:
@@ -43,18 +27,16 @@ def truth() -> TwinTruth:
     return TwinTruth(z_um, p, q, np.hypot(row, column) < 500.0, PITCH_UM)
 
 
-def test_a_perfect_surface_has_no_error(accuracy: ModuleType, truth: TwinTruth) -> None:
-    error = accuracy.import_module("ball_error").judge_ball(HeightMap(truth.z_um, PITCH_UM), truth, RADIUS_UM)
+def test_a_perfect_surface_has_no_error(truth: TwinTruth) -> None:
+    error = ball_error.judge_ball(HeightMap(truth.z_um, PITCH_UM), truth, RADIUS_UM)
     assert error.surface_deg.max() < 0.01
     assert error.smooth_deg.max() < 0.01
     assert error.masked_share == 0.0
     assert error.radius_ratio == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_tilt_is_an_error_of_its_angle_and_a_bigger_ball_has_a_bigger_radius(
-    accuracy: ModuleType, truth: TwinTruth
-) -> None:
-    judge_ball = accuracy.import_module("ball_error").judge_ball
+def test_a_tilt_is_an_error_of_its_angle_and_a_bigger_ball_has_a_bigger_radius(truth: TwinTruth) -> None:
+    judge_ball = ball_error.judge_ball
     flat = TwinTruth(0.0 * truth.z_um, 0.0 * truth.p, 0.0 * truth.q, truth.contact, PITCH_UM)
     tilted = np.tan(np.radians(3.0)) * PITCH_UM * np.arange(121.0, dtype=np.float32) * np.ones((121, 1), np.float32)
     error = judge_ball(HeightMap(tilted, PITCH_UM), flat, RADIUS_UM)
@@ -64,34 +46,30 @@ def test_a_tilt_is_an_error_of_its_angle_and_a_bigger_ball_has_a_bigger_radius(
     assert larger.radius_ratio == pytest.approx(1.05, abs=1e-3)
 
 
-def test_noise_from_pixel_to_pixel_counts_in_the_surface_and_hardly_in_its_bias(
-    accuracy: ModuleType, truth: TwinTruth
-) -> None:
+def test_noise_from_pixel_to_pixel_counts_in_the_surface_and_hardly_in_its_bias(truth: TwinTruth) -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.5, truth.z_um.shape).astype(np.float32)
-    error = accuracy.import_module("ball_error").judge_ball(HeightMap(truth.z_um + noise, PITCH_UM), truth, RADIUS_UM)
+    error = ball_error.judge_ball(HeightMap(truth.z_um + noise, PITCH_UM), truth, RADIUS_UM)
     assert error.surface_deg.mean() > 1.0
     assert error.smooth_deg.mean() < 0.25 * error.surface_deg.mean()
 
 
-def test_an_invalid_pixel_counts_as_fifteen_degrees(accuracy: ModuleType, truth: TwinTruth) -> None:
+def test_an_invalid_pixel_counts_as_fifteen_degrees(truth: TwinTruth) -> None:
     z_um = truth.z_um.copy()
     z_um[:60] = np.nan
-    error = accuracy.import_module("ball_error").judge_ball(HeightMap(z_um, PITCH_UM), truth, RADIUS_UM)
+    error = ball_error.judge_ball(HeightMap(z_um, PITCH_UM), truth, RADIUS_UM)
     assert error.masked_share == pytest.approx(0.5, abs=0.03)
     assert np.median(error.surface_deg[-10:]) == 15.0
 
 
-def test_an_honest_sigma_covers_two_thirds_in_every_band(accuracy: ModuleType, truth: TwinTruth) -> None:
-    coverage = accuracy.import_module("sigma_coverage")
+def test_an_honest_sigma_covers_two_thirds_in_every_band(truth: TwinTruth) -> None:
     error = np.random.default_rng(2).normal(0.0, 3.0, truth.z_um.shape)
-    shares = coverage.count_within(error, np.full(error.shape, 3.0), truth).shares()
+    shares = sigma_coverage.count_within(error, np.full(error.shape, 3.0), truth).shares()
     assert shares[:3] == pytest.approx([0.683] * 3, abs=0.04)
-    assert coverage.NOTHING.shares() == [None] * 4
+    assert sigma_coverage.NOTHING.shares() == [None] * 4
 
 
 @pytest.mark.parametrize(("period", "angle"), [(4.0, 0.0), (8.0, 0.5)])
-def test_the_kept_amplitude_is_that_of_the_surface(accuracy: ModuleType, period: float, angle: float) -> None:
-    pattern = accuracy.import_module("pattern")
+def test_the_kept_amplitude_is_that_of_the_surface(period: float, angle: float) -> None:
     patch = pattern.Patch("sinusoid", 110.0, 105.0, angle, 0.7, period)
     row, column = np.mgrid[:220, :220].astype(np.float64)
     slow = 1e-3 * column + 1e-5 * row**2
@@ -100,8 +78,7 @@ def test_the_kept_amplitude_is_that_of_the_surface(accuracy: ModuleType, period:
 
 
 @pytest.mark.parametrize("angle", [0.07, 0.8])
-def test_the_width_of_a_ridge_is_that_of_the_surface(accuracy: ModuleType, angle: float) -> None:
-    pattern = accuracy.import_module("pattern")
+def test_the_width_of_a_ridge_is_that_of_the_surface(angle: float) -> None:
     wide = pattern.Patch("ridge", 80.0, 80.0, angle, 0.0, 3.0)
     row, column = np.mgrid[:160, :160].astype(np.float64)
     height = wide.height_px(column, row)
@@ -111,8 +88,8 @@ def test_the_width_of_a_ridge_is_that_of_the_surface(accuracy: ModuleType, angle
     assert pattern.ridge_width_px(blurred, wide) == pytest.approx(expected, rel=0.05)
 
 
-def test_patches_differ_in_phase_and_angle_and_do_not_overlap(accuracy: ModuleType) -> None:
-    patches = accuracy.import_module("pattern").spread_patches((1088, 1456))
+def test_patches_differ_in_phase_and_angle_and_do_not_overlap() -> None:
+    patches = pattern.spread_patches((1088, 1456))
     assert len({(patch.column, patch.row) for patch in patches}) == len(patches) == 32
     for number, patch in enumerate(patches):
         for other in patches[:number]:
@@ -120,8 +97,7 @@ def test_patches_differ_in_phase_and_angle_and_do_not_overlap(accuracy: ModuleTy
             assert apart > patch.reach_px + other.reach_px
 
 
-def test_marks_are_met_by_what_keeps_their_bounds_alone(accuracy: ModuleType) -> None:
-    marks = accuracy.import_module("marks")
+def test_marks_are_met_by_what_keeps_their_bounds_alone() -> None:
     known = {mark.name: mark for mark in marks.all_marks()}
     assert len(known) == len(marks.all_marks())
     surface = known["oem-bga surface"]
@@ -136,8 +112,7 @@ def test_marks_are_met_by_what_keeps_their_bounds_alone(accuracy: ModuleType) ->
     assert record["oem-bga masked"] == {"value": None, "mark": 0.03, "met": False, "unit": ""}
 
 
-def test_a_refreshed_table_keeps_what_was_not_measured(accuracy: ModuleType, tmp_path: Path) -> None:
-    methods = accuracy.import_module("methods")
+def test_a_refreshed_table_keeps_what_was_not_measured(tmp_path: Path) -> None:
     document = tmp_path / "paper.md"
     document.write_text(
         f"before\n{methods.BEGIN}\n| set | a |\n|---|---|\n| old | 1 |\n| finger | 2 |\n{methods.END}\nafter\n"
@@ -148,4 +123,4 @@ def test_a_refreshed_table_keeps_what_was_not_measured(accuracy: ModuleType, tmp
     assert lines[0] == "before"
     assert lines[-1] == "after"
     assert lines[4:6] == ["| old | 1 |", "| finger | 2.00° | 1.00° | 2.00° | 1.00° | 2.0 % | 1.0 % |"]
-    assert "| set | surface, paper | default |" in (FOLDER.parent / "paper.md").read_text()
+    assert "| set | surface, paper | default |" in (Path(__file__).parents[1] / "docs" / "paper.md").read_text()

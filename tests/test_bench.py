@@ -1,32 +1,17 @@
 """The benchmark: its quick run ends in a table and a file, and its marks follow their rules. No time is judged here."""
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.benchmarks.speed.marks import judge
+
 ROOT = Path(__file__).parent.parent
-BENCH = ROOT / "docs" / "bench"
-
-Judge = Callable[[dict[str, Any]], dict[str, dict[str, Any]]]
-
-
-@pytest.fixture(scope="module")
-def judge() -> Judge:
-    spec = importlib.util.spec_from_file_location("bench_marks", BENCH / "marks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["bench_marks"] = module
-    spec.loader.exec_module(module)
-    found: Judge = module.judge
-    return found
 
 
 def figures(**changed: Any) -> dict[str, Any]:
@@ -41,7 +26,7 @@ def figures(**changed: Any) -> dict[str, Any]:
     return {"integration": {"unweighted": part | changed}}
 
 
-def test_a_mark_is_met_at_its_limit_and_not_beyond(judge: Judge) -> None:
+def test_a_mark_is_met_at_its_limit_and_not_beyond() -> None:
     assert judge(figures())["unweighted_over_dctn"] | {"words": "", "item": 1} == {
         "value": 4.0, "mark": 3.0, "met": True, "sense": "at least", "item": 1, "words": "",
     }  # fmt: skip
@@ -51,7 +36,7 @@ def test_a_mark_is_met_at_its_limit_and_not_beyond(judge: Judge) -> None:
     assert judge(figures(floor={"min_ms": 1.9}))["unweighted_over_floor"]["met"] is False
 
 
-def test_speed_does_not_count_without_accuracy(judge: Judge) -> None:
+def test_speed_does_not_count_without_accuracy() -> None:
     marks = judge(figures(ours={"min_ms": 1.0, "rmse_px": 0.039}, accuracy={"over_exact": 1.011, "fields": 3}))
     assert marks["unweighted_over_dctn"]["value"] == 80.0
     assert marks["unweighted_over_dctn"]["met"] is False
@@ -88,15 +73,13 @@ def handheld(height_error_share: float) -> dict[str, Any]:
         ("handheld_ms", handheld(0.155), handheld(0.17)),
     ],
 )
-def test_every_speed_asks_for_its_own_accuracy(
-    judge: Judge, name: str, right: dict[str, Any], wrong: dict[str, Any]
-) -> None:
+def test_every_speed_asks_for_its_own_accuracy(name: str, right: dict[str, Any], wrong: dict[str, Any]) -> None:
     assert judge(right)[name]["met"] is True
     assert judge(wrong)[name]["met"] is False
     assert judge(right)[name]["value"] == judge(wrong)[name]["value"]
 
 
-def test_a_missing_peer_is_neither_met_nor_missed(judge: Judge) -> None:
+def test_a_missing_peer_is_neither_met_nor_missed() -> None:
     alone = {"gradients": {"ours": {"min_ms": 1.0}}, "integration": {"beside pyamg": {"ours": {"min_ms": 1.0}}}}
     marks = judge(alone)
     for name in ("gradients_over_network", "weighted_over_pyamg", "pipeline_s", "two_workers"):
@@ -104,24 +87,24 @@ def test_a_missing_peer_is_neither_met_nor_missed(judge: Judge) -> None:
         assert marks[name]["met"] is None
 
 
-def test_workers_are_judged_only_where_two_cores_are_idle(judge: Judge) -> None:
+def test_workers_are_judged_only_where_two_cores_are_idle() -> None:
     busy = {"two workers": {"scaling": 1.0, "scaling_of_counting": 1.1}}
     idle = {"two workers": {"scaling": 1.0, "scaling_of_counting": 1.95}}
     assert judge(busy)["two_workers"]["met"] is None
     assert judge(idle)["two_workers"]["met"] is False
 
 
-def test_cost_per_pixel_compares_the_largest_scan_with_the_one_near_1_5_megapixels(judge: Judge) -> None:
+def test_cost_per_pixel_compares_the_largest_scan_with_the_one_near_1_5_megapixels() -> None:
     scans = {str(mp): {"megapixels": mp, "min_ms": ms} for mp, ms in ((0.2, 90.0), (1.6, 160.0), (12.0, 1800.0))}
     assert judge({"pipeline": scans})["cost_pipeline"]["value"] == pytest.approx(1.5)
 
 
-def test_a_quick_run_prints_a_table_and_writes_every_mark(judge: Judge, tmp_path: Path) -> None:
+def test_a_quick_run_prints_a_table_and_writes_every_mark(tmp_path: Path) -> None:
     out = tmp_path / "bench.json"
     # One thread: on a machine that does other work, waiting for a second one takes longer than the whole run.
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     run = subprocess.run(
-        [sys.executable, BENCH / "run.py", "--quick", "--out", out],
+        [sys.executable, "-m", "tests.benchmarks.speed.run", "--quick", "--out", out],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr

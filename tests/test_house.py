@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "device", "host_sync")
 FOLDERS = (*PACKAGES, "tests", "board", "systemd", "docs", ".ci")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-MOST_LINES = 260
+MAX_LINES = 400
 
 TOOLS = {
     "ruff check": ("ruff", "check"),
@@ -68,7 +68,7 @@ def test_gate(tool: str) -> None:
 
 def test_a_module_is_one_page() -> None:
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
-    assert [f"{in_root(path)}: {count} lines" for path, count in lines.items() if count > MOST_LINES] == []
+    assert [f"{in_root(path)}: {count} lines" for path, count in lines.items() if count > MAX_LINES] == []
 
 
 def test_a_package_file_holds_a_docstring_only() -> None:
@@ -78,7 +78,7 @@ def test_a_package_file_holds_a_docstring_only() -> None:
 
 def test_only_an_entry_point_may_catch_everything() -> None:
     """Elsewhere what catches everything cleans up and lets it go on its way: its last line is `raise`."""
-    trees = {path: ast.parse(path.read_bytes()) for path in MODULES if path.name != "__main__.py"}
+    trees = {path: ast.parse(path.read_bytes()) for path in MODULES if path.parts[-2:] != ("cli", "main.py")}
     assert [
         f"{in_root(path)}:{node.lineno}"
         for path, tree in trees.items()

@@ -10,18 +10,28 @@ import sys
 import grimp
 import pytest
 
-ENTRY_POINT = "device.__main__"
+PORTABLE_ROOMS = (
+    "device.io",
+    "device.surface",
+    "device.imaging",
+    "device.inverse_map",
+    "device.balls",
+    "device.calibration",
+    "device.bundles",
+    "device.quick_look",
+    "device.pairing",
+    "device.errors",
+    "device.shutdown",
+)
 PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs"}
 PORTABLE_HAL = {
     "hal",
-    "hal.board_complaints",
-    "hal.board_parts",
+    "hal.config_errors",
     "hal.board_profile",
     "hal.clock",
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
-    "hal.power_reading",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")
 
@@ -33,10 +43,8 @@ def graph() -> grimp.ImportGraph:
 
 @pytest.fixture(scope="module")
 def portable_device(graph: grimp.ImportGraph) -> set[str]:
-    """The files directly in `device/`, and the package itself."""
-    packages = {module.rpartition(".")[0] for module in graph.modules if module.startswith("device.")}
-    files = {module for module in graph.find_children("device") if module not in packages}
-    return {"device", *files} - {ENTRY_POINT}
+    """Every module of the portable rooms, and the package itself."""
+    return {"device", *PORTABLE_ROOMS}.union(*(graph.find_descendants(room) for room in PORTABLE_ROOMS))
 
 
 def strangers(graph: grimp.ImportGraph, importers: set[str], allowed: set[str]) -> list[str]:
@@ -50,18 +58,18 @@ def strangers(graph: grimp.ImportGraph, importers: set[str], allowed: set[str]) 
     )
 
 
-def test_portable_files_of_device_import_portable_things_only(
+def test_portable_rooms_of_the_handheld_import_portable_modules_only(
     graph: grimp.ImportGraph, portable_device: set[str]
 ) -> None:
-    assert "device.surface" in portable_device
+    assert "device.surface.fields" in portable_device
     assert strangers(graph, portable_device, portable_device | PORTABLE_HAL | PORTABLE_LIBRARIES) == []
 
 
-def test_the_part_of_hal_that_portable_files_use_is_portable(graph: grimp.ImportGraph) -> None:
+def test_the_part_of_hal_that_portable_rooms_use_is_portable(graph: grimp.ImportGraph) -> None:
     assert strangers(graph, PORTABLE_HAL & graph.modules, PORTABLE_HAL | PORTABLE_LIBRARIES) == []
 
 
-def test_the_workstation_uses_only_portable_files_of_the_instrument(
+def test_the_workstation_uses_only_portable_rooms_of_the_instrument(
     graph: grimp.ImportGraph, portable_device: set[str]
 ) -> None:
     own = {"host_sync"} | graph.find_descendants("host_sync")
@@ -86,7 +94,7 @@ import host_sync
 for module in pkgutil.walk_packages(host_sync.__path__, "host_sync.", onerror=lambda name: sys.exit(name)):
     importlib.import_module(module.name)
     print(module.name)
-reached = BLOCKED | {"hal.twin", "hal.hardware", "device.scanning", "device.tui"}
+reached = BLOCKED | {"hal.simulator", "hal.drivers", "hal.hardware", "device.acquisition", "device.tui"}
 sys.exit(", ".join(sorted(reached & set(sys.modules))) or 0)
 """
 

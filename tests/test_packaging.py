@@ -50,7 +50,7 @@ def run_away_from_checkout(unpacked: Path, *arguments: str) -> str:
 
 def test_wheel_holds_the_three_packages_and_nothing_else(held: frozenset[str]) -> None:
     assert {name.partition("/")[0] for name in held if ".dist-info/" not in name} == set(PACKAGES)
-    facts = ("hal/board/", "host_sync/viewer/page/", "device/tui/screens.tcss")
+    facts = ("hal/board/", "host_sync/viewer/page/", "device/tui/screens/screens.tcss")
     code = [name for name in held if ".dist-info/" not in name and not name.startswith(facts)]
     assert {Path(name).suffix for name in code} == {".py"}
     assert {Path(name).suffix for name in held if name.startswith("hal/board/")} <= {".toml", ".md"}
@@ -90,8 +90,9 @@ def test_board_profile_loads_from_the_wheel(unpacked: Path) -> None:
 @pytest.mark.parametrize("command", ["retroscan", "retrosync"])
 def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
-    module, _, _ = scripts[command].partition(":")
-    assert command in run_away_from_checkout(unpacked, "-m", module, "--help")
+    module, _, function = scripts[command].partition(":")
+    call = f"import sys; from {module} import {function}; sys.exit({function}(['--help']))"
+    assert command in run_away_from_checkout(unpacked, "-c", call)
 
 
 @pytest.mark.parametrize(

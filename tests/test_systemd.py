@@ -12,11 +12,11 @@ import pytest
 from console_font import SCREEN_FONTS
 from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
-from device.session.service_report import PATIENCE_S
+from device.cli.service import PATIENCE_S
 
 PROGRAM = "/usr/local/bin/retroscan"
 UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
-MOST_EXPOSED = 25
+MAX_EXPOSED = 25
 """Of `systemd-analyze security`, in tenths: what no service may exceed. There are no exceptions."""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -36,7 +36,7 @@ def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
     said = settings(unit)
     assert said["Type"] == ["notify"]
     assert 20 <= int(said["WatchdogSec"][0]) <= 120
-    assert shlex.split(said["ExecStart"][0])[-1] in {"watch", "tui"}
+    assert shlex.split(said["ExecStart"][0])[-1] in {"run", "tui"}
     assert "--board ${RETROSCAN_BOARD}" in said["ExecStart"][0]
     assert shlex.split(said["ExecStopPost"][0])[-1] == "lights-off"
     assert said["User"] == ["retroscan"]
@@ -135,7 +135,7 @@ def test_every_command_of_the_units_is_one_of_the_program() -> None:
     lines = [line for path in unit_files() for line in path.read_text(encoding="utf-8").splitlines()]
     commands = [shlex.split(line) for line in lines if line.startswith("Exec") and PROGRAM in line]
     asked = {next(word for word in reversed(words) if not word.startswith("-")) for words in commands}
-    assert asked >= {"watch", "lights-off", "pair", "guard-battery"}
+    assert asked >= {"run", "lights-off", "pair", "guard-battery"}
     assert asked <= known
 
 
@@ -189,7 +189,7 @@ def test_it_is_shut_in(units_of_this_machine: Path, unit: str) -> None:
             "systemd-analyze",
             "security",
             "--offline=yes",
-            f"--threshold={MOST_EXPOSED}",
+            f"--threshold={MAX_EXPOSED}",
             units_of_this_machine / unit,
         ],
         capture_output=True,
@@ -319,3 +319,18 @@ def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
     assert (offload["authenticationmethods"], offload["passwordauthentication"]) == ("publickey", "no")
     assert (offload["disableforwarding"], offload["permittty"], offload["authorizedkeysfile"]) == ("yes", "no", "none")
     assert effective("somebody")["passwordauthentication"] == "yes"
+
+
+def test_the_workstations_nightly_check_is_a_command_that_exists(tmp_path: Path) -> None:
+    said = settings("workstation/retrograph-verify.service")
+    program, *arguments = shlex.split(said["ExecStart"][0].replace("%%", "%"))
+    assert program == "retrosync"
+    run = subprocess.run(
+        [sys.executable, "-m", "host_sync", *arguments, "--library", tmp_path / "absent"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 2
+    assert "there is no library" in run.stderr
+    assert settings("workstation/retrograph-verify.timer")["Persistent"] == ["true"]

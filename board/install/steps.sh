@@ -215,7 +215,7 @@ install_program() {
 # first press. A version that comes later is held to its self-test.
 camera_is_loaded() {
     grep -q '^driver = "picamera2"' "$(profile_file)" && live && [ "$with_app" = yes ] && [ "$dry" = no ] || return 0
-    "$root/data/app/current/bin/python" -c 'from hal.picamera_stack import load_picamera2; load_picamera2()' \
+    "$root/data/app/current/bin/python" -c 'from hal.drivers.picamera_stack import load_picamera2; load_picamera2()' \
         >"$scratch/said" 2>&1 && return
     say "The camera cannot be used: $(tail -n 1 "$scratch/said" | sed 's/^[A-Za-z_.]*: //')"
     return 1

@@ -1,1 +1,1 @@
-"""The device's side of pairing: whose key opens its files, and the two minutes in which a new one may come."""
+"""The pairing protocol, for both sides."""

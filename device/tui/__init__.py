@@ -1,1 +1,1 @@
-"""The instrument's screens: heights and live views drawn in terminal cells, and the textual app around them."""
+"""The instrument's screens in a terminal."""

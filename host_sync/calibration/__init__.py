@@ -1,1 +1,1 @@
-"""Full calibration: reflectance maps, spherical harmonics, lookup table (paper, section 5.1), report."""
+"""Full calibration on the workstation."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from device.ball import BallSamples
-from device.calibration_checks import Check, check_fit
-from device.calibration_coverage import Coverage, measure_coverage
-from device.inverse_fit import InverseFit
-from host_sync.calibration.ball_location import PressFrame, UsedPress
-from host_sync.calibration.ball_radii import check_radii, radius_shares
+from device.balls.sphere import BallSamples
+from device.calibration.acceptance import Check, check_fit
+from device.calibration.coverage import Coverage, measure_coverage
+from device.calibration.fit import InverseFit
+from host_sync.calibration.balls import PressFrame, UsedPress
 from host_sync.calibration.calibration_verdict import check_count, checks
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.scale_uncertainty import ScaleUncertainty, scale_uncertainty
+from host_sync.calibration.radii import check_radii, radius_shares
+from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,5 +77,5 @@ def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: Pixe
         for press in presses
         if press.grid and press.called not in read
     ]
-    notes += [f"{press.called} {press.fault}: it teaches nothing" for press in used if press.fault]
+    notes += [f"{press.called} {press.fault}: it is not used" for press in used if press.fault]
     return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from device.calibration_checks import Check, fit_checks
-from device.calibration_coverage import Coverage
-from device.calibration_limits import FEWEST_BALLS, MOST_RADIUS_SPREAD
+from device.calibration.acceptance import Check, fit_checks
+from device.calibration.coverage import Coverage
+from device.calibration.limits import MAX_RADIUS_SPREAD, MIN_BALLS
 from device.errors import CalibrationError
-from host_sync.calibration.ball_location import UsedPress
+from host_sync.calibration.balls import UsedPress
 
 
 def check_count(presses: Sequence[UsedPress]) -> None:
@@ -20,13 +20,13 @@ def check_count(presses: Sequence[UsedPress]) -> None:
         Names the number and why the others were rejected.
     """
     balls = sum(len(press.balls) for press in presses)
-    if balls >= FEWEST_BALLS:
+    if balls >= MIN_BALLS:
         return
     faults = [f"{press.called} {press.fault}" for press in presses if press.fault]
     faults += [f"{press.called}: {ball.reason}" for press in presses if not press.fault for ball in press.rejected]
-    why = f" ({'; '.join(faults[:FEWEST_BALLS])})" if faults else ""
+    why = f" ({'; '.join(faults[:MIN_BALLS])})" if faults else ""
     raise CalibrationError(
-        f"{balls} usable balls in {len(presses)} calibration presses{why}, and {FEWEST_BALLS} are needed: "
+        f"{balls} usable balls in {len(presses)} calibration presses{why}, and {MIN_BALLS} are needed: "
         "press balls of known radius all over the gel"
     )
 
@@ -38,5 +38,5 @@ def checks(
     balls = sum(len(press.balls) for press in presses)
     rejected = sum(len(press.rejected) or bool(press.fault) for press in presses)
     first, share, *rest = fit_checks(balls, rejected, held_out_deg, coverage)
-    spread = Check("spread of ball radii by shading, share", radius_spread, MOST_RADIUS_SPREAD, "at most")
+    spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
     return (first, share, spread, *rest)

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from device.ball import Ball
-from device.ball_finder import LEAST_CONTACT, BallSearch, RejectedBall, find_balls
-from device.photometry import IntensityImage
-from device.surface import Float64Array
-from host_sync.calibration.ball_grid import GROWTH, ON_LATTICE, BallLattice, find_lattice
-from host_sync.calibration.ball_location import PressFrame, UsedPress, with_found
+from device.balls.detector import MIN_CONTACT, BallSearch, RejectedBall, find_balls
+from device.balls.sphere import Ball
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float64Array
+from host_sync.calibration.balls import PressFrame, UsedPress, with_found
 from host_sync.calibration.homography import project
+from host_sync.calibration.lattice import GROWTH, ON_LATTICE, BallLattice, find_lattice
 from host_sync.calibration.pixel_pitch import PitchReading, PixelPitch, join_readings, read_pitch
 
 DEEPEST_SHARE = 0.98
@@ -21,18 +21,18 @@ DEEPEST_SHARE = 0.98
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GridSighting:
+class GridDetection:
     """What a grid press shows: its balls less those off the lattice, and the lattice, None when they form none."""
 
     search: BallSearch
     lattice: BallLattice | None
 
 
-def sight_grid(image: IntensityImage, seen: BallSearch, radius_px: float) -> GridSighting:
+def detect_grid(image: NormalizedImage, seen: BallSearch, radius_px: float) -> GridDetection:
     """The balls of a grid press; where the lattice expects one that was missed, it is looked for once more."""
     lattice = find_lattice(_centres(seen))
     if lattice is None:
-        return GridSighting(seen, None)
+        return GridDetection(seen, None)
     expected = _unseen(lattice, seen, image.shape, radius_px)
     if expected:
         again = find_balls(image, radius_px, expected)
@@ -61,7 +61,7 @@ def measure_pitch(
         if press.grid is None or used.seen is None:
             found.append(used)
             continue
-        grid = sight_grid(used.intensity, used.seen, press.radius_px)
+        grid = detect_grid(used.intensity, used.seen, press.radius_px)
         own = replace(used, seen=grid.search)
         found.append(own if press.balls is not None else with_found(own, grid.search, press.radius_px))
         if grid.lattice is not None:
@@ -73,7 +73,7 @@ def measure_pitch(
     return [_rescaled(used, stated_um / pitch.pitch_um) for used in found], pitch
 
 
-def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridSighting:
+def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridDetection:
     """The search with the balls off the lattice among the rejected, the lattice for the others alone.
 
     What the finder itself rejected off the lattice is no ball at all and is forgotten.
@@ -89,7 +89,7 @@ def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridSighting:
     balls = tuple(ball for ball, kept in zip(seen.found, on, strict=True) if kept)
     kept_lattice = BallLattice(lattice.index[on], on[on], lattice.to_pixels)
     rejected = tuple(ball for ball in seen.rejected if _stray(lattice, ball) < GROWTH)
-    return GridSighting(BallSearch(balls, rejected + tuple(off)), kept_lattice)
+    return GridDetection(BallSearch(balls, rejected + tuple(off)), kept_lattice)
 
 
 def _stray(lattice: BallLattice, ball: RejectedBall) -> float:
@@ -109,7 +109,7 @@ def _unseen(
     margin = np.minimum(places, np.array([shape[1] - 1.0, shape[0] - 1.0]) - places).min(axis=1)
     known = np.array([(b.column, b.row) for b in seen.found] + [(b.column, b.row) for b in seen.rejected])
     apart = np.hypot(*(places[:, None] - known).transpose(2, 0, 1)).min(axis=1)
-    wanted = (margin > LEAST_CONTACT * radius_px) & (apart > ON_LATTICE * lattice.step_px(np.zeros(2)))
+    wanted = (margin > MIN_CONTACT * radius_px) & (apart > ON_LATTICE * lattice.step_px(np.zeros(2)))
     return [(float(column), float(row)) for column, row in places[wanted]]
 
 

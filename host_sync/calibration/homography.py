@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from device.surface import Float64Array
+from device.surface.fields import Float64Array
 
 
 def project(homography: Float64Array, points: Float64Array) -> Float64Array:

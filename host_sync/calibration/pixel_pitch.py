@@ -13,13 +13,13 @@ from typing import Final
 
 import numpy as np
 
-from device.ball import Ball
-from device.calibration_limits import PITCH_COVERAGE, PITCH_GROSS_SHARE
+from device.balls.sphere import Ball
+from device.calibration.limits import PITCH_COVERAGE, PITCH_GROSS_SHARE
 from device.errors import CalibrationError
-from device.surface import Float64Array
-from host_sync.calibration.ball_grid import BallLattice
-from host_sync.calibration.ball_location import GridSpacing
-from host_sync.calibration.grid_pose import GridPose, fit_pose
+from device.surface.fields import Float64Array
+from host_sync.calibration.balls import GridSpacing
+from host_sync.calibration.lattice import BallLattice
+from host_sync.calibration.lattice_pose import GridPose, fit_pose
 
 CENTRE_BIAS: Final = 0.01
 """Share of the radius by which the outermost balls' centres are read too far out or in: lights close by do so, chiefly
@@ -130,7 +130,7 @@ def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPi
         raise CalibrationError(
             f"{readings[0].press}: its {readings[0].balls} balls {readings[0].grid.pitch_mm:g} mm apart make a pixel "
             f"{mean:.4g} ± {sigma_um:.1g} µm, and {stated_um:g} µm is stated ({stated_um / mean - 1.0:+.0%}): "
-            "mend pixel_pitch_um or grid_pitch_mm"
+            "correct pixel_pitch_um or grid_pitch_mm"
         )
     return pitch
 

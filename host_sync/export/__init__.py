@@ -1,1 +1,1 @@
-"""One writer a format: scans and results in the files that other programs open."""
+"""Exports of scans and results for other programs; one writer per format."""

@@ -14,11 +14,11 @@ UM: Final = 1e-6
 MAGIC: Final = b"AliconaImaging\0\r\n"
 INVALID: Final = float(np.float32(3e15))
 COMMENT_BYTES: Final = 256
-"""With its line end."""
+"""Including its line end."""
 
 
 def write_al3d(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the depth image; the uncertainty stays behind, as the format's quality map means repeatability."""
+    """Write the depth image; the uncertainty is not written: the format's quality map means repeatability."""
     tags = {
         "Cols": surface.columns,
         "Rows": surface.rows,

@@ -1,4 +1,4 @@
-"""A profile as comma-separated values: the pixels nearest to a line, their values untouched."""
+"""A profile as comma-separated values: the pixels nearest to a line, not interpolated."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LineUm: TypeAlias = tuple[float, float, float, float]
 
 
 def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | None) -> None:
-    """Write distance along the line, column, row, height and standard uncertainty; an invalid value is left empty.
+    """Write distance along the line, column, row, height and standard uncertainty; invalid values are empty.
 
-    line_um : the middle row when None
+    line_um : None takes the middle row
 
     Raises
     ------
@@ -34,7 +34,7 @@ def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | 
 
 
 def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distances in µm, rows and columns of the pixels nearest to a line, one for each step of its longer direction.
+    """Distance (µm), row and column of the pixels nearest to a line, one per step of its longer direction.
 
     Raises
     ------

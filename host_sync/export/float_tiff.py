@@ -11,7 +11,7 @@ from host_sync.export.source_surface import SourceSurface, ascii_line
 
 
 def write_float_tiff(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map and its uncertainty, with the pixel pitch as their resolution."""
+    """Write the height map and its uncertainty, with the pixel pitch as resolution."""
     per_cm = 1e4 / surface.pitch_um
     pages = [("height", surface.z_um)]
     if surface.sigma_um is not None:

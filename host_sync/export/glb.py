@@ -9,8 +9,8 @@ from typing import Any, BinaryIO, Final
 import msgspec
 import numpy as np
 
-from host_sync.export.height_colours import linear_light, vertex_colours
-from host_sync.export.mesh import Mesh
+from host_sync.export.mesh import Mesh, vertex_colours
+from host_sync.render.colormap import linear_light
 
 METRES: Final = 1e-6
 FLOAT, UINT16, UINT32 = 5126, 5123, 5125
@@ -19,7 +19,7 @@ PLACE_BYTES, NORMAL_BYTES, COLOUR_BYTES, TRIANGLE_BYTES = 12, 12, 8, 12
 
 
 def write_glb(file: BinaryIO, mesh: Mesh, name: str) -> None:
-    """Write the mesh, seen from the camera as viewers open it: z comes towards the reader and y is up."""
+    """Write the mesh in the orientation of viewers: z towards the reader, y up."""
     places = list(mesh.places(METRES))
     limits = (
         np.min([part.min(axis=0) for part in places if len(part)], axis=0),
@@ -41,7 +41,7 @@ def write_glb(file: BinaryIO, mesh: Mesh, name: str) -> None:
 
 
 def _record(mesh: Mesh, name: str, low: list[float], high: list[float]) -> dict[str, Any]:
-    """What the JSON part says."""
+    """The JSON chunk."""
     sizes = [mesh.vertices * PLACE_BYTES, mesh.vertices * NORMAL_BYTES, mesh.vertices * COLOUR_BYTES]
     sizes.append(mesh.triangles * TRIANGLE_BYTES)
     starts = [sum(sizes[:number]) for number in range(len(sizes))]

@@ -1,4 +1,4 @@
-"""Gwyddion Simple Field 1.0: lines of text, then float32 in metres, the top row first, NaN where invalid."""
+"""Gwyddion Simple Field 1.0: lines of text, then float32 in metres, top row first, NaN where invalid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ UM = 1e-6
 
 
 def write_gsf(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map; the format has one field, so the uncertainty stays behind."""
+    """Write the height map; the format has one field, so the uncertainty is not written."""
     lines = {
         "XRes": surface.columns,
         "YRes": surface.rows,

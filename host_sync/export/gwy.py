@@ -1,7 +1,6 @@
-"""Gwyddion's own format: height, its uncertainty and the mask of what is invalid, float64 in metres.
+"""Gwyddion's native format: height, uncertainty and mask of invalid pixels, float64 in metres.
 
-A mask marks pixels and does not replace their values, so these must be numbers: the mean of the valid ones stands
-there.
+A mask marks pixels and does not replace their values, so invalid pixels must hold a number: the mean of the valid ones.
 """
 
 from __future__ import annotations
@@ -12,14 +11,14 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 from host_sync.errors import ExportError
 from host_sync.export.row_blocks import row_blocks
 from host_sync.export.source_surface import SourceSurface
 
 UM: Final = 1e-6
 LARGEST: Final = 2**32 - 1
-"""Sizes are 32-bit numbers."""
+"""Limit of the 32-bit sizes."""
 
 
 def write_gwy(file: BinaryIO, surface: SourceSurface) -> None:
@@ -28,7 +27,7 @@ def write_gwy(file: BinaryIO, surface: SourceSurface) -> None:
     Raises
     ------
     ExportError
-        The field is larger than the format counts.
+        The field is too large for the format.
     """
     channels = [("Height", surface.z_um)]
     if surface.sigma_um is not None:
@@ -53,7 +52,7 @@ def write_gwy(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 class _Field:
-    """A component that holds a GwyDataField; its numbers are made as they are written."""
+    """A component with a GwyDataField, whose values are converted while they are written."""
 
     def __init__(self, key: str, values_um: Float32Array, pitch_um: float, *, is_mask: bool) -> None:
         rows, columns = values_um.shape
@@ -77,7 +76,7 @@ class _Field:
         """The component's bytes."""
         yield self._head
         if self._is_mask:
-            # Every value becomes 0 and what is none becomes 1.
+            # 0 for valid pixels, 1 for invalid ones.
             yield from row_blocks(self._values, 0.0, "<f8", invalid=1.0)
         else:
             yield from row_blocks(self._values, UM, "<f8", invalid=float(np.nanmean(self._values, dtype=float)) * UM)

@@ -1,4 +1,4 @@
-"""NumPy's archive: everything there is, in µm, without pickled objects."""
+"""NumPy archive with all fields, in µm, without pickled objects."""
 
 from __future__ import annotations
 

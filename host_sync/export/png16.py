@@ -1,7 +1,7 @@
-"""PNG of 16-bit grey: 0 is invalid, 1 to 65535 run from the lowest to the highest valid height.
+"""16-bit greyscale PNG: 0 is invalid, 1 to 65535 span the lowest to the highest valid height.
 
-The scale stands in text chunks, under our own names and under those by which Gwyddion finds it, in the resolution
-(pHYs) and in a JSON file beside the picture for programs that keep no text.
+The scale is stored in text chunks (under our names and those that Gwyddion reads), in the resolution (pHYs), and in a
+JSON file beside the picture for programs that drop text.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOP: Final = 65535
 
 
 def write_png16(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map to a 65,534th of its range; the uncertainty stays behind."""
+    """Write the height map, quantised to 65,534 steps; the uncertainty is not written."""
     scale = png_scale(surface)
     zero_um, step_um = scale["height_at_0_um"], scale["height_step_um"]
     grey = np.empty(surface.z_um.shape, np.uint16)
@@ -53,7 +53,7 @@ def write_png_scale(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def png_scale(surface: SourceSurface) -> dict[str, Any]:
-    """What a reader of the picture needs: `height_um = height_at_0_um + grey * height_step_um`, grey 0 is invalid."""
+    """Scale of the picture: `height_um = height_at_0_um + grey * height_step_um`, grey 0 is invalid."""
     lowest, highest = float(np.nanmin(surface.z_um)), float(np.nanmax(surface.z_um))
     step_um = (highest - lowest) / (TOP - 1) or 1e-6
     return {

@@ -1,4 +1,4 @@
-"""Files that appear whole under their name or not at all, and none over another unasked."""
+"""Atomic export of files, which replaces existing ones only on request."""
 
 from __future__ import annotations
 
@@ -7,47 +7,41 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
-from device.disk_advice import explain_refusal
+from device.io.atomic import atomic_file
+from device.io.os_errors import explain_os_error
 from host_sync.errors import ExportError
 
 Writer: TypeAlias = Callable[[BinaryIO], None]
 
 
 def check_free(paths: Iterable[Path]) -> None:
-    """Nothing, if nothing stands at any of the paths.
+    """Check that none of the paths exists.
 
     Raises
     ------
     ExportError
-        Names the first that is taken.
+        One exists; the message names the first.
     """
     for path in paths:
         if os.path.lexists(path):
-            raise ExportError(f"{path}: is there already: add --overwrite or choose another folder")
+            raise ExportError(f"{path}: exists already: add --overwrite or choose another folder")
 
 
 def publish(path: Path, write: Writer) -> None:
-    """Write under another name first, then rename; makes the folder if need be.
+    """Write under a temporary name, then rename; creates the folder.
 
     Raises
     ------
     ExportError
-        The folder cannot be written, or the writer refuses; what stood there stands.
+        The folder cannot be written, or the writer failed; an existing file is unchanged.
     """
-    partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        with atomic_file(path) as file:
+            write(file)
     except ExportError:
         raise
     except OSError as error:
-        # numpy counts what a full disk did not take and names no number for it.
-        reason = explain_refusal(error) if error.errno else "(the disk took no more): free space on it"
+        # numpy reports a full disk by byte counts, without an error number.
+        reason = explain_os_error(error) if error.errno else "(the disk is full): free space on it"
         raise ExportError(f"{path}: cannot be written {reason}") from error

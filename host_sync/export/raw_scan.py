@@ -1,6 +1,6 @@
-"""The raw frame of a scan for other programs: DNG for raw converters, TIFF with deflate for ImageJ and its kin.
+"""The raw frame of a scan for other programs: DNG for raw converters, deflated TIFF for ImageJ and similar.
 
-Counts are those of the sensor, none is changed; the scan's whole record stands in the description as JSON.
+Counts are those of the sensor, unchanged; the description holds the scan's record as JSON.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, BinaryIO, Final, Literal
 import numpy as np
 import tifffile
 
-from device.records import encode_record
-from device.scan_bundle import ScanBundle
+from device.bundles.record import encode_record
+from device.bundles.scan import ScanBundle
 from hal.frame import BayerOrder, RawFrame
 from host_sync.export.publishing import check_free, publish
 
@@ -23,18 +23,18 @@ _PLANE: Final = {"R": 0, "G": 1, "B": 2}
 _BYTE, _ASCII, _SHORT, _RATIONAL, _SIGNED_RATIONAL = 1, 2, 3, 5, 10
 _CFA: Final = 32803
 _XYZ_TO_CAMERA: Final = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
-"""Identity: the colours are those of the lights, and no conversion to a person's eye is claimed."""
+"""Identity matrix: colours are those of the lights; no conversion to human vision is stated."""
 
 
 def export_raw(scan: ScanBundle, form: RawFormat, folder: Path, *, overwrite: bool = False) -> Path:
-    """The file that was written into `folder`: `<scan id>.dng` or `<scan id>.tif`.
+    """Write the raw frame into `folder`; returns the file, `<scan id>.dng` or `<scan id>.tif`.
 
     Raises
     ------
     RecordError
         The scan is damaged; nothing is written.
     ExportError
-        The folder cannot be written, or the file is there already.
+        The folder cannot be written, or the file exists already.
     """
     scan.verify()
     frame = scan.raw_frame()

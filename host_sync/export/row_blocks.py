@@ -1,4 +1,4 @@
-"""A field as the bytes of a file, some rows at a time: twelve megapixels never stand in memory twice."""
+"""A field as bytes in blocks of rows, so that it is never in memory twice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import DTypeLike
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 
 ROWS: Final = 64
 
@@ -16,12 +16,12 @@ ROWS: Final = 64
 def row_blocks(
     field_um: Float32Array, factor: float, kind: DTypeLike, invalid: float = np.nan, padding: int = 0
 ) -> Iterator[bytes]:
-    """The bytes of `field_um` times `factor`, from the top row down, each row from left to right.
+    """The bytes of `field_um` times `factor`, row by row from the top.
 
     field_um : float32 array of shape (H, W), NaN where invalid
-    kind : number format of the file, rounded to if it is one of integers
-    invalid : what stands where the field is invalid
-    padding : bytes of zero after every row
+    kind : number format of the file; integers are rounded
+    invalid : value of invalid pixels
+    padding : zero bytes after each row
     """
     kind = np.dtype(kind)
     for first in range(0, field_um.shape[0], ROWS):
@@ -39,6 +39,6 @@ def row_blocks(
 
 
 def integer_quantum(field_um: Float32Array) -> float:
-    """A step in µm, exact as a float32, of which the highest valid value is about 2³⁰: rounding costs 5e-10 of it."""
+    """Step (µm, exact in float32) at which the highest valid value has about 2³⁰ steps."""
     highest = max(float(np.nanmax(field_um)), -float(np.nanmin(field_um)))
     return float(np.float32(highest / 2**30)) if highest > 1e-20 else 1e-9

@@ -1,7 +1,7 @@
 """SDF of ISO 25178-71, binary, ISO-1.0: 81 bytes, then float64 in µm with their scale to metres.
 
-NaN stands where a pixel is invalid. The standard's own sign, the lowest number of the type, is taken for a height of
--1.8e308 by Gwyddion 2.62; NaN is masked by it and by surfalize, and no program can take it for a height.
+Invalid pixels are NaN. Gwyddion 2.62 takes the standard's own marker, the lowest number of the type, for a height of
+-1.8e308; it masks NaN, as surfalize does, and no program can take NaN for a height.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from host_sync.export.source_surface import SourceSurface, ascii_line
 
 UM: Final = 1e-6
 DOUBLE: Final = 7
-MOST_POINTS: Final = 2**16 - 1
+MAX_POINTS: Final = 2**16 - 1
 
 
 def write_sdf(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map; the uncertainty stays behind.
+    """Write the height map; the uncertainty is not written.
 
     Raises
     ------
     ExportError
-        The field has more rows or columns than the format counts.
+        The field has more rows or columns than the format allows.
     """
-    if max(surface.z_um.shape) > MOST_POINTS:
+    if max(surface.z_um.shape) > MAX_POINTS:
         raise ExportError(
-            f"{surface.name}: SDF counts to {MOST_POINTS} and the field is {surface.columns}x{surface.rows}: use x3p"
+            f"{surface.name}: SDF ends at {MAX_POINTS} and the field is {surface.columns}x{surface.rows}: use x3p"
         )
     written = _moment(surface.written_utc)
     file.write(

@@ -1,4 +1,4 @@
-"""The surface that is exported: what a result folder holds, checked once."""
+"""The surface to export, from a result folder, checked once."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, MaskArray
+from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import ExportError
-from host_sync.measurement.result_surface import (
-    EXTRAPOLATED_FILE,
-    HEIGHT_SIGMA_FILE,
-    read_beside,
-    read_height,
-    read_mask,
-    read_record,
-)
+from host_sync.results.reader import read_result
 
-LONGEST_PITCH_UM: Final = 1e6
+MAX_PITCH_UM: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +23,8 @@ class SourceSurface:
     z_um : float32 array of shape (H, W), µm, NaN where invalid; some pixel is valid
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid; or None
     written_utc : when the result was written, as 2026-11-21T14:30:00Z; empty if unknown
-    origin : what is known of it, one sentence of printable characters
-    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught; or None
+    origin : program, calibration and warnings in one line of printable characters
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond the training samples; or None
     """
 
     name: str
@@ -58,38 +51,38 @@ def read_surface(folder: Path) -> SourceSurface:
 
     Raises
     ------
-    MeasurementError
+    UnreadableResult
         A file is missing or damaged, or does not fit the record.
     ExportError
         No height is valid.
     """
-    record = read_record(folder)
-    height = read_height(folder, record)
+    result = read_result(folder, draws=False)
+    record = result.record
     parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *record.warnings)
     return checked_surface(
         SourceSurface(
             name=one_line(record.name),
-            z_um=height.z_um,
-            pitch_um=height.pitch_um,
-            sigma_um=read_beside(folder / HEIGHT_SIGMA_FILE, height.z_um.shape),
+            z_um=result.height.z_um,
+            pitch_um=result.height.pitch_um,
+            sigma_um=result.sigma_um,
             written_utc=one_line(record.written_utc),
             origin=one_line("; ".join(part for part in parts if part)),
-            extrapolated=read_mask(folder / EXTRAPOLATED_FILE, height.z_um.shape),
+            extrapolated=result.extrapolated,
         ),
         folder,
     )
 
 
 def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
-    """The same, with NaN as the one sign of what is invalid.
+    """The surface with NaN as the only marker of invalid pixels.
 
     Raises
     ------
     ExportError
-        The pitch is no length, or no height is valid.
+        The pitch is not positive, or no height is valid.
     """
-    if not 0.0 < surface.pitch_um < LONGEST_PITCH_UM:
-        raise ExportError(f"{source}: its pixel pitch of {surface.pitch_um} um is no length: reconstruct it again")
+    if not 0.0 < surface.pitch_um < MAX_PITCH_UM:
+        raise ExportError(f"{source}: pixel pitch must be positive, got {surface.pitch_um} um: reconstruct it again")
     finite = np.isfinite(surface.z_um)
     if not finite.any():
         raise ExportError(f"{source}: no height is valid, so there is nothing to export: make the scan again")
@@ -100,11 +93,11 @@ def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
 
 
 def one_line(text: str) -> str:
-    """The same with everything that is not printable as a blank: what a record says ends no header line."""
+    """The text with blanks for unprintable characters, so that it stays on one header line."""
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
 def ascii_line(text: str) -> bytes:
-    """The same in ASCII, for formats that name no encoding: letters without their accents, else a question mark."""
+    """The text in ASCII, for formats without an encoding: accents are removed, other characters become `?`."""
     plain = "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return plain.encode("ascii", "replace")

@@ -18,7 +18,7 @@ STRUCTURED_LIGHT: Final = 10
 
 
 def write_sur(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map in steps of 1e-9 of its highest value; the uncertainty stays behind."""
+    """Write the height map in steps of 1e-9 of its highest value; the uncertainty is not written."""
     step_mm = float(np.float32(integer_quantum(surface.z_um) * UM_TO_MM))
     counts_a_um = UM_TO_MM / step_mm
     lowest, highest = (round(float(limit(surface.z_um)) * counts_a_um) for limit in (np.nanmin, np.nanmax))

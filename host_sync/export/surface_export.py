@@ -1,4 +1,4 @@
-"""A surface in the files that other programs open: each whole under its name or not there, none over another."""
+"""Exports a surface to files for other programs, each written atomically."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from host_sync.export.glb import write_glb
 from host_sync.export.gsf import write_gsf
 from host_sync.export.gwy import write_gwy
 from host_sync.export.mesh import Mesh, grid_mesh
+from host_sync.export.mesh_formats import write_obj, write_ply, write_stl
 from host_sync.export.npz import write_npz
-from host_sync.export.obj import write_obj
-from host_sync.export.ply import write_ply
 from host_sync.export.png16 import write_png16, write_png_scale
 from host_sync.export.publishing import Writer, check_free, publish
 from host_sync.export.sdf import write_sdf
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.stl import write_stl
 from host_sync.export.sur import write_sur
 from host_sync.export.tmd import write_tmd
 from host_sync.export.x3p import write_x3p
@@ -31,8 +29,8 @@ MeshFormat = Literal["ply", "stl", "obj", "glb"]
 SurfaceFormat = Literal[FieldFormat, MeshFormat, "csv"]
 Rest = ParamSpec("Rest")
 
-LONGEST_NAME: Final = 120
-"""Bytes of a file's name before its suffix."""
+MAX_NAME: Final = 120
+"""Longest file name without suffix, bytes."""
 PERMITTED: Final = "-_.+ "
 DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
 
@@ -58,11 +56,11 @@ _MESHES: Final[dict[str, Callable[[BinaryIO, Mesh, str], None]]] = {
 
 @dataclass(frozen=True, slots=True)
 class ExportChoices:
-    """What a caller may choose.
+    """Options of an export.
 
-    mesh_step : meshes take every so many rows and columns; None takes all and refuses a field that has too many
-    line_um : of the CSV profile; None is the middle row
-    overwrite : files of the same name are replaced
+    mesh_step : row and column step of meshes; None takes all pixels and refuses a field that is too large
+    line_um : line of the CSV profile; None takes the middle row
+    overwrite : replace files of the same name
     """
 
     mesh_step: int | None = None
@@ -73,13 +71,13 @@ class ExportChoices:
 def export_surface(
     surface: SourceSurface, forms: Sequence[SurfaceFormat], folder: Path, choices: ExportChoices
 ) -> tuple[Path, ...]:
-    """The files that were written into `folder`, named after the surface.
+    """Write files named after the surface into `folder`; returns their paths.
 
     Raises
     ------
     ExportError
-        A format cannot hold the surface, a file is there already (nothing is written then), or the folder cannot be
-        written (what is there is whole).
+        A format cannot hold the surface, a file exists already (nothing is written then), or the folder cannot be
+        written.
     """
     stem = file_stem(surface.name)
     files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
@@ -91,14 +89,14 @@ def export_surface(
 
 
 def file_stem(name: str) -> str:
-    """A name for files that no system takes amiss: letters, digits and a few signs, nothing hidden, no folder."""
+    """A portable file name: letters, digits and a few signs, not hidden, without folders."""
     kept = "".join(letter if letter.isalnum() or letter in PERMITTED else "_" for letter in name)
-    kept = kept.encode()[:LONGEST_NAME].decode(errors="ignore").strip(". ") or "height"
+    kept = kept.encode()[:MAX_NAME].decode(errors="ignore").strip(". ") or "height"
     return f"_{kept}" if kept.partition(".")[0].lower() in DEVICE_NAMES or kept.startswith("-") else kept
 
 
 def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: ExportChoices) -> dict[str, Writer]:
-    """Suffix and writer of every file, after the checks that choices and sizes need."""
+    """Suffix and writer of each file, once options and sizes are checked."""
     writers: dict[str, Writer] = {}
     mesh = grid_mesh(surface, choices.mesh_step) if set(forms) & set(get_args(MeshFormat)) else None
     for form in dict.fromkeys(forms):
@@ -115,5 +113,5 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
 
 
 def _bound(write: Callable[Concatenate[BinaryIO, Rest], None], *rest: Rest.args, **named: Rest.kwargs) -> Writer:
-    """The writer with all that follows its file given."""
+    """The writer with all arguments but the file."""
     return lambda file: write(file, *rest, **named)

@@ -1,7 +1,7 @@
-"""GelSight's TMD, version 2: a magic line, a comment, sizes, lengths in mm, float32 heights in mm, the top row first.
+"""GelSight's TMD, version 2: a magic line, a comment, sizes, lengths in mm, float32 heights in mm, top row first.
 
-Lengths are those of all pixels: the pitch times the number of columns or rows. The format names no value for what
-was not measured; NaN stands there, which every reader of floats carries on and none takes for a height.
+Lengths are the pitch times the number of columns or rows. The format defines no value for invalid pixels; they are NaN,
+which no reader takes for a height.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from device.disk_advice import explain_refusal
+from device.io.os_errors import explain_os_error
 from host_sync.errors import ExportError
 from host_sync.export.row_blocks import row_blocks
 from host_sync.export.source_surface import SourceSurface, ascii_line, checked_surface, one_line
@@ -21,15 +21,15 @@ MAGIC: Final = b"Binary TrueMap Data File v2.0\r\n\0"
 ANY_VERSION: Final = b"Binary TrueMap Data File"
 UM_TO_MM: Final = 1e-3
 SIZES: Final = "<IIffff"
-LONGEST_COMMENT: Final = 4096
-MOST_PIXELS: Final = 2**31
+MAX_COMMENT_BYTES: Final = 4096
+MAX_PIXELS: Final = 2**31
 SQUARE: Final = 1e-3
-"""How much the pitch may differ between columns and rows: lengths are float32."""
+"""Relative tolerance between column and row pitch: lengths are float32."""
 
 
 def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map; the uncertainty stays behind."""
-    comment = ascii_line(f"{surface.name}; {surface.origin}")[: LONGEST_COMMENT - 1]
+    """Write the height map; the uncertainty is not written."""
+    comment = ascii_line(f"{surface.name}; {surface.origin}")[: MAX_COMMENT_BYTES - 1]
     file.write(MAGIC + comment + b"\0")
     lengths_mm = (surface.columns * surface.pitch_um * UM_TO_MM, surface.rows * surface.pitch_um * UM_TO_MM)
     file.write(struct.pack(SIZES, surface.columns, surface.rows, *lengths_mm, 0.0, 0.0))
@@ -37,29 +37,29 @@ def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def read_tmd(path: Path) -> SourceSurface:
-    """The height map of a TMD file of version 2, named by the file.
+    """The height map of a TMD file of version 2, with the name of the file.
 
     Raises
     ------
     ExportError
-        It is none, is damaged, or its pixels are not square.
+        It is not a TMD file, is damaged, or its pixels are not square.
     """
     try:
         with path.open("rb") as file:
-            head = file.read(len(MAGIC) + LONGEST_COMMENT + struct.calcsize(SIZES))
+            head = file.read(len(MAGIC) + MAX_COMMENT_BYTES + struct.calcsize(SIZES))
         size = path.stat().st_size
     except OSError as error:
-        raise ExportError(f"{path}: cannot be read {explain_refusal(error)}") from error
+        raise ExportError(f"{path}: cannot be read {explain_os_error(error)}") from error
     if not head.startswith(MAGIC):
         what = "is a TMD file of another version" if head.startswith(ANY_VERSION) else "is no TMD file"
         raise ExportError(f"{path}: {what}: name one of version 2.0")
-    end = head.find(b"\0", len(MAGIC), len(MAGIC) + LONGEST_COMMENT)
+    end = head.find(b"\0", len(MAGIC), len(MAGIC) + MAX_COMMENT_BYTES)
     start = end + 1 + struct.calcsize(SIZES)
     if end < 0 or len(head) < start:
         raise ExportError(f"{path}: ends before its sizes do: copy it again")
     columns, rows, across_mm, down_mm, _, _ = struct.unpack_from(SIZES, head, end + 1)
-    if not 0 < columns * rows <= MOST_PIXELS or size < start + 4 * columns * rows:
-        raise ExportError(f"{path}: is too short for the {columns}x{rows} pixels that it names: copy it again")
+    if not 0 < columns * rows <= MAX_PIXELS or size < start + 4 * columns * rows:
+        raise ExportError(f"{path}: is too short for the {columns}x{rows} pixels that it declares: copy it again")
     pitch_um, down_um = across_mm / columns / UM_TO_MM, down_mm / rows / UM_TO_MM
     if not abs(pitch_um - down_um) <= SQUARE * abs(pitch_um):
         raise ExportError(f"{path}: its pixels are {pitch_um:g} x {down_um:g} um: export one with square pixels")

@@ -17,7 +17,7 @@ from host_sync.export.source_surface import SourceSurface
 UM: Final = 1e-6
 NAMESPACE: Final = "http://www.opengps.eu/2008/ISO5436_2"
 UNKNOWN_TIME: Final = "1970-01-01T00:00:00Z"
-"""The date is not optional; a result without one says this."""
+"""Date of a result without one: the format requires a date."""
 
 _AXIS = """      <C{axis}>
         <AxisType>I</AxisType>
@@ -74,7 +74,7 @@ _RECORD = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
 
 
 def write_x3p(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map; the format has one field a layer, so the uncertainty stays behind."""
+    """Write the height map; the format has one field per layer, so the uncertainty is not written."""
     data = hashlib.md5(usedforsecurity=False)
     for block in _heights(surface):
         data.update(block)
@@ -89,7 +89,7 @@ def write_x3p(file: BinaryIO, surface: SourceSurface) -> None:
         rows=surface.rows,
         checksum=data.hexdigest(),
     ).encode()
-    # Lower case: some readers compare the text of the sum.
+    # Lower case: some readers compare the checksum as text.
     own = hashlib.md5(record, usedforsecurity=False).hexdigest()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr(_entry("main.xml"), record)
@@ -103,7 +103,7 @@ def _heights(surface: SourceSurface) -> Iterator[bytes]:
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    """An entry without a time of its own: the same surface gives the same bytes."""
+    """A zip entry with a fixed time, so that the same surface gives the same bytes."""
     entry = zipfile.ZipInfo(name)
     entry.compress_type = zipfile.ZIP_DEFLATED
     return entry

@@ -7,26 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, HeightMap, MaskArray
-from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHAPE, ParameterKind
-from host_sync.measurement.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
+from device.surface.fields import Float32Array, HeightMap, MaskArray
+from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHAPE, ParameterKind
+from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
+from host_sync.iso25178.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
+from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_parameters
 from host_sync.measurement.geometry import Region
-from host_sync.measurement.height_parameters import height_parameters
-from host_sync.measurement.hybrid_parameters import hybrid_parameters
-from host_sync.measurement.material_ratio import MaterialRatioCurve, functional_parameters
 from host_sync.measurement.preparation import Preparation
 from host_sync.measurement.recipe import Recipe
 
 EDGE_SHARE: Final = 0.25
 MASKED_SHARE: Final = 0.1
 BEYOND_SHARE: Final = 0.005
-"""Shares of the area from which on filter ends, holes and slopes beyond the calibration's make numbers doubtful."""
+"""Fractions of the area from which filter ends, holes and extrapolated slopes cause a warning."""
 
-FEWEST_LENGTHS: Final = 5.0
-"""Autocorrelation lengths along the shorter side under which a field stands for few features."""
+MIN_LENGTHS: Final = 5.0
+"""Fewest autocorrelation lengths along the shorter side of a representative field."""
 
 FINEST_PX: Final = 2.0
-"""A nesting index of fewer pixels takes away nothing that the pixels can show."""
+"""A nesting index of fewer pixels has no effect."""
 
 
 class ArealMeasurand:
@@ -34,9 +33,9 @@ class ArealMeasurand:
 
     Parameters
     ----------
-    recipe : what is done and asked for
+    recipe : region, form, filters and parameters
     height : the whole height map
-    extrapolated : where slopes lie beyond what the calibration taught, bool array of shape (H, W), if that is known
+    extrapolated : bool array of shape (H, W), True where slopes lie beyond the calibration's training samples; or None
     """
 
     name = AREAL_SUBJECT
@@ -51,7 +50,7 @@ class ArealMeasurand:
         self._left_out = None if recipe.keep_extrapolated else beyond
         self._preparation = Preparation(HeightMap(self._cut(height.z_um), height.pitch_um), recipe)
         self._wanted = _wanted(recipe)
-        self._correlation = Autocorrelation(self._preparation.valid) if self._asks("spatial") else None
+        self._correlation = Autocorrelation(self._preparation.valid) if self._wants("spatial") else None
         self.masked_share = 1.0 - float(self._preparation.valid.mean())
         self._beyond_share = 0.0 if beyond is None else float(beyond.mean())
         self._decay: Decay | None = None
@@ -63,7 +62,7 @@ class ArealMeasurand:
 
     @property
     def without_sigma(self) -> frozenset[str]:
-        """Parameters whose ± the draws cannot tell."""
+        """Parameters whose uncertainty the draws do not give."""
         return frozenset() if self._recipe.l_filter_um is not None else SHAPE
 
     def surface(self, z_um: Float32Array) -> HeightMap:
@@ -71,14 +70,14 @@ class ArealMeasurand:
         return HeightMap(self._preparation.apply(self._cut(z_um)), self._pitch_um)
 
     def _cut(self, z_um: Float32Array) -> Float32Array:
-        """The region of a height map of shape (H, W), NaN too where slopes lie beyond the calibration's."""
+        """The region of a height map of shape (H, W), also NaN where slopes are extrapolated and not kept."""
         part = np.array(z_um[self._window], np.float32)
         if self._left_out is not None:
             part[self._left_out] = np.nan
         return part
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """The parameters that the recipe asks for."""
+        """The parameters of the recipe."""
         return self._wanted
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
@@ -88,13 +87,13 @@ class ArealMeasurand:
     def parameters(self, z_um: Float32Array) -> dict[str, float]:
         """The parameters of a scale-limited surface."""
         found: dict[str, float] = {}
-        if self._asks("height"):
+        if self._wants("height"):
             found |= height_parameters(z_um)
-        if self._asks("hybrid"):
+        if self._wants("hybrid"):
             found |= hybrid_parameters(z_um, self._pitch_um)
         if self._correlation is not None:
             found |= self._spatial(self._correlation.of(z_um))
-        if self._asks("functional"):
+        if self._wants("functional"):
             found |= functional_parameters(z_um)
         if self._recipe.smc_percent or self._recipe.smr_um:
             curve = MaterialRatioCurve.of(z_um)
@@ -102,51 +101,51 @@ class ArealMeasurand:
             found |= {_smr(height): 100.0 * curve.share(height) for height in self._recipe.smr_um}
         return found
 
-    def doubts(self) -> Mapping[str, tuple[str, ...]]:
-        """What the filters' ends, the mask, slopes and the size of the field put in doubt."""
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """Warnings about filter ends, mask, extrapolated slopes and field size."""
         every = []
         edge = self._preparation.edge_share()
         if edge > EDGE_SHARE:
             every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
         if self.masked_share > MASKED_SHARE:
-            every.append(f"{self.masked_share:.0%} of the area is masked: what is under the mask may differ")
+            every.append(f"{self.masked_share:.0%} of the area is masked: the surface there may differ")
         if self._beyond_share > BEYOND_SHARE:
             done = "kept" if self._left_out is None else "left out"
-            beyond = f"{self._beyond_share:.1%} of the area has slopes beyond what the calibration's balls taught"
+            beyond = f"{self._beyond_share:.1%} of the area has slopes beyond those of the calibration balls"
             every.append(f"{beyond}: {done}")
-        return {"": tuple(every)} | self._spatial_doubts()
+        return {"": tuple(every)} | self._spatial_warnings()
 
     def notes(self) -> tuple[str, ...]:
-        """What there is to say of region and filters themselves."""
+        """Notes on region and filters."""
         found = []
         if self._recipe.region_um is None:
-            found.append("region: the whole field, untouched skin too: set region_um to measure a part of it")
+            found.append("region: the whole field, including untouched skin: set region_um to measure a part")
         s_um = self._recipe.s_filter_um
         if s_um is not None and s_um < FINEST_PX * self._pitch_um:
             found.append(f"S-filter: {s_um:g} µm is less than {FINEST_PX:g} pixels of {self._pitch_um:g} µm: no effect")
         return tuple(found)
 
-    def _asks(self, group: str) -> bool:
+    def _wants(self, group: str) -> bool:
         return not self._wanted.keys().isdisjoint(GROUPS[group])
 
     def _spatial(self, correlation: Float32Array) -> dict[str, float]:
         fallen = decay(correlation)
         if self._decay is None:
-            self._decay = fallen  # of the height map itself, which is measured first
+            self._decay = fallen  # of the height map, which is evaluated first
         return {
             "Sal": fallen.shortest_px * self._pitch_um,
             "Str": fallen.shortest_px / fallen.longest_px,
             "Std": texture_direction_deg(correlation) if "Std" in self._wanted else float("nan"),
         }
 
-    def _spatial_doubts(self) -> dict[str, tuple[str, ...]]:
+    def _spatial_warnings(self) -> dict[str, tuple[str, ...]]:
         if self._decay is None:
             return {}
         found: dict[str, tuple[str, ...]] = {}
         if not self._decay.reached:
-            found["Str"] = ("at most this: the autocorrelation does not fall to 0.2 in every direction of the field",)
-        if min(self._preparation.valid.shape) < FEWEST_LENGTHS * self._decay.shortest_px:
-            found["Sal"] = (f"the field is less than {FEWEST_LENGTHS:g} of it wide: it holds few features",)
+            found["Str"] = ("upper limit: the autocorrelation does not fall to 0.2 in every direction of the field",)
+        if min(self._preparation.valid.shape) < MIN_LENGTHS * self._decay.shortest_px:
+            found["Sal"] = (f"the field is narrower than {MIN_LENGTHS:g} times this length: it holds few features",)
         return found
 
 

@@ -1,9 +1,9 @@
-"""Height noise that is finer than the draws: what the reduced field of the draws cannot hold.
+"""Height noise that is finer than the reduced grid of the draws.
 
-Draws lie on cells of several pixels. What slopes are unsure of beyond the draws' own slopes is noise from pixel to
-pixel, which integration turns into heights that are correlated over a few pixels only. One periodic tile of such noise
-is made once: white slopes, integrated by least squares, less the part that the draws' cells can hold. It is laid over
-the field at a random place for each draw and scaled by what is missing there.
+A cell of the draws covers several pixels. Slope uncertainty beyond the slopes of the draws is noise from pixel to
+pixel; integration turns it into heights that are correlated over a few pixels only. One periodic tile of such noise is
+made: white slopes, integrated by least squares, minus the part that the cells represent. Each draw lays it over the
+field at a random place, scaled by the missing uncertainty.
 """
 
 from __future__ import annotations
@@ -12,31 +12,42 @@ from typing import Final
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 
 TILE_PX: Final = 512
+SMOOTHINGS_PX: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Standard deviations of the Gaussians that make white noise as smooth as measured noise is."""
+
 SMOOTH_CELLS: Final = 4.0
-"""Standard deviation of the Gaussian that steadies the draws' slopes, which few draws tell badly."""
+"""Standard deviation of the Gaussian that smooths the slope variance of the draws, cells."""
 
 
 class FineNoise:
-    """Noise between the pixel and the draws' cells.
+    """Noise at scales between a pixel and a cell of the draws.
 
     Parameters
     ----------
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid
     draws_um : float32 array of shape (K, h, w)
-    pitch_um : of the pixels, µm
+    pitch_um : pixel pitch, µm
+    height_px : measured noise of heights over noise of slopes, pixels; correlated noise has more
     """
 
-    def __init__(self, slope_sigma: Float32Array, draws_um: Float32Array, pitch_um: float) -> None:
+    def __init__(
+        self,
+        slope_sigma: Float32Array,
+        draws_um: Float32Array,
+        pitch_um: float,
+        height_px: float | None = None,
+    ) -> None:
         rows, columns = slope_sigma.shape
         cell_px = columns / draws_um.shape[2]
         held = cv2.resize(_slope_square(draws_um, cell_px * pitch_um), (columns, rows), interpolation=cv2.INTER_LINEAR)
         missing = np.sqrt(np.maximum(np.nan_to_num(slope_sigma) ** 2 - held, np.float32(0.0)))
         self._scale_um = np.asarray(missing * np.float32(pitch_um), np.float32)
-        self._tile = _unit_tile(round(cell_px))
+        self._tile = _unit_tile(round(cell_px), height_px)
 
     def draw_um(self, rng: np.random.Generator) -> Float32Array:
         """One draw: float32 array of shape (H, W), µm."""
@@ -57,8 +68,11 @@ def _slope_square(draws_um: Float32Array, cell_um: float) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(total, (0, 0), SMOOTH_CELLS), np.float32)
 
 
-def _unit_tile(cell_px: int) -> Float32Array:
-    """Periodic heights (pixels) whose central differences have standard deviation 1: float32 array (TILE, TILE)."""
+def _unit_tile(cell_px: int, height_px: float | None) -> Float32Array:
+    """Periodic heights (pixels) whose central differences have standard deviation 1: float32 array (TILE, TILE).
+
+    height_px : standard deviation that the heights come to by smoothing; as white slopes make it where it is smaller
+    """
     rng = np.random.default_rng(0)
     p, q = (np.fft.rfft2(rng.standard_normal((TILE_PX, TILE_PX))) for _ in range(2))
     across = 2j * np.sin(np.pi * np.fft.rfftfreq(TILE_PX))
@@ -68,5 +82,14 @@ def _unit_tile(cell_px: int) -> Float32Array:
     heights = np.fft.irfft2((np.conj(across) * p + np.conj(down) * q) / square, (TILE_PX, TILE_PX)).astype(np.float32)
     coarse = cv2.resize(heights, (TILE_PX // cell_px,) * 2, interpolation=cv2.INTER_AREA)
     fine = heights - cv2.resize(coarse, (TILE_PX, TILE_PX), interpolation=cv2.INTER_LINEAR)
-    slopes = [np.roll(fine, -1, axis) - np.roll(fine, 1, axis) for axis in (0, 1)]
-    return np.asarray(fine / (0.5 * np.sqrt(np.mean(np.square(slopes)))), np.float32)
+    tile = _of_unit_slope(fine)
+    for sigma_px in SMOOTHINGS_PX if height_px else ():
+        if float(tile.std()) >= (height_px or 0.0):
+            break
+        tile = _of_unit_slope(np.asarray(gaussian_filter(fine, sigma_px, mode="wrap"), np.float32))
+    return tile
+
+
+def _of_unit_slope(heights: Float32Array) -> Float32Array:
+    slopes = [np.roll(heights, -1, axis) - np.roll(heights, 1, axis) for axis in (0, 1)]
+    return np.asarray(heights / (0.5 * np.sqrt(np.mean(np.square(slopes)))), np.float32)

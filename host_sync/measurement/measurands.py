@@ -1,4 +1,4 @@
-"""What a recipe asks for: each measurand turns a whole height map into numbers by name."""
+"""Measurands of a recipe: each turns a whole height map into named numbers."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from device.surface import Float32Array, HeightMap
-from host_sync.measurement.areal_catalogue import ParameterKind
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
-from host_sync.measurement.profile_line import Line, profile_along
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
 from host_sync.measurement.sphere import fit_sphere
-from host_sync.measurement.step_height import StepEdges, find_edges, step_height_um
+from host_sync.profile.profile_line import Line, profile_along
+from host_sync.profile.step_height import StepEdges, find_edges, step_height_um
 
 _UM: Final = ParameterKind("µm")
 _LENGTH: Final = ParameterKind("µm", 1.0)
@@ -21,40 +21,40 @@ _VOLUME: Final = ParameterKind("µm³", 2.0)
 
 
 class Measurand(Protocol):
-    """A place, line or region and what is measured there."""
+    """A place, line or region, and the quantities measured there."""
 
     @property
     def name(self) -> str:
-        """As the recipe calls it."""
+        """Its name in the recipe."""
         ...
 
     @property
     def masked_share(self) -> float:
-        """Share of what is measured that has no height."""
+        """Fraction without a height."""
         ...
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Unit of each number, by name, in order."""
+        """Units by name, in order."""
         ...
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """The numbers of a surface of shape (H, W), NaN where undefined; at least those that `kinds` names."""
+        """The numbers on a surface of shape (H, W), NaN where undefined; at least those of `kinds`."""
         ...
 
-    def doubts(self) -> Mapping[str, tuple[str, ...]]:
-        """What speaks against numbers, by name; that of every number under an empty name."""
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """Warnings by name; those of all numbers under an empty name."""
         ...
 
 
-class _Sure:
-    """A measurand that nothing speaks against beyond what is said of all."""
+class _WithoutWarnings:
+    """A measurand without warnings of its own."""
 
-    def doubts(self) -> Mapping[str, tuple[str, ...]]:
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
         return {}
 
 
-class StepMeasurand(_Sure):
-    """A step, groove or ridge; its edges are found once, on the height map itself."""
+class StepMeasurand(_WithoutWarnings):
+    """A step, groove or ridge; its edges are found once, on the height map."""
 
     def __init__(self, table: StepTable, height: HeightMap) -> None:
         self.name = table.name
@@ -68,17 +68,17 @@ class StepMeasurand(_Sure):
         self._label = "depth" if self._sign < 0.0 else "height"
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Its height, or its depth if it is a groove."""
+        """Height, or depth of a groove."""
         return {self._label: _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """By ISO 5436-1."""
+        """Step height or groove depth by ISO 5436-1."""
         profile = profile_along(z_um, self._pitch_um, self._line)
         return {self._label: self._sign * step_height_um(profile, self._edges)}
 
 
-class DistanceMeasurand(_Sure):
-    """From one place to another."""
+class DistanceMeasurand(_WithoutWarnings):
+    """Distances between two places."""
 
     def __init__(self, table: DistanceTable, height: HeightMap) -> None:
         self.name = table.name
@@ -87,7 +87,7 @@ class DistanceMeasurand(_Sure):
         self.masked_share = 0.0
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Three lengths and the angle of the slope."""
+        """Three lengths and the slope angle."""
         return {
             "along the skin": _LENGTH,
             "in height": _UM,
@@ -96,12 +96,12 @@ class DistanceMeasurand(_Sure):
         }
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Between the places as they are given."""
+        """Distances and slope angle."""
         return between_places(z_um, self._pitch_um, *self._ends)
 
 
-class AngleMeasurand(_Sure):
-    """Between two faces."""
+class AngleMeasurand(_WithoutWarnings):
+    """Angle between two faces."""
 
     def __init__(self, table: AngleTable, height: HeightMap) -> None:
         self.name = table.name
@@ -114,13 +114,13 @@ class AngleMeasurand(_Sure):
         return {"angle": ParameterKind("°", -1.0)}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Between the least-squares planes."""
+        """Angle between the least-squares planes."""
         first, second = (region.cut(z_um, self._pitch_um) for region in self._regions)
         return {"angle": between_planes_deg(first, second, self._pitch_um)}
 
 
-class RadiusMeasurand(_Sure):
-    """Of a sphere."""
+class RadiusMeasurand(_WithoutWarnings):
+    """Radius of a sphere."""
 
     def __init__(self, table: RadiusTable, height: HeightMap) -> None:
         self.name = table.name
@@ -130,17 +130,17 @@ class RadiusMeasurand(_Sure):
         self._start = fit_sphere(self._region.cut(height.z_um, height.pitch_um), height.pitch_um)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """The radius, and how far the surface is from the sphere, root mean square."""
+        """Radius, and RMS distance of the surface from the sphere."""
         return {"radius": ParameterKind("µm", 2.0), "residual": _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """By least squares; a hollow's radius is negative."""
+        """Least-squares sphere; the radius of a hollow is negative."""
         found = fit_sphere(self._region.cut(z_um, self._pitch_um), self._pitch_um, self._start)
         return {"radius": found.radius_um, "residual": found.residual_um}
 
 
 class VolumeMeasurand:
-    """Of a pit or a hill."""
+    """Volumes of a pit or a hill."""
 
     def __init__(self, table: VolumeTable, height: HeightMap) -> None:
         self.name = table.name
@@ -154,14 +154,14 @@ class VolumeMeasurand:
         return {"void volume": _VOLUME, "material volume": _VOLUME, "largest depth": _UM, "largest height": _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Under and over the plane through the border."""
+        """Volumes below and above the plane through the border."""
         return pit_volumes(self._region.cut(z_um, self._pitch_um), self._pitch_um, self._border_px)
 
-    def doubts(self) -> Mapping[str, tuple[str, ...]]:
-        """Masked pixels hold volume that is not counted."""
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """Masked pixels are not counted."""
         if not self.masked_share:
             return {}
-        missing = (f"{self.masked_share:.1%} of the region is masked and not counted: it is at least this",)
+        missing = (f"{self.masked_share:.1%} of the region is masked and not counted: this is a lower limit",)
         return {"void volume": missing, "material volume": missing}
 
 

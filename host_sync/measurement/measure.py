@@ -1,19 +1,20 @@
-"""Measures a result by a recipe: numbers on the height map, then on every surface that its draws allow."""
+"""Measures a result by a recipe: on the height map, then on each Monte Carlo sample of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, Float64Array, HeightMap
+from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
-from host_sync.measurement.areal_catalogue import ParameterKind
+from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
-from host_sync.measurement.height_draws import HeightDraws
+from host_sync.measurement.height_draws import DrawnSurface, HeightDraws
 from host_sync.measurement.measurands import (
     AngleMeasurand,
     DistanceMeasurand,
@@ -23,31 +24,41 @@ from host_sync.measurement.measurands import (
     VolumeMeasurand,
 )
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
-from host_sync.measurement.power_spectrum import PowerSpectrum, RadialSpectrum
-from host_sync.measurement.profile_line import Profile
 from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.quantity import (
-    NOISE_DOUBT,
     NOISE_SHARE,
+    NOISE_WARNING,
     Quantity,
+    noise_bias,
     uncertainty_of,
     uncertainty_of_uncertainty,
 )
 from host_sync.measurement.recipe import Recipe
-from host_sync.measurement.result_surface import ResultSurface, read_result
+from host_sync.profile.profile_line import Profile
+from host_sync.results.files import DRAWS_FILE, SLOPE_SIGMA_FILE
+from host_sync.results.reader import ResultSurface, read_result
 
 DIRECTION: Final = "Std"
-NO_SHAPE_SIGMA: Final = "± not stated: without an L-filter waviness rules it, which slopes know least: set l_filter_um"
+NO_SHAPE_SIGMA: Final = (
+    "± not stated: without an L-filter waviness dominates, which slopes determine least: set l_filter_um"
+)
+
+AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
+PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
+"""Parameters that noise raises as it raises an amplitude; of profiles, behind the first letter."""
+
+NOISE_SHARE_UNSURE: Final = 0.2
+"""Share of what noise has raised a number by that is not sure: a tenth of the noise."""
 
 Numbers = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """What one surface shows.
+class _Evaluation:
+    """Results on one surface.
 
     numbers : of each measurand
-    traces : the profiles, then the spectrum's densities if asked for; each float64 array of shape (N,)
+    traces : the profiles, then the spectral densities if the recipe has a spectrum; float64 arrays of shape (N,)
     """
 
     surface: HeightMap
@@ -55,14 +66,20 @@ class _Look:
     traces: Sequence[Float64Array]
 
 
-class _Instrument:
-    """All measurands of a recipe on one height map."""
+class _MeasurementPlan:
+    """All measurands of a recipe: parameters of surface and profiles on one height map, all others on another.
 
-    def __init__(self, surface: ResultSurface, recipe: Recipe) -> None:
+    Parameters
+    ----------
+    surface : with the detail that roughness is measured on
+    smooth : height map with the detail that steps and radii are measured on
+    """
+
+    def __init__(self, surface: ResultSurface, smooth: HeightMap, recipe: Recipe) -> None:
         height = surface.height
         self.areal = ArealMeasurand(recipe, height, surface.extrapolated)
         self.profiles = [ProfileMeasurand(table, height) for table in recipe.profile]
-        self.others: list[Measurand] = [*self.profiles, *_others(recipe, height)]
+        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth)]
         self._spectrum: RadialSpectrum | None = None
         if recipe.spectrum:
             self._spectrum = RadialSpectrum(self.areal.valid, height.pitch_um)
@@ -71,26 +88,34 @@ class _Instrument:
     def measurands(self) -> list[Measurand]:
         return [self.areal, *self.others]
 
-    def look(self, z_um: Float32Array, stretch: float = 1.0) -> _Look:
-        """What a height map of shape (H, W) shows, lengths along the skin longer by a factor.
+    def rough(self, z_um: Float32Array) -> tuple[Numbers, ...]:
+        """The parameters of surface and profiles of a height map of shape (H, W)."""
+        areal = self.areal.parameters(self.areal.surface(z_um).z_um)
+        return (areal, *(one.values(z_um) for one in self.profiles))
+
+    def evaluate(self, z_um: Float32Array, smooth_um: Float32Array, stretch: float = 1.0) -> _Evaluation:
+        """All measurands on height maps of shape (H, W), with lateral lengths scaled by `stretch`.
+
+        smooth_um : for steps, radii, distances, angles and volumes
 
         Raises
         ------
         MeasurementError
-            It does not show what is asked for.
+            A measurand is not found on it.
         """
         limited = self.areal.surface(z_um)
-        numbers = [self.areal.parameters(limited.z_um), *(one.values(z_um) for one in self.others)]
+        numbers = [self.areal.parameters(limited.z_um), *(one.values(z_um) for one in self.profiles)]
+        numbers += [one.values(smooth_um) for one in self.others[len(self.profiles) :]]
         traces = [one.trace(z_um).z_um for one in self.profiles]
         if self._spectrum is not None:
             traces.append(self._spectrum.of(limited.z_um).density_um3)
         kinds = [one.kinds() for one in self.measurands]
-        return _Look(limited, [_stretched(*pair, stretch) for pair in zip(numbers, kinds, strict=True)], traces)
+        return _Evaluation(limited, [_stretched(*pair, stretch) for pair in zip(numbers, kinds, strict=True)], traces)
 
-    def spectrum(self, look: _Look) -> PowerSpectrum | None:
-        """The spectrum of a look."""
+    def spectrum(self, found: _Evaluation) -> PowerSpectrum | None:
+        """The spectrum, if the recipe has one."""
         bands = self._spectrum
-        return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, look.traces[-1])
+        return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, found.traces[-1])
 
 
 def measure_result(
@@ -98,12 +123,14 @@ def measure_result(
 ) -> Measurement:
     """The measurement of a result folder.
 
-    draws : whether each number gets its ±; without, a measurement takes a fraction of the time
+    draws : whether to compute uncertainties; without them a measurement takes a fraction of the time
 
     Raises
     ------
+    UnreadableResult
+        The result is damaged.
     MeasurementError
-        The result is damaged, or does not show what the recipe asks for.
+        A measurand of the recipe is not found on it.
     """
     tell(f"{folder.name}: reading")
     surface = read_result(folder)
@@ -112,37 +139,62 @@ def measure_result(
 
 def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] = lambda _: None) -> Measurement:
     """The measurement of a surface; errors as for `measure_result`."""
-    instrument = _Instrument(surface, recipe)
-    found = instrument.look(surface.height.z_um)
+    smooth = surface.with_detail(recipe.detail or "shrunk")
+    surface = surface.with_detail(recipe.detail or "raw")
+    plan = _MeasurementPlan(surface, smooth.height, recipe)
+    found = plan.evaluate(surface.height.z_um, smooth.height.z_um)
     draws = HeightDraws(surface, recipe.scale)
+    raised = _raised(plan, found, draws.noisier())
     drawn: list[Sequence[Numbers]] = []
     squares = [np.zeros_like(trace) for trace in found.traces]
-    for number, allowed in enumerate(draws.surfaces(), start=1):
+    for number, (allowed, smoother) in enumerate(_drawn(draws, surface, smooth, recipe), start=1):
         tell(f"{surface.folder.name}: draw {number} of {len(draws)}")
         try:
-            look = instrument.look(allowed.z_um, allowed.stretch)
+            sample = plan.evaluate(allowed.z_um, smoother.z_um, allowed.stretch)
         except MeasurementError:
-            continue  # a surface that does not show what is asked for gives no number; each says how many draws it has
-        drawn.append(look.numbers)
-        for square, trace, first in zip(squares, look.traces, found.traces, strict=True):
+            continue  # a sample without the measurand gives no value; each quantity states its number of draws
+        drawn.append(sample.numbers)
+        for square, trace, first in zip(squares, sample.traces, found.traces, strict=True):
             square += (trace - first) ** 2
     sigmas = [np.sqrt(square / len(drawn)) if drawn else None for square in squares]
-    spectrum = instrument.spectrum(found)
+    spectrum = plan.spectrum(found)
     return Measurement(
         folder=surface.folder,
         record=surface.record,
         recipe=recipe,
-        quantities=tuple(_quantities(instrument, found.numbers, drawn, recipe.coverage_factor)),
-        notes=(*instrument.areal.notes(), *_notes(surface, recipe, len(draws))),
-        height=surface.height,
+        quantities=tuple(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised)),
+        notes=(*plan.areal.notes(), *_notes(surface, recipe, len(draws))),
+        height=smooth.height,
         surface=found.surface,
         sigma_um=surface.sigma_um,
         profiles=tuple(
             MeasuredProfile(one.name, one.line, Profile(trace, surface.height.pitch_um), sigma)
-            for one, trace, sigma in zip(instrument.profiles, found.traces, sigmas, strict=False)
+            for one, trace, sigma in zip(plan.profiles, found.traces, sigmas, strict=False)
         ),
         spectrum=MeasuredSpectrum(spectrum, sigmas[-1]) if spectrum else None,
     )
+
+
+def _drawn(
+    draws: HeightDraws, surface: ResultSurface, smooth: ResultSurface, recipe: Recipe
+) -> Iterator[tuple[DrawnSurface, DrawnSurface]]:
+    """Every draw on the surface for roughness and on that for steps and radii, which may be one."""
+    if smooth.detail == surface.detail:
+        return ((drawn, drawn) for drawn in draws.surfaces())
+    return zip(draws.surfaces(), HeightDraws(smooth, recipe.scale).surfaces(), strict=True)
+
+
+def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float32Array]) -> Sequence[Numbers]:
+    """By how much pixel noise has raised parameters of surface and profiles that measure an amplitude."""
+    looks = [plan.rough(z_um) for z_um in noisier]
+    if not looks:
+        return ()
+    raised = []
+    for index, numbers in enumerate(found.numbers[: len(looks[0])]):
+        names = [name for name in numbers if name in AMPLITUDES or name[1:] in PROFILE_AMPLITUDES]
+        more = {name: float(np.mean([look[index][name] for look in looks])) - numbers[name] for name in names}
+        raised.append({name: noise_bias(numbers[name], step) for name, step in more.items() if step > 0.0})
+    return raised
 
 
 def _others(recipe: Recipe, height: HeightMap) -> Iterable[Measurand]:
@@ -163,22 +215,32 @@ def _stretched(numbers: Numbers, kinds: Mapping[str, ParameterKind], stretch: fl
 
 
 def _quantities(
-    instrument: _Instrument, found: Sequence[Numbers], drawn: Sequence[Sequence[Numbers]], factor: int
+    plan: _MeasurementPlan,
+    found: Sequence[Numbers],
+    drawn: Sequence[Sequence[Numbers]],
+    factor: int,
+    noise: Sequence[Numbers] = (),
 ) -> Iterable[Quantity]:
-    for index, (measurand, numbers) in enumerate(zip(instrument.measurands, found, strict=True)):
-        doubts = measurand.doubts()
+    for index, (measurand, numbers) in enumerate(zip(plan.measurands, found, strict=True)):
+        warnings = measurand.warnings()
         for name, kind in measurand.kinds().items():
             value = numbers[name]
-            others = np.array([look[index][name] for look in drawn])
+            others = np.array([sample[index][name] for sample in drawn])
             known = uncertainty_of(value, others, is_direction=name == DIRECTION)
             if known and known[0] == 0.0:
-                known = None  # it hangs on nothing that the draws vary: a length along the skin whose pitch has no ±
-            words = (*doubts.get("", ()), *doubts.get(name, ()))
-            if known and measurand is instrument.areal and name in instrument.areal.without_sigma:
+                known = None  # the draws do not vary it: a lateral length whose pitch has no uncertainty
+            words = (*warnings.get("", ()), *warnings.get(name, ()))
+            if known and measurand is plan.areal and name in plan.areal.without_sigma:
                 known, words = None, (*words, NO_SHAPE_SIGMA)
-            if known and abs(known[1]) > max(NOISE_DOUBT * known[0], NOISE_SHARE * abs(value)):
+            taken = noise[index].get(name) if index < len(noise) else None
+            if known and taken is not None:
+                value -= taken
+                # Its spread over the draws, and beside it the uncertainty of the noise.
+                spread = float(np.sqrt(max(known[0] ** 2 - known[1] ** 2, 0.0)))
+                known = float(np.hypot(spread, NOISE_SHARE_UNSURE * taken)), 0.0, known[2]
+            if known and abs(known[1]) > max(NOISE_WARNING * known[0], NOISE_SHARE * abs(value)):
                 verb = "raises" if known[1] > 0.0 else "lowers"
-                words += (f"noise of the measurement {verb} it by about {abs(known[1]):.2g} {kind.unit}".rstrip(),)
+                words += (f"measurement noise {verb} it by about {abs(known[1]):.2g} {kind.unit}".rstrip(),)
             yield Quantity(
                 subject=measurand.name,
                 name=name,
@@ -187,33 +249,34 @@ def _quantities(
                 uncertainty=factor * known[0] if known else None,
                 coverage_factor=factor,
                 offset=known[1] if known else None,
+                noise_taken_off=taken if known else None,
                 draws=known[2] if known else 0,
                 masked_share=measurand.masked_share,
-                doubts=words,
+                warnings=words,
             )
 
 
 def _notes(surface: ResultSurface, recipe: Recipe, draws: int) -> Iterable[str]:
-    """What holds for every number: draws, scale, warnings of the reconstruction."""
+    """Notes on all numbers: draws, scale, warnings of the reconstruction."""
     if draws:
         own = uncertainty_of_uncertainty(draws)
-        yield f"± from {draws} draws of the height error, so that each ± is itself sure to {own:.0%} (k = 1)"
+        yield f"± from {draws} draws of the height error; the relative uncertainty of each ± is {own:.0%} (k = 1)"
     else:
-        yield "± not known: the result holds no height_draws_um.tif: reconstruct the scan again"
+        yield f"± not known: the result holds no {DRAWS_FILE}: reconstruct the scan again"
     if draws and surface.slope_sigma is None:
-        yield "± without pixel noise finer than the draws: the result holds no slope_sigma.tif"
+        yield f"± without pixel noise finer than the draws: the result holds no {SLOPE_SIGMA_FILE}"
     scale = surface.record.height_scale
     for name, measured, stated in (
         ("pixel pitch", scale.pixel_pitch_share, recipe.scale.pixel_pitch_share),
         ("ball radius", scale.ball_radius_share, recipe.scale.ball_radius_share),
     ):
         if measured is not None:
-            yield f"scale: ± of the {name} is in, {measured:.2%} as the calibration measured it"
+            yield f"scale: ± of the {name} is included, {measured:.2%} as measured by the calibration"
         elif stated is not None:
-            yield f"scale: ± of the {name} is in, {stated:.2%} as the recipe states it"
+            yield f"scale: ± of the {name} is included, {stated:.2%} as stated by the recipe"
         else:
-            yield f"scale: ± of the {name} is not known and not in: state scale.{name.replace(' ', '_')}_share"
+            yield f"scale: ± of the {name} is not known and not included: set scale.{name.replace(' ', '_')}_share"
     if draws and recipe.scale.unlike_balls_share:
-        yield f"scale: ± of {recipe.scale.unlike_balls_share:.1%} is in, for surfaces unlike the balls"
+        yield f"scale: ± of {recipe.scale.unlike_balls_share:.1%} is included, for surfaces unlike the balls"
     for warning in surface.record.warnings:
         yield f"reconstruction: {warning}"

@@ -1,21 +1,21 @@
-"""What measuring gives: numbers, profiles, a spectrum, and what holds for all of them."""
+"""The result of a measurement: quantities, profiles, a spectrum, and notes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.surface import Float32Array, Float64Array, HeightMap
-from host_sync.measurement.power_spectrum import PowerSpectrum
-from host_sync.measurement.profile_line import Line, Profile
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.iso25178.power_spectrum import PowerSpectrum
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
-from host_sync.measurement.result_surface import ResultRecord
+from host_sync.profile.profile_line import Line, Profile
+from host_sync.results.record import ResultRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredProfile:
-    """A profile and its standard uncertainty, which is None without draws; float64 array of shape (N,), µm."""
+    """A profile and its standard uncertainty: float64 array of shape (N,), µm; None without draws."""
 
     name: str
     line: Line
@@ -25,7 +25,7 @@ class MeasuredProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSpectrum:
-    """A power spectral density and its standard uncertainty, which is None without draws; shape (N,), µm³."""
+    """A power spectral density and its standard uncertainty: float64 array of shape (N,), µm³; None without draws."""
 
     spectrum: PowerSpectrum
     sigma_um3: Float64Array | None
@@ -33,12 +33,12 @@ class MeasuredSpectrum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """What a recipe gives on one result.
+    """A recipe evaluated on one result.
 
     height : the whole height map
     surface : the scale-limited surface of the region
-    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, if the result holds it
-    notes : what holds for all numbers, sentence by sentence
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height; None if unknown
+    notes : sentences that concern all quantities
     """
 
     folder: Path

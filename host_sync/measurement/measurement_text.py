@@ -1,4 +1,4 @@
-"""A measurement in words, as a record for JSON, and as rows for CSV."""
+"""A measurement as text, as a record for JSON, and as rows for CSV."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CSV_COLUMNS: Final = (
 
 
 def operations(recipe: Recipe) -> str:
-    """What was done to the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
+    """The operations on the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
     parts = [f"form removed: {recipe.form}" + ("" if recipe.form == "none" else " (least squares)")]
     for name, index_um in (("S", recipe.s_filter_um), ("L", recipe.l_filter_um)):
         if index_um is None:
@@ -47,7 +47,7 @@ def operations(recipe: Recipe) -> str:
 
 
 def as_text(measurement: Measurement) -> str:
-    """A table for people: one line a number, doubts under it, what was done above and notes below."""
+    """A table: operations, one line per quantity with its warnings, and notes."""
     record = measurement.record
     lines = [f"{record.name}  ({measurement.folder})", operations(measurement.recipe)]
     for subject, quantities in groupby(measurement.quantities, key=lambda one: one.subject):
@@ -59,15 +59,17 @@ def as_text(measurement: Measurement) -> str:
         for one in group:
             lines.append(f"  {one.name:<{width}}  {one.number}")
             lines.extend(
-                f"  {'':<{width}}    doubtful: {doubt}" for doubt in one.doubts if doubt not in shared_doubts(group)
+                f"  {'':<{width}}    doubtful: {warning}"
+                for warning in one.warnings
+                if warning not in shared_warnings(group)
             )
-        lines.extend(f"  doubtful: {doubt}" for doubt in shared_doubts(group))
+        lines.extend(f"  doubtful: {warning}" for warning in shared_warnings(group))
     lines += ["", *(f"- {note}" for note in measurement.notes)]
     return "\n".join(lines)
 
 
 def as_record(measurement: Measurement) -> dict[str, Any]:
-    """What `--json` writes; lengths in the unit that each number names, arrays in µm."""
+    """The record that `--json` writes; quantities state their unit, arrays are in µm."""
     record = measurement.record
     return {
         "schema": SCHEMA,
@@ -94,7 +96,7 @@ def as_record(measurement: Measurement) -> dict[str, Any]:
 
 
 def as_csv(measurements: Sequence[Measurement]) -> str:
-    """Rows of all numbers of several results, with a head."""
+    """Rows of all quantities of several results, with a header."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -118,18 +120,20 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
         f"{100.0 * one.masked_share:.4g}",
         one.draws,
         "" if one.offset is None else repr(one.offset),
-        _harmless("; ".join(one.doubts)),
+        _harmless("; ".join(one.warnings)),
     ]
 
 
 def _harmless(text: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
+    """The text, quoted if a spreadsheet would take it for a formula."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
-def shared_doubts(group: Sequence[Quantity]) -> tuple[str, ...]:
-    """What speaks against every number of a group alike."""
-    return tuple(doubt for doubt in group[0].doubts if all(doubt in one.doubts for one in group) and len(group) > 1)
+def shared_warnings(group: Sequence[Quantity]) -> tuple[str, ...]:
+    """Warnings that all quantities of a group share."""
+    return tuple(
+        warning for warning in group[0].warnings if all(warning in one.warnings for one in group) and len(group) > 1
+    )
 
 
 def _numbers(values: np.ndarray) -> list[float | None]:

@@ -1,7 +1,7 @@
-"""From a height map to the scale-limited surface, in metrology's order: form off, S-filter, L-filter.
+"""From a height map to the scale-limited surface: form removal, S-filter, L-filter (ISO 25178-3).
 
-It is made for one height map, whose mask decides; draws of that map then pass through the same operations. Nothing else
-is done to a surface: no outlier is dropped, no hole filled, nothing smoothed that is not asked for.
+The operations are set up for the mask of one height map and then applied to its Monte Carlo samples as well. Nothing
+else is done: no outlier is removed, no hole filled, nothing smoothed that the recipe does not state.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.surface import Float32Array, HeightMap
+from device.surface.fields import Float32Array, HeightMap
 from host_sync.errors import MeasurementError
-from host_sync.measurement.form import FormRemoval, PolynomialForm
-from host_sync.measurement.gaussian_regression import GaussianRegression
+from host_sync.filters.form import FormRemoval, PolynomialForm
+from host_sync.filters.gaussian_regression import GaussianRegression
 from host_sync.measurement.recipe import Recipe
 from host_sync.measurement.sphere import SphereForm
 
@@ -26,13 +26,13 @@ class Preparation:
 
     Parameters
     ----------
-    height : the region that is measured
-    recipe : what is done
+    height : the measured region
+    recipe : form and filters
 
     Raises
     ------
     MeasurementError
-        Nothing is valid, or the form is not determined.
+        No pixel is valid, or the form is not determined.
     """
 
     def __init__(self, height: HeightMap, recipe: Recipe) -> None:
@@ -61,7 +61,7 @@ class Preparation:
         return z_um
 
     def edge_share(self) -> float:
-        """Share of the valid pixels within half the L-filter's nesting index of a border or a hole; 0 without it."""
+        """Fraction of valid pixels within half the L-filter's nesting index of a border or hole; 0 without L-filter."""
         if self._l_px is None:
             return 0.0
         framed = np.pad(self.valid.astype(np.uint8), 1)

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, Float64Array, HeightMap
-from host_sync.measurement.areal_catalogue import ParameterKind
-from host_sync.measurement.profile_filter import profile_mean
-from host_sync.measurement.profile_line import Line, Profile, profile_along
-from host_sync.measurement.profile_parameters import profile_parameters
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.filters.profile_filter import profile_mean
+from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.recipe import ProfileTable
+from host_sync.profile.profile_line import Line, Profile, profile_along
+from host_sync.profile.profile_parameters import profile_parameters
 
 _UM: Final = ParameterKind("µm")
 _NUMBER: Final = ParameterKind("")
@@ -25,11 +25,11 @@ _KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), _UM) | {
 
 
 class ProfileMeasurand:
-    """A profile, levelled and filtered along itself; its ends, where the L-filter leans over, are left out.
+    """A profile, levelled and filtered along its line, without the ends that the L-filter distorts.
 
     Parameters
     ----------
-    table : of the recipe
+    table : the recipe's table
     height : the whole height map
     """
 
@@ -64,17 +64,17 @@ class ProfileMeasurand:
         part = whole.z_um[self._trim : whole.z_um.size - self._trim]
         return profile_parameters(Profile(part, whole.step_um), self._sections, self._letter)
 
-    def doubts(self) -> Mapping[str, tuple[str, ...]]:
-        """A line that is too short for its sections."""
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """A warning if the line is too short for its sections."""
         table = self._table
         if table.l_filter_um is None or (self._trim and self._sections == table.sections):
             return {}
-        ends = "" if self._trim else " and the filter's ends are in it"
+        ends = "" if self._trim else " and includes the ends that the filter distorts"
         words = f"the line has room for {self._sections} of {table.sections} sections of {table.l_filter_um:g} µm{ends}"
         return {"": (words,)}
 
     def _evaluation(self, whole: Profile) -> tuple[int, int]:
-        """Number of sections, and samples that are left out at either end."""
+        """Number of sections, and of samples dropped at either end."""
         index_um = self._table.l_filter_um
         if index_um is None:
             return 1, 0

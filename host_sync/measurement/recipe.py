@@ -1,26 +1,27 @@
-"""A measurement recipe: what is done to a surface and what is measured on it, in a TOML file that can be used again.
+"""A measurement recipe: the operations on a surface and the quantities measured on it, as a TOML file.
 
-Lengths are µm; places are (column, row) and regions (left, top, right, bottom), from the middle of the field's first
+Lengths are µm; places are (column, row) and regions (left, top, right, bottom), from the centre of the field's first
 pixel.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
 
+from device.bundles.record import explain_validation
 from host_sync.errors import MeasurementError
-from host_sync.measurement.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
-from host_sync.measurement.form import HIGHEST_DEGREE
+from host_sync.filters.form import MAX_DEGREE
+from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
 from host_sync.measurement.height_draws import StatedScale
-from host_sync.measurement.recipe_words import recipe_problem
-from host_sync.measurement.step_height import StepKind
+from host_sync.profile.step_height import StepKind
+from host_sync.results.detail_name import DetailName
 
-FORMS: Final = ("none", "mean", "plane", "sphere", *(f"polynomial-{degree}" for degree in range(2, HIGHEST_DEGREE + 1)))
+FORMS: Final = ("none", "mean", "plane", "sphere", *(f"polynomial-{degree}" for degree in range(2, MAX_DEGREE + 1)))
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e7)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]
@@ -31,14 +32,14 @@ Label = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the file: unknown keys are refused."""
+    """A table of the file; unknown keys are refused."""
 
 
 class ProfileTable(_Table, frozen=True):
-    """A profile along a line and its parameters; the L-filter's nesting index is the section length too.
+    """A profile along a line and its parameters; the L-filter's nesting index is also the section length.
 
-    width_um : the profile is the mean over so much across the line
-    form_degree : of the polynomial that is taken off the profile first
+    width_um : width across the line over which the profile is averaged
+    form_degree : degree of the polynomial that is subtracted first
     """
 
     name: Label
@@ -48,11 +49,11 @@ class ProfileTable(_Table, frozen=True):
     s_filter_um: Length | None = None
     l_filter_um: Length | None = None
     sections: Annotated[int, msgspec.Meta(ge=1, le=100)] = 5
-    form_degree: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST_DEGREE)] = 1
+    form_degree: Annotated[int, msgspec.Meta(ge=0, le=MAX_DEGREE)] = 1
 
 
 class StepTable(_Table, frozen=True):
-    """A step or a groove (or ridge) across a line; edges are places along it, found when they are not given."""
+    """A step or a groove (or ridge) across a line; edges are distances along it, detected by default."""
 
     name: Label
     from_um: Place
@@ -63,7 +64,7 @@ class StepTable(_Table, frozen=True):
 
 
 class DistanceTable(_Table, frozen=True):
-    """Distances and the slope from one place to another."""
+    """Distances and slope between two places."""
 
     name: Label
     from_um: Place
@@ -86,7 +87,7 @@ class RadiusTable(_Table, frozen=True):
 
 
 class VolumeTable(_Table, frozen=True):
-    """Volumes under and over the plane through the border of a region, which is `border_um` wide."""
+    """Volumes below and above the plane through the border of a region, `border_um` wide."""
 
     name: Label
     region_um: Rectangle
@@ -96,15 +97,17 @@ class VolumeTable(_Table, frozen=True):
 class Recipe(_Table, frozen=True):
     """The whole file.
 
-    coverage_factor : k, by which standard uncertainties are multiplied
-    keep_extrapolated : measure pixels too whose slopes lie beyond what the calibration taught
-    form : what is taken off first, by least squares
+    coverage_factor : k, the factor on standard uncertainties
+    keep_extrapolated : include pixels whose slopes lie beyond the calibration's training samples
+    form : the form that is removed first, by least squares
     s_filter_um, l_filter_um : nesting indices of the areal Gaussian filters
-    parameters : groups or single names; those of `smr_um` and `smc_percent` come with the functional ones
+    parameters : names of parameters or groups
     smr_um : heights from the mean plane for Smr
     smc_percent : material ratios for Smc
-    spectrum : whether the power spectral density is measured too
-    scale : standard uncertainties that the calibration did not measure
+    spectrum : whether to measure the power spectral density
+    scale : standard uncertainties that the calibration does not measure
+    detail : of the height map that everything is measured on; None measures parameters of surface and profiles on raw
+        detail, its noise subtracted, and steps, radii, distances, angles and volumes on shrunk detail
     """
 
     name: str = ""
@@ -119,6 +122,7 @@ class Recipe(_Table, frozen=True):
     smc_percent: tuple[Percent, ...] = ()
     spectrum: bool = False
     scale: StatedScale = StatedScale()
+    detail: DetailName | None = None
     profile: tuple[ProfileTable, ...] = ()
     step: tuple[StepTable, ...] = ()
     distance: tuple[DistanceTable, ...] = ()
@@ -128,7 +132,7 @@ class Recipe(_Table, frozen=True):
 
 
 def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
-    """The recipe with other values at some keys, checked as those of a file are.
+    """The recipe with the given keys replaced, checked like a file.
 
     Raises
     ------
@@ -138,7 +142,7 @@ def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
     try:
         return msgspec.convert(msgspec.to_builtins(recipe) | dict(given), Recipe)
     except msgspec.ValidationError as error:
-        raise MeasurementError(f"options: {_told(error)}") from error
+        raise MeasurementError(f"options: {_explained(error)}") from error
 
 
 _TABLES: Final = {
@@ -151,7 +155,7 @@ _TABLES: Final = {
     "radius": RadiusTable,
     "volume": VolumeTable,
 }
-_ACCEPTED: Final = {"coverage_factor": "1, 2", "kind": "'groove', 'step'"}
+_ACCEPTED: Final = {"coverage_factor": "1, 2", "detail": "'raw', 'shrunk'", "kind": "'groove', 'step'"}
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -167,16 +171,16 @@ def read_recipe(path: Path) -> Recipe:
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a recipe in TOML") from error
     except msgspec.ValidationError as error:
-        raise MeasurementError(f"{path}: {_told(error)}") from error
+        raise MeasurementError(f"{path}: {_explained(error)}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(f"{path}: is not TOML: {error}") from error
     return checked(recipe, str(path))
 
 
 def checked(recipe: Recipe, source: str) -> Recipe:
-    """The recipe itself, when its keys agree with one another.
+    """The recipe, if its keys are consistent.
 
-    source : what errors name
+    source : its name in errors
 
     Raises
     ------
@@ -184,17 +188,17 @@ def checked(recipe: Recipe, source: str) -> Recipe:
         Names the key, what is wrong with it and what is accepted.
     """
     if recipe.form not in FORMS:
-        raise MeasurementError(f"{source}: form: {recipe.form!r} is none; accepted are {', '.join(FORMS)}")
+        raise MeasurementError(f"{source}: form: {recipe.form!r} is not a form; accepted are {', '.join(FORMS)}")
     known = (*GROUPS, *AREAL)
     for name in recipe.parameters:
         if name not in known:
-            raise MeasurementError(f"{source}: parameters: {name!r} is none; accepted are {', '.join(known)}")
+            raise MeasurementError(f"{source}: parameters: {name!r} is unknown; accepted are {', '.join(known)}")
     bands = [("", recipe.s_filter_um, recipe.l_filter_um)]
     bands += [(f"profile[{i}].", one.s_filter_um, one.l_filter_um) for i, one in enumerate(recipe.profile)]
     for where, s_um, l_um in bands:
         if s_um is not None and l_um is not None and s_um >= l_um:
             raise MeasurementError(
-                f"{source}: {where}s_filter_um: {s_um:g} takes away all that l_filter_um = {l_um:g} leaves: "
+                f"{source}: {where}s_filter_um: {s_um:g} removes all that l_filter_um = {l_um:g} leaves: "
                 "accepted is less than that"
             )
     _check_names(recipe, source)
@@ -204,28 +208,79 @@ def checked(recipe: Recipe, source: str) -> Recipe:
             len(step.edges_um) != wanted or list(step.edges_um) != sorted(set(step.edges_um))
         ):
             raise MeasurementError(
-                f"{source}: step[{i}].edges_um: a {step.kind} has {wanted}: accepted is a list of so many, rising"
+                f"{source}: step[{i}].edges_um: a {step.kind} has {wanted}: accepted is a rising list of {wanted}"
             )
     return recipe
 
 
 def _check_names(recipe: Recipe, source: str) -> None:
-    """Refuse two lines, places or regions of one name: nobody could tell their numbers apart."""
+    """Refuse two lines, places or regions with the same name."""
     named = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume)
     seen = {AREAL_SUBJECT}
     for table in (table for tables in named for table in tables):
         if table.name in seen:
-            raise MeasurementError(f"{source}: name: {table.name!r} is there twice: accepted is a name of its own")
+            raise MeasurementError(f"{source}: name: {table.name!r} occurs twice: give each its own name")
         seen.add(table.name)
 
 
-def _told(error: msgspec.ValidationError) -> str:
-    """The key, what is wrong there, and what may stand there."""
+def _explained(error: msgspec.ValidationError) -> str:
+    """The key, the problem, and what is accepted."""
     key, problem = recipe_problem(error)
     table = re.sub(r"\[.*?\]", "", key)
     last = table.rpartition(".")[2]
-    if problem.endswith("is no key"):
+    if problem.endswith("is not a key"):
         problem += f"; accepted keys are {', '.join(_TABLES.get(table, Recipe).__struct_fields__)}"
     elif last in _ACCEPTED:
         problem += f"; accepted are {_ACCEPTED[last]}"
     return f"{key}: {problem}" if key else problem
+
+
+_KINDS: Final = {
+    "str": "a text",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "nothing",
+}
+_BOUNDS: Final = {">": "above", ">=": "at least", "<": "below", "<=": "at most"}
+
+_PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
+    (
+        r"Expected `([^`]+)`, got `([^`]+)`",
+        lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}",
+    ),
+    (
+        r"Expected `(?:float|int)` (>=|<=|>|<) (\S+?)(?:\.0)?",
+        lambda m: f"is out of range; accepted is a number {_BOUNDS[m[1]]} {m[2]}",
+    ),
+    (
+        r"Expected `array` of length (\d+)(?:, got (\d+))?",
+        lambda m: f"is a list of {m[2] or 'another length'}; accepted is a list of {m[1]}",
+    ),
+    (
+        r"Expected `str` of length (>=|<=) (\d+)",
+        lambda m: f"is too {'short' if m[1] == '>=' else 'long'}; accepted is {_BOUNDS[m[1]]} {m[2]} characters",
+    ),
+    (r"Object missing required field `([^`]+)`", lambda m: f"{m[1]} is missing: state it"),
+    (r"Object contains unknown field `([^`]+)`", lambda m: f"{m[1]} is not a key"),
+    (r"Invalid enum value (.+)", lambda m: f"{m[1]} is not accepted"),
+)
+
+
+def recipe_problem(error: msgspec.ValidationError) -> tuple[str, str]:
+    """The key (empty for the whole file) and the problem."""
+    text = explain_validation(error)
+    key, _, problem = text.partition(": ") if " - at `" in str(error) else ("", "", text)
+    if not problem:
+        key, problem = "", text
+    for pattern, words in _PATTERNS:
+        if found := re.fullmatch(pattern, problem):
+            return key, words(found)
+    return key, problem
+
+
+def _kinds(names: str) -> str:
+    """For example "a number or nothing" for "float | null"."""
+    return " or ".join(_KINDS.get(name.strip(), name.strip()) for name in names.split("|"))

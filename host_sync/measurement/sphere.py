@@ -1,7 +1,7 @@
-"""The sphere that fits a surface best: least squares of the distances from it (Gaussian associated sphere).
+"""Least-squares sphere of a surface (Gaussian associated sphere).
 
-The start is the algebraic fit, which is linear; Gauss-Newton takes it to the least squares of true distances. As the
-fit runs over every pixel of a large field, and over that of every draw, one step is a single compiled pass.
+The linear algebraic fit is the start; Gauss-Newton then minimises the squared distances. Each step is one compiled
+pass, because the fit runs over every pixel of the field and of every draw.
 """
 
 from __future__ import annotations
@@ -10,25 +10,25 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
-from device.surface import Float32Array, Float64Array, MaskArray
+from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
+from host_sync.kernels.jit import njit
 
-MOST_STEPS: Final = 40
+MAX_STEPS: Final = 40
 ENOUGH: Final = 1e-9
-"""A step smaller than this share of the radius ends the search."""
+"""Step, as a fraction of the radius, that ends the iteration."""
 
-LARGEST_SPHERE: Final = 1e4
-"""A radius of more than so many times the field's width is that of a plane."""
+MAX_RADIUS_RATIO: Final = 1e4
+"""A radius of more than this many field widths counts as a plane."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A sphere over the field, lengths in µm, the centre's column and row from the middle of the first pixel.
+    """A sphere, lengths in µm; column and row of the centre from the centre of the first pixel.
 
-    radius_um : positive where the surface is the upper cap (it bulges out), negative for a hollow
-    residual_um : root mean square distance of the pixels from it
+    radius_um : positive for a bulge, negative for a hollow
+    residual_um : RMS distance of the pixels from it
     """
 
     column_um: float
@@ -39,7 +39,7 @@ class Sphere:
 
 
 class SphereForm:
-    """Takes the best sphere off a surface, along the height.
+    """Subtracts the least-squares sphere from a surface, along the height.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ class SphereForm:
         self._beside: MaskArray | None = None
 
     def remove(self, z_um: Float32Array) -> Float32Array:
-        """Heights over the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
+        """Heights above the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
 
-        What lies beside the first surface's sphere is left out of every later one, so that a surface and its draws
-        are compared on the same pixels.
+        Pixels beside the first surface's sphere stay invalid in later ones, so that a surface and its draws are
+        compared on the same pixels.
         """
         self._last = sphere = fit_sphere(z_um, self._pitch_um, self._last)
         row, column = (np.arange(side) * self._pitch_um for side in z_um.shape)
@@ -68,9 +68,9 @@ class SphereForm:
 
 
 def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None) -> Sphere:
-    """The sphere that fits the valid pixels of a surface best.
+    """The least-squares sphere of the valid pixels of a surface.
 
-    start : a sphere close to it, if one is known
+    start : a sphere close to it, if known
 
     Raises
     ------
@@ -79,18 +79,18 @@ def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None)
     """
     valid = np.isfinite(z_um)
     if valid.sum() < 4:
-        raise MeasurementError(f"a sphere needs four valid pixels, and there are {int(valid.sum())}: widen the region")
+        raise MeasurementError(f"a sphere needs four valid pixels, found {int(valid.sum())}: widen the region")
     width_um = pitch_um * max(z_um.shape)
     middle = start or _algebraic(z_um, valid, pitch_um)
     state = np.array([middle.column_um, middle.row_um, middle.height_um, abs(middle.radius_um)])
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         normal, right, _ = _step(z_um, np.float64(pitch_um), state)
         try:
             change = np.linalg.solve(normal, right)
         except np.linalg.LinAlgError:
             break
         state = state + change
-        if not np.isfinite(state).all() or state[3] > LARGEST_SPHERE * width_um:
+        if not np.isfinite(state).all() or state[3] > MAX_RADIUS_RATIO * width_um:
             break
         if np.abs(change).max() < ENOUGH * state[3]:
             _, _, square = _step(z_um, np.float64(pitch_um), state)

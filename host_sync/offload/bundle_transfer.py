@@ -1,6 +1,6 @@
-"""One bundle from a source into a directory of its own, hashed on the way and once more as it was stored.
+"""One bundle from a source into a directory of its own, hashed on the way and again as it was stored.
 
-A transfer that was cut leaves `<file>.part`; the next one hashes what is there and asks for the rest.
+An interrupted transfer leaves `<file>.part`; the next one hashes that and requests the rest.
 """
 
 from __future__ import annotations
@@ -8,44 +8,48 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import stat
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
-from device.bundle_layout import MANIFESTS, BundleKind
-from device.calibration_bundle import decode_calibration
-from device.errors import RecordError
-from device.records import (
+from device.bundles.calibration import decode_calibration
+from device.bundles.layout import MANIFESTS, BundleKind
+from device.bundles.record import (
     CHUNK_BYTES,
-    MOST_MANIFEST_BYTES,
+    MAX_MANIFEST_BYTES,
     FileEntry,
-    check_seal,
+    check_manifest,
+    checksum_name,
     describe_file,
-    seal_name,
-    seal_of,
+    manifest_checksum,
+    read_small,
     verify_files,
 )
-from device.scan_bundle import decode_scan
+from device.bundles.scan import decode_scan
+from device.errors import RecordError
+from device.io.atomic import remove_tree_quietly
+from device.io.folder import IrregularFile, open_regular
 from host_sync.offload.source import Source
 
 PART: Final = ".part"
 WRITE_BACK_BYTES: Final = 4 << 20
-"""The disk is given work while a file still comes, so that it has little left to do at its end."""
+"""Write-back starts after this much, so that little is left to write at a file's end."""
 
 
 class Advance(Protocol):
-    """Is told bytes as they are there: fetched from the source, or found in what an earlier transfer had left."""
+    """Called with bytes as they arrive from the source, or are found in an earlier transfer's part."""
 
     def __call__(self, size_bytes: int, *, fetched: bool) -> None:
-        """Take note of so many bytes more, or fewer when they had to be dropped."""
+        """Count these bytes; negative when they were dropped."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
-    """A bundle that a source offers: its manifest as sent, proven by its seal."""
+class RemoteBundle:
+    """A bundle that a source offers: its manifest as sent, checked by its checksum file."""
 
     kind: BundleKind
     bundle_id: str
@@ -59,11 +63,11 @@ class Offer:
         return sum(entry.size for entry in self.files.values())
 
     def place(self, name: str) -> str:
-        """Where the source has one of the bundle's files."""
+        """Place of one of the bundle's files in the source."""
         return f"{self.kind}/{self.bundle_id}/{name}"
 
 
-def read_offer(source: Source, kind: BundleKind, bundle_id: str) -> Offer:
+def read_remote_bundle(source: Source, kind: BundleKind, bundle_id: str) -> RemoteBundle:
     """The manifest of a bundle, checked.
 
     Raises
@@ -71,12 +75,12 @@ def read_offer(source: Source, kind: BundleKind, bundle_id: str) -> Offer:
     SourceError
         It cannot be read.
     RecordError
-        It is damaged, of an unknown version, or another bundle's.
+        It is damaged, of an unknown version, or belongs to another bundle.
     """
     place = f"{kind}/{bundle_id}/{MANIFESTS[kind]}"
     where = f"{source.name}/{place}"
     data = _read_small(source, place)
-    check_seal(data, _read_small(source, seal_name(place)), where)
+    check_manifest(data, _read_small(source, checksum_name(place)), where)
     if kind == "scans":
         scan = decode_scan(data, where)
         found, files, calibration_id = scan.identity, scan.files, scan.calibration_id
@@ -84,21 +88,21 @@ def read_offer(source: Source, kind: BundleKind, bundle_id: str) -> Offer:
         calibration = decode_calibration(data, where)
         found, files, calibration_id = calibration.identity, calibration.files, None
     if found.id != bundle_id:
-        raise RecordError(f"{where}: is the manifest of {found.id}: rename its folder to that")
-    return Offer(kind, bundle_id, data, files, calibration_id)
+        raise RecordError(f"{where}: is the manifest of {found.id}: give its folder that name")
+    return RemoteBundle(kind, bundle_id, data, files, calibration_id)
 
 
-def fetch(source: Source, offer: Offer, into: Path, advance: Advance, known: Mapping[str, Path]) -> None:
+def download(source: Source, offer: RemoteBundle, into: Path, advance: Advance, known: Mapping[str, Path]) -> None:
     """Complete an offered bundle in a directory that may hold a part of it.
 
-    known : files of this machine by their SHA-256; what is among them is copied (never linked: rot must not spread)
+    known : files of this machine by their SHA-256; they are copied, never linked, because rot must not spread
 
     Raises
     ------
     SourceError
-        The source cannot be read; what came is kept.
+        The source cannot be read; what arrived is kept.
     RecordError
-        What came is not what the manifest promises; names the file.
+        What arrived is not what the manifest states; names the file.
     OSError
         The directory cannot be written.
     """
@@ -107,43 +111,59 @@ def fetch(source: Source, offer: Offer, into: Path, advance: Advance, known: Map
         if (into / name).exists() or _copy_known(known.get(entry.sha256), entry, into / name):
             advance(entry.size, fetched=False)
         else:
-            _fetch_file(source, offer, name, entry, into / name, advance)
+            _download_file(source, offer, name, entry, into / name, advance)
 
 
-def prove(offer: Offer, into: Path) -> None:
-    """Return when a fetched bundle is on the disk, was read back from there, and is what its manifest promises.
+def verify(offer: RemoteBundle, into: Path) -> None:
+    """Return when a downloaded bundle is on the disk, was read back from there, and is what its manifest states.
 
     Raises
     ------
     RecordError
-        What was stored is not what came; names the file.
+        What was stored is not what arrived; names the file.
     OSError
         The directory cannot be written.
     """
     for name in offer.files:
-        _settle(into / name)
+        _flush(into / name)
     verify_files(into, offer.files)
 
 
-def _prepare(offer: Offer, into: Path) -> None:
-    """Make the directory hold the offer's manifest, and of anything older only what belongs to it."""
+def _prepare(offer: RemoteBundle, into: Path) -> None:
+    """Put the offer's manifest into the directory, and remove everything that does not belong to it."""
     manifest = MANIFESTS[offer.kind]
-    seal = seal_of(manifest, offer.manifest)
-    same = (into / manifest).is_file() and (into / manifest).read_bytes() == offer.manifest
     parts = {name + PART for name in offer.files}
+    same = _has(into / manifest, offer.manifest)
     for path in into.iterdir():
-        if not same or path.name not in {manifest, *offer.files, *parts}:
-            path.unlink()
-    (into / manifest).write_bytes(offer.manifest)
-    (into / seal_name(manifest)).write_bytes(seal)
+        regular = stat.S_ISREG(path.lstat().st_mode)
+        if not same or not regular or path.name not in {manifest, *offer.files, *parts}:
+            remove_tree_quietly(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    for name, data in (
+        (manifest, offer.manifest),
+        (checksum_name(manifest), manifest_checksum(manifest, offer.manifest)),
+    ):
+        (into / name).unlink(missing_ok=True)
+        with (into / name).open("xb") as stream:
+            stream.write(data)
+
+
+def _has(path: Path, data: bytes) -> bool:
+    try:
+        return read_small(path) == data
+    except RecordError:
+        return False
 
 
 def _copy_known(path: Path | None, entry: FileEntry, target: Path) -> bool:
-    """Whether a file that this machine has was copied, and its copy is what the manifest promises."""
+    """Whether a file of this machine was copied, and the copy is what the manifest states."""
     part = target.with_name(target.name + PART)
-    if path is None or part.exists() or path.is_symlink() or not path.is_file():
+    if path is None or part.exists():
         return False
-    shutil.copyfile(path, part)
+    try:
+        with os.fdopen(open_regular(path), "rb") as stream, part.open("xb") as copy:
+            shutil.copyfileobj(stream, copy, CHUNK_BYTES)
+    except (FileNotFoundError, IrregularFile):
+        return False
     if describe_file(part) != entry:
         part.unlink()
         return False
@@ -151,15 +171,17 @@ def _copy_known(path: Path | None, entry: FileEntry, target: Path) -> bool:
     return True
 
 
-def _fetch_file(source: Source, offer: Offer, name: str, entry: FileEntry, path: Path, advance: Advance) -> None:
+def _download_file(
+    source: Source, offer: RemoteBundle, name: str, entry: FileEntry, path: Path, advance: Advance
+) -> None:
     where = f"{source.name}/{offer.place(name)}"
     part = path.with_name(name + PART)
     resumed = part.exists()
-    size, digest = _fetch_rest(source, offer.place(name), entry, part, advance)
+    size, digest = _download_rest(source, offer.place(name), entry, part, advance)
     if resumed and (size, digest) != (entry.size, entry.sha256):
         advance(-size, fetched=False)
         part.unlink()
-        size, digest = _fetch_rest(source, offer.place(name), entry, part, advance)
+        size, digest = _download_rest(source, offer.place(name), entry, part, advance)
     if size > entry.size:
         raise RecordError(f"{where}: has more than the {entry.size} bytes that its manifest states")
     if size < entry.size:
@@ -169,8 +191,11 @@ def _fetch_file(source: Source, offer: Offer, name: str, entry: FileEntry, path:
     part.rename(path)
 
 
-def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advance: Advance) -> tuple[int, str]:
-    """Size and SHA-256 of a file that was completed in `part`; it stops as soon as more comes than is promised."""
+def _download_rest(source: Source, place: str, entry: FileEntry, part: Path, advance: Advance) -> tuple[int, str]:
+    """Size and SHA-256 of a file that was completed in `part`; stops as soon as more arrives than was stated.
+
+    An empty file is asked for, too: a source that does not have it does not offer this bundle.
+    """
     digest, size, pending = hashlib.sha256(), 0, 0
     with part.open("a+b") as stored:
         stored.seek(0)
@@ -178,7 +203,7 @@ def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advanc
             digest.update(block)
             size += len(block)
         advance(size, fetched=False)
-        if size < entry.size:
+        if size < entry.size or entry.size == 0:
             with closing(source.blocks(place, size)) as blocks:
                 for block in blocks:
                     stored.write(block)
@@ -187,7 +212,7 @@ def _fetch_rest(source: Source, place: str, entry: FileEntry, part: Path, advanc
                     pending += len(block)
                     if pending >= WRITE_BACK_BYTES:
                         stored.flush()
-                        _let_go(stored.fileno())
+                        _drop_cache(stored.fileno())
                         pending = 0
                     advance(len(block), fetched=True)
                     if size > entry.size:
@@ -200,22 +225,22 @@ def _read_small(source: Source, place: str) -> bytes:
     with closing(source.blocks(place)) as blocks:
         for block in blocks:
             data += block
-            if len(data) > MOST_MANIFEST_BYTES:
+            if len(data) > MAX_MANIFEST_BYTES:
                 raise RecordError(f"{source.name}/{place}: is larger than any manifest")
     return data
 
 
-def _settle(path: Path) -> None:
-    """Have a file's bytes on the disk, and out of memory, so that it is the disk that is read back."""
-    descriptor = os.open(path, os.O_RDONLY)
+def _flush(path: Path) -> None:
+    """Write a file to the disk and drop it from memory, so that reading it back reads the disk."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
     try:
         os.fsync(descriptor)
-        _let_go(descriptor)
+        _drop_cache(descriptor)
     finally:
         os.close(descriptor)
 
 
-def _let_go(descriptor: int) -> None:
-    """Begin to write what memory holds of a file, and forget what is written already."""
+def _drop_cache(descriptor: int) -> None:
+    """Start writing a file's cached pages, and drop those that are written."""
     if hasattr(os, "posix_fadvise"):
         os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)

@@ -13,14 +13,14 @@ from host_sync.errors import SourceError
 
 SERVICE: Final = "_sftp-ssh._tcp.local."
 MARK: Final = b"retrograph"
-"""Key in the announcement by which a device is told from other SFTP servers."""
+"""Key in the announcement that distinguishes a device from other SFTP servers."""
 
 _RESOLVE_MS: Final = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """A device that was heard: its name, the host name and addresses it gave, and its port."""
+    """An announced device: its name, host name, addresses and port."""
 
     name: str
     host: str
@@ -29,10 +29,10 @@ class Announcement:
 
 
 def discover(listen_s: float, interfaces: Sequence[str] | None = None, wanted: str | None = None) -> list[Announcement]:
-    """The devices heard within that time, by name.
+    """The devices announced within that time, sorted by name.
 
-    interfaces : addresses of ours to listen on; all of them when None
-    wanted : name of a device; listening ends as soon as it is heard
+    interfaces : own addresses to listen on; all when None
+    wanted : name of a device; listening ends as soon as it is found
 
     Raises
     ------
@@ -60,6 +60,4 @@ def discover(listen_s: float, interfaces: Sequence[str] | None = None, wanted: s
                 enough.wait(listen_s)
             return sorted(found.values(), key=lambda one: one.name)
     except OSError as error:
-        raise SourceError(
-            f"no network can be listened on ({error}): connect one, or name the device's address"
-        ) from error
+        raise SourceError(f"no network is available ({error}): connect one, or give the device's address") from error

@@ -1,21 +1,21 @@
-"""What a pull did: written down as it happens, and reported at the end."""
+"""What a pull did: noted as it happens, and reported at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from device.errors import RecordError
-from host_sync.errors import BusyBundle, SourceError, SourceLost
-from host_sync.library import Library
-from host_sync.offload.bundle_transfer import Offer
+from device.bundles.layout import BundleKind
+from device.errors import DeviceError
+from host_sync.errors import BusyBundle, HostError, LibraryError, SourceLost
+from host_sync.library.library import Library
 
 
 @dataclass(frozen=True, slots=True)
 class PullFailure:
-    """A bundle that was left behind, and why."""
+    """A bundle, or an entry of the source, that was passed over, and why."""
 
     bundle_id: str
     reason: str
@@ -25,10 +25,11 @@ class PullFailure:
 class PullReport:
     """What a pull did, by ids.
 
-    unread : of those already there, what a receipt of an earlier pull and its sizes stand for; not hashed again
+    unread : of those already there, the ones that an earlier pull verified; not hashed again
     without_calibration : scans whose calibration neither the source nor the library holds
-    copied_bytes : that came from the source, what an earlier pull had left not counted
-    unreceipted : why the source could not be given receipts, None when it has them all
+    copied_bytes : fetched from the source, without what an earlier pull had left
+    unreceipted : why the source takes no receipts, None when it took some
+    refused_receipts : the receipts that a source refused which took others
     lost : why the source went away before the end, None when it did not
     """
 
@@ -39,23 +40,28 @@ class PullReport:
     without_calibration: tuple[str, ...]
     copied_bytes: int
     unreceipted: str | None
+    refused_receipts: tuple[PullFailure, ...]
     lost: str | None
 
     @property
     def complete(self) -> bool:
-        """Whether everything that the source offers is now in the library."""
-        return not self.failed and self.lost is None
+        """Whether everything that the source offers is in the library now, and it took the receipts or takes none."""
+        return not self.failed and not self.refused_receipts and self.lost is None
 
     @property
     def here(self) -> int:
-        """How many of the source's bundles are now in the library."""
+        """How many of the source's bundles are in the library now."""
         return len(self.copied) + len(self.already_there)
 
 
 @dataclass(slots=True)
-class Ledger:
-    """What a pull did so far."""
+class PullLog:
+    """What a pull did so far.
 
+    refused : called with kind, name and reason of each failure, as it is noted
+    """
+
+    refused: Callable[[BundleKind, str, str], None] = lambda *_: None
     copied: list[str] = field(default_factory=list)
     already_there: list[str] = field(default_factory=list)
     unread: list[str] = field(default_factory=list)
@@ -64,18 +70,25 @@ class Ledger:
     copied_bytes: int = 0
     lost: str | None = None
 
+    def fail(self, kind: BundleKind, name: str, reason: str) -> None:
+        """Note why a bundle, or an entry of the source, was passed over."""
+        self.failed.append(PullFailure(name, reason))
+        self.refused(kind, name, reason)
+
     @contextmanager
-    def noting_failure(self, offer: Offer) -> Iterator[None]:
-        """Notes why a bundle was not copied, when that concerns this one alone; everything else goes on its way."""
+    def recording_failure(self, kind: BundleKind, bundle_id: str) -> Iterator[None]:
+        """Notes an error that concerns one bundle alone; a lost source and a library without room go on."""
         try:
             yield
         except SourceLost:
             raise
-        except (RecordError, SourceError, BusyBundle) as error:
-            self.failed.append(PullFailure(offer.bundle_id, str(error)))
+        except (DeviceError, HostError) as error:
+            if isinstance(error, LibraryError) and not isinstance(error, BusyBundle):
+                raise
+            self.fail(kind, bundle_id, str(error))
 
-    def report(self, library: Library, unreceipted: str | None) -> PullReport:
-        """What stands written; `unreceipted` is why the source got no receipts, None when it did."""
+    def report(self, library: Library, unreceipted: str | None, refusals: Mapping[str, str]) -> PullReport:
+        """The report; `unreceipted` is why the source takes no receipts, `refusals` why it refused some."""
         here = {*self.copied, *self.already_there}
         folder: Path = library.root / "calibrations"
         orphans = (scan for scan, needed in self.needs.items() if scan in here and not (folder / needed).is_dir())
@@ -87,5 +100,6 @@ class Ledger:
             without_calibration=tuple(orphans),
             copied_bytes=self.copied_bytes,
             unreceipted=unreceipted,
+            refused_receipts=() if unreceipted else tuple(PullFailure(*refusal) for refusal in refusals.items()),
             lost=self.lost,
         )

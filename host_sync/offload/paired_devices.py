@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, TypeVar
 
 import msgspec
+import platformdirs
 
-from device.disk_advice import explain_refusal
-from device.durable import replace_file
-from device.pairing_exchange import SshPublicKey
-from device.records import BundleId, Count, Record, decode_record, encode_record, read_small
+from device.bundles.record import BundleId, Count, Record, decode_record, encode_record, read_small
+from device.io.atomic import replace_file
+from device.io.os_errors import explain_os_error
+from device.pairing.exchange import SshPublicKey
 from host_sync.errors import HostError, NoSource
 
 SECRET: Final = 0o600
@@ -28,7 +29,7 @@ RecordT = TypeVar("RecordT", bound=Record)
 
 
 class PairedDevice(Record, frozen=True, tag_field="schema", tag="retrograph.paired-device/1"):
-    """How a device is reached, and the host key by which it is known; the address may change, the key may not."""
+    """A device's address and host key; the address may change, the key may not."""
 
     device_id: BundleId
     host: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
@@ -38,10 +39,10 @@ class PairedDevice(Record, frozen=True, tag_field="schema", tag="retrograph.pair
 
 
 class SyncState(Record, frozen=True, tag_field="schema", tag="retrograph.sync-state/1"):
-    """How the last sync with a device ended.
+    """Outcome of the last sync with a device.
 
-    clock_offset_s : how far the device's clock was ahead, s; shown, never used as identity
-    verified : bundles of the device that the library held, proven, at the end
+    clock_offset_s : how far the device's clock was ahead, s; only shown
+    verified : bundles of the device that the library held and had verified
     """
 
     device_id: BundleId
@@ -51,25 +52,24 @@ class SyncState(Record, frozen=True, tag_field="schema", tag="retrograph.sync-st
     failed: Count
 
 
-def default_devices_folder(environment: Mapping[str, str]) -> Path:
-    """`retrograph` under the user's folder of settings."""
-    config = environment.get("XDG_CONFIG_HOME", "")
-    return (Path(config) if Path(config).is_absolute() else Path.home() / ".config") / "retrograph"
+def default_devices_folder() -> Path:
+    """`retrograph` in the user's folder of settings."""
+    return platformdirs.user_config_path("retrograph", appauthor=False)
 
 
 class PairedDevices:
-    """The devices under one folder, which is made when something is stored."""
+    """The devices in one folder, which is made when something is stored."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def all(self) -> list[PairedDevice]:
-        """Every paired device, in order of ids.
+        """Every paired device, sorted by id.
 
         Raises
         ------
         RecordError
-            One's file is damaged; names it.
+            A file is damaged; names it.
         """
         files = sorted((self.folder / "devices").glob("*.json"))
         return [decode_record(read_small(path, _REMEDY), PairedDevice, path, _REMEDY) for path in files]
@@ -80,46 +80,46 @@ class PairedDevices:
         Raises
         ------
         NoSource
-            None or several answer to it.
+            None or several match.
         """
         devices = self.all()
         exact = [device for device in devices if name in (device.device_id, device.host)]
         some = [one for one in devices if name and (one.device_id.startswith(name) or one.device_id.endswith(name))]
         found = exact or some
         if len(found) != 1:
-            known = ", ".join(device.device_id for device in devices) or "none yet, `retrosync pair` makes one known"
+            known = ", ".join(device.device_id for device in devices) or "none yet, run `retrosync pair`"
             many = len(found) or "none"
-            raise NoSource(f"{name!r}: is no folder and names {many} of the paired devices; paired are: {known}")
+            raise NoSource(f"{name!r}: is no folder and matches {many} of the paired devices: {known}")
         return found[0]
 
     def save(self, device: PairedDevice) -> None:
-        """Store a device in the place of what was known of it."""
+        """Store a device, replacing its earlier record."""
         self._store("devices", device.device_id, device)
 
     def forget(self, device_id: str) -> None:
-        """Remove what is known of a device."""
+        """Remove a device's records."""
         with self._translating():
             for kind in ("devices", "synced"):
                 (self.folder / kind / f"{device_id}.json").unlink(missing_ok=True)
 
     def sync_state(self, device_id: str) -> SyncState | None:
-        """How the last sync ended, None when there was none."""
+        """Outcome of the last sync, None when there was none."""
         path = self.folder / "synced" / f"{device_id}.json"
         return decode_record(read_small(path, _REMEDY), SyncState, path, _REMEDY) if path.exists() else None
 
     def save_sync_state(self, state: SyncState) -> None:
-        """Store how a sync ended."""
+        """Store the outcome of a sync."""
         self._store("synced", state.device_id, state)
 
     def private_key(self, make: Callable[[], bytes]) -> Path:
-        """File of this workstation's private key, which `make` makes when there is none."""
+        """File of this workstation's private key; `make` generates it when absent."""
         path = self.folder / "id_ed25519"
         if not path.exists():
             with self._translating():
                 self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
                 replace_file(path, make(), SECRET)
         if path.stat().st_mode & 0o077:
-            raise HostError(f"{path}: others may read this secret: chmod 600 it, or remove it and pair again")
+            raise HostError(f"{path}: other users may read this secret: chmod 600 it, or remove it and pair again")
         return path
 
     def _store(self, kind: str, device_id: str, record: Record) -> None:
@@ -133,7 +133,7 @@ class PairedDevices:
         try:
             yield
         except OSError as error:
-            raise HostError(f"{self.folder}: the settings cannot be stored {explain_refusal(error)}") from error
+            raise HostError(f"{self.folder}: the settings cannot be stored {explain_os_error(error)}") from error
 
 
 def this_host() -> str:

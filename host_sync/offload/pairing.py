@@ -1,4 +1,4 @@
-"""The workstation's side of pairing: show the code, leave our key, keep theirs."""
+"""The workstation's side of pairing: prove the code, give our key, store the device's."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Final
 import asyncssh
 
 from device.errors import DeviceError, RecordError
-from device.pairing_card import leave_host_card, read_device_card
-from device.pairing_channel import PairingChannel
-from device.pairing_exchange import DeviceCard, Element, Exchange, HostCard
+from device.pairing.card import leave_host_card, read_device_card
+from device.pairing.channel import PairingChannel
+from device.pairing.exchange import DeviceCard, Element, Exchange, HostCard
 from host_sync.errors import HostError, PairingError, SourceError
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 
@@ -21,12 +21,12 @@ CONVERSATION_S: Final = 10.0
 
 
 def new_private_key() -> bytes:
-    """A fresh key of this workstation's, as OpenSSH stores it."""
+    """A new private key in OpenSSH's format."""
     return asyncssh.generate_private_key("ssh-ed25519").export_private_key()
 
 
 def own_card(devices: PairedDevices, name: str) -> HostCard:
-    """What this workstation shows to a device; its key is made when there is none."""
+    """This workstation's card; its key is generated when absent."""
     path = devices.private_key(new_private_key)
     try:
         key = asyncssh.read_private_key(path)
@@ -37,7 +37,7 @@ def own_card(devices: PairedDevices, name: str) -> HostCard:
 
 
 def pair_over_network(host: str, port: int, code: str, card: HostCard) -> PairedDevice:
-    """The device that listens there, proven to know the code; it knows our key now.
+    """Pair with the device that listens there; both sides have proven that they know the code.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def pair_over_network(host: str, port: int, code: str, card: HostCard) -> Paired
         connection = socket.create_connection((host, port), timeout=CONVERSATION_S)
     except (OSError, UnicodeError) as error:
         raise SourceError(
-            f"{host}:{port}: no device waits there to be paired ({error}): open its window and check the address"
+            f"{host}:{port}: no device waits there for pairing ({error}): open its window and check the address"
         ) from error
     exchange = Exchange(code, "host")
     with closing(connection):
@@ -58,19 +58,24 @@ def pair_over_network(host: str, port: int, code: str, card: HostCard) -> Paired
         try:
             channel.send(exchange.element)
             exchange.meet(channel.receive(Element))
+        except RecordError as error:
+            raise PairingError(
+                f"{host}: was not paired, the device is busy with other callers or did not answer ({error}): repeat"
+            ) from error
+        try:
             channel.send(exchange.proven(card))
             device = channel.receive(DeviceCard)
         except RecordError as error:
-            raise PairingError(f"{host}: is not paired, the code may be wrong ({error})") from error
+            raise PairingError(f"{host}: was not paired, the code may be wrong ({error})") from error
     if not exchange.is_proven(device):
         raise PairingError(f"{host}: does not know the code: something else answers in the device's place")
     return _paired(device, host)
 
 
 def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedDevice | None:
-    """The device whose card lies there; None when it has left none yet, and ours waits for it now.
+    """The device whose card is on a memory card; None when it has left none yet. Ours is left there in any case.
 
-    host : where the device is reached; its id under ".local" when None
+    host : the device's address; its id under ".local" when None
 
     Raises
     ------
@@ -86,9 +91,9 @@ def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedD
 
 
 def keep(devices: PairedDevices, device: PairedDevice, *, replace: bool) -> None:
-    """Store a device; one that shows another key than before, or that answers where another did, only when asked to.
+    """Store a paired device; a changed key, or another device at a known address, only with `replace`.
 
-    replace : the device was set up anew; what it was before is forgotten
+    replace : the device was set up again; its old record is forgotten
 
     Raises
     ------
@@ -99,14 +104,14 @@ def keep(devices: PairedDevices, device: PairedDevice, *, replace: bool) -> None
     before = next((one for one in known if one.device_id == device.device_id), None)
     if before is not None and before.host_key != device.host_key and not replace:
         raise PairingError(
-            f"{device.device_id}: shows another key than when it was paired: if you set it up anew, "
+            f"{device.device_id}: presents another host key than when it was paired: if you set it up again, "
             "pair it with --replace; otherwise something else answers in its place"
         )
     others = [one for one in known if one != before and (one.host, one.port) == (device.host, device.port)]
     if others and not replace:
         raise PairingError(
-            f"{device.host}: is {device.device_id} and was {others[0].device_id}: if you set it up anew, pair it with "
-            "--replace and the former is forgotten; if they are two devices, give each an address of its own"
+            f"{device.host}: is {device.device_id} and was {others[0].device_id}: if you set it up again, pair it with "
+            "--replace and the old record is forgotten; two devices need two addresses"
         )
     for other in others:
         devices.forget(other.device_id)

@@ -1,134 +1,170 @@
-"""Offload: every bundle that a source has and the library lacks, copied, proven, published and receipted.
+"""Offload: every bundle that a source has and the library lacks is copied, verified, published and receipted.
 
-A bundle that is damaged is named and left behind; the others go on. A second pull copies nothing.
+What is damaged or hostile is named and passed over; the rest goes on. A second pull copies nothing. Several devices
+are pulled side by side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Final
 
-from device.bundle_layout import MANIFESTS, BundleKind
-from device.errors import RecordError
-from device.receipts import RECEIPTS, bundle_of, receipt_name
-from device.records import read_small
-from host_sync.errors import LibraryError, SourceError, SourceLost
-from host_sync.library import Library
-from host_sync.offload.assembly import Assembly
-from host_sync.offload.bundle_transfer import Offer, read_offer
-from host_sync.offload.ledger import Ledger, PullFailure, PullReport
-from host_sync.offload.receipting import Vouch, reread
+from device.bundles.layout import MANIFESTS, BundleKind, is_utf_8
+from device.bundles.receipt import RECEIPTS, bundle_of, receipt_name
+from device.bundles.record import read_small
+from device.errors import DeviceError, RecordError
+from host_sync.errors import HostError, LibraryError, SourceError, SourceLost
+from host_sync.library.library import Library
+from host_sync.offload.bundle_transfer import RemoteBundle, read_remote_bundle
+from host_sync.offload.ingest import IngestQueue, ReceiptWriter, read_back
+from host_sync.offload.ledger import PullLog, PullReport
+from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState, this_host
 from host_sync.offload.source import Source
 
 _ORDER: Final[tuple[BundleKind, ...]] = ("calibrations", "scans")
-"""Calibrations first, so that no scan stands in the library without its own."""
+"""Calibrations first, so that no scan is in the library without its own."""
+
+MAX_BUNDLE_BYTES: Final = 8 << 30
+"""A bundle that states more is not a full disk's fault."""
+
+Opener = Callable[[PairedDevice], AbstractContextManager[Source]]
 
 
 @dataclass(frozen=True, slots=True)
 class PullProgress:
-    """How far a pull is: the bundle that is being copied, and bytes done of all that will be."""
+    """Progress of a pull: the bundle that is being copied, and bytes done of the total."""
 
     bundle_id: str
     done_bytes: int
     total_bytes: int
 
 
+Tell = Callable[[PairedDevice, PullProgress], None]
+
+
 def pull(
     source: Source,
     library: Library,
     progress: Callable[[PullProgress], None] = lambda _: None,
-    vouch: Vouch | None = None,
+    receipts: ReceiptWriter | None = None,
     *,
     verify: bool = False,
+    trust_record: bool = False,
 ) -> PullReport:
-    """The report of copying everything that the library lacks.
+    """Copy everything that the library lacks; returns a report.
 
-    vouch : writes the receipts; without it the source gets none
-    verify : hash again what an earlier pull has left a receipt of
+    receipts : writes the receipts; without it the source gets none
+    verify : hash again what an earlier pull has verified
+    trust_record : without receipts, too, believe the library's own record of what it has verified
 
     Raises
     ------
-    SourceError
-        The source as a whole cannot be read.
     LibraryError
         The library is full, cannot be written, or is being filled by another program.
     """
     with library.writing():
-        return pull_into(library, source, progress, vouch, verify=verify)
+        return pull_into(library, source, progress, receipts, verify=verify, trust_record=trust_record)
 
 
 def pull_into(
     library: Library,
     source: Source,
     progress: Callable[[PullProgress], None],
-    vouch: Vouch | None,
+    receipts: ReceiptWriter | None,
     *,
     verify: bool = False,
+    trust_record: bool = False,
 ) -> PullReport:
     """The same for a library that the caller holds for writing; several sources may fill it side by side."""
-    ledger = Ledger()
-    receipted = {bundle_of(name) for name in source.names(RECEIPTS)} if vouch else set()
+    log = PullLog(refused=lambda kind, name, reason: library.refuse(kind, name, reason, source.name))
     try:
-        survey = _Survey(source, library, ledger, receipted, vouch, verify)
-        offers = _fitting(survey.wanted(), library, ledger)
+        receipted = _receipted(source, log, receipts)
+        survey = _Survey(source, library, log, receipted, receipts, verify=verify, trust_record=trust_record)
+        offers = _fitting(survey.wanted(), library, log)
         if offers:
-            _copy(offers, Assembly(source, library, ledger, vouch), ledger, progress)
+            _copy(offers, IngestQueue(source, library, log, receipts), log, progress)
     except SourceLost as error:
-        ledger.lost = str(error)
-    return ledger.report(library, vouch.fault if vouch else None)
+        log.lost = str(error)
+    return log.report(library, receipts.fault if receipts else None, receipts.refusals if receipts else {})
+
+
+def _receipted(source: Source, log: PullLog, receipts: ReceiptWriter | None) -> set[str | None]:
+    """Ids that the source has a file of receipt for: a hint only, the library's own record decides."""
+    if receipts is None:
+        return set()
+    try:
+        return {bundle_of(name) for name in source.names(RECEIPTS)}
+    except SourceLost:
+        raise
+    except SourceError as error:
+        log.fail("scans", RECEIPTS, str(error))
+        return set()
 
 
 @dataclass(frozen=True, slots=True)
 class _Survey:
-    """What a source offers beside what the library holds.
+    """Compares what a source offers with what the library holds.
 
-    receipted : ids that the source has receipts of
-    verify : hash what is here although a receipt says that this was done
+    receipted : ids that the source has a receipt file for
+    verify : hash again what an earlier pull has verified
+    trust_record : skip what the library's record has, although the source has no receipt for it
     """
 
     source: Source
     library: Library
-    ledger: Ledger
+    log: PullLog
     receipted: Collection[str | None]
-    vouch: Vouch | None
+    receipts: ReceiptWriter | None
     verify: bool
+    trust_record: bool
 
-    def wanted(self) -> list[Offer]:
-        """The offers that the library lacks; what it has and what is damaged goes to the ledger."""
+    def wanted(self) -> list[RemoteBundle]:
+        """The offers that the library lacks; everything else goes to the log."""
         wanted = []
         for kind in _ORDER:
-            for bundle_id in self.source.bundle_ids(kind):
-                try:
+            for bundle_id in self._ids(kind):
+                with self.log.recording_failure(kind, bundle_id):
                     if offer := self._wanted(kind, bundle_id):
                         wanted.append(offer)
-                except SourceLost:
-                    raise
-                except (RecordError, SourceError) as error:
-                    self.ledger.failed.append(PullFailure(bundle_id, str(error)))
         return wanted
 
-    def _wanted(self, kind: BundleKind, bundle_id: str) -> Offer | None:
-        """The offer, unless the library holds it and that was noted."""
-        if not self.verify and bundle_id in self.receipted and self.library.looks_whole(kind, bundle_id):
-            self.ledger.already_there.append(bundle_id)
-            self.ledger.unread.append(bundle_id)
+    def _ids(self, kind: BundleKind) -> tuple[str, ...]:
+        with self.log.recording_failure(kind, kind):
+            found = self.source.bundle_names(kind)
+            for name in found.passed_over:
+                problem = "is no bundle and was skipped" if is_utf_8(name) else "its name is not UTF-8"
+                self.log.fail(kind, name, f"{self.source.name}/{kind}/{name}: {problem}: check the card")
+            return found.ids
+        return ()
+
+    def _wanted(self, kind: BundleKind, bundle_id: str) -> RemoteBundle | None:
+        """The offer, or None when the library holds it; that is noted."""
+        known = self.trust_record or bundle_id in self.receipted
+        if known and not self.verify and self.library.looks_whole(kind, bundle_id):
+            self.log.already_there.append(bundle_id)
+            self.log.unread.append(bundle_id)
             return None
-        offer = read_offer(self.source, kind, bundle_id)
+        offer = read_remote_bundle(self.source, kind, bundle_id)
         if offer.calibration_id is not None:
-            self.ledger.needs[bundle_id] = offer.calibration_id
+            self.log.needs[bundle_id] = offer.calibration_id
         if not _holds(self.library, offer):
             return offer
         try:
-            reread(self.library, offer)
+            read_back(self.library, offer)
         except RecordError as error:
-            raise RecordError(f"{error}{self._withdrawn(bundle_id)}") from error
-        if self.vouch:
-            self.vouch.for_bundle(self.source, offer)
-        self.ledger.already_there.append(bundle_id)
+            raise RecordError(f"{error}{self._withdraw_receipt(bundle_id)}") from error
+        if (kind, bundle_id) not in self.library.intake().held:
+            self.library.record("adopted", kind, bundle_id, offer.manifest, self.source.name)
+        if self.receipts:
+            self.receipts.write_for(self.source, offer)
+        self.log.already_there.append(bundle_id)
         return None
 
-    def _withdrawn(self, bundle_id: str) -> str:
+    def _withdraw_receipt(self, bundle_id: str) -> str:
         """Take the receipt of a damaged copy back, so that the device keeps its own; says when that failed."""
         if bundle_id not in self.receipted:
             return ""
@@ -138,11 +174,11 @@ class _Survey:
         except SourceLost:
             raise
         except SourceError as error:
-            return f"; its receipt could not be taken back ({error}): the device may free its own copy"
+            return f"; its receipt could not be withdrawn ({error}): the device may free its own copy"
         return ""
 
 
-def _holds(library: Library, offer: Offer) -> bool:
+def _holds(library: Library, offer: RemoteBundle) -> bool:
     """Whether the library has this very bundle.
 
     Raises
@@ -158,14 +194,13 @@ def _holds(library: Library, offer: Offer) -> bool:
     return True
 
 
-def _fitting(offers: Sequence[Offer], library: Library, ledger: Ledger) -> list[Offer]:
-    """The offers for which there is room, one after the other; the others go to the ledger, so that one whose size is
-    absurd holds up nobody.
+def _fitting(offers: Sequence[RemoteBundle], library: Library, log: PullLog) -> list[RemoteBundle]:
+    """The offers for which there is room, one after the other; the others go to the log.
 
     Raises
     ------
     LibraryError
-        There is room for none.
+        There is room for none, although some have a plausible size.
     """
     free_bytes = library.free_bytes()
     fitting, left_bytes = [], free_bytes
@@ -176,40 +211,99 @@ def _fitting(offers: Sequence[Offer], library: Library, ledger: Ledger) -> list[
             left_bytes -= needed_bytes
         else:
             reason = f"needs {needed_bytes / 1e6:.0f} MB of the library's disk, and {left_bytes / 1e6:.0f} MB are left"
-            ledger.failed.append(PullFailure(offer.bundle_id, f"{reason}: free space or name another library"))
-    if offers and not fitting:
+            log.fail(offer.kind, offer.bundle_id, f"{reason}: free space or name another library")
+    if not fitting and any(offer.size_bytes <= MAX_BUNDLE_BYTES for offer in offers):
         needed_bytes = sum(offer.size_bytes for offer in offers)
         raise LibraryError(
-            f"{library.root}: {needed_bytes / 1e6:.0f} MB are to come and {free_bytes / 1e6:.0f} MB are free: "
+            f"{library.root}: {needed_bytes / 1e6:.0f} MB must be copied and {free_bytes / 1e6:.0f} MB are free: "
             "free space or name another library"
         )
     return fitting
 
 
 def _copy(
-    offers: Sequence[Offer], assembly: Assembly, ledger: Ledger, progress: Callable[[PullProgress], None]
+    offers: Sequence[RemoteBundle], queue: IngestQueue, log: PullLog, progress: Callable[[PullProgress], None]
 ) -> None:
-    """Put every offer into the library, and tell how far it is."""
+    """Put every offer into the library, reporting progress."""
     total_bytes = sum(offer.size_bytes for offer in offers)
     before_bytes = 0
-    with assembly:
+    with queue:
         for offer in offers:
-            meter = _Meter(offer.bundle_id, before_bytes, total_bytes, ledger, progress)
-            assembly.add(offer, meter.advance)
+            meter = _Meter(offer.bundle_id, before_bytes, total_bytes, log, progress)
+            queue.add(offer, meter.advance)
             before_bytes += offer.size_bytes
 
 
 @dataclass(slots=True)
 class _Meter:
-    """Counts the bytes of one bundle and tells the caller."""
+    """Counts the bytes of one bundle and reports them."""
 
     bundle_id: str
     done_bytes: int
     total_bytes: int
-    ledger: Ledger
+    log: PullLog
     progress: Callable[[PullProgress], None]
 
     def advance(self, size_bytes: int, *, fetched: bool) -> None:
         self.done_bytes += size_bytes
-        self.ledger.copied_bytes += size_bytes if fetched else 0
+        self.log.copied_bytes += size_bytes if fetched else 0
         self.progress(PullProgress(self.bundle_id, self.done_bytes, self.total_bytes))
+
+
+def utc_now() -> datetime:
+    """The time, UTC, in whole seconds."""
+    return datetime.now(UTC).replace(microsecond=0)
+
+
+def sync(
+    wanted: Sequence[PairedDevice],
+    library: Library,
+    devices: PairedDevices,
+    open_device: Opener,
+    tell: Tell,
+    *,
+    verify: bool = False,
+) -> list[PullReport | HostError | DeviceError]:
+    """The outcome of each device, in the given order; one that fails does not hold up the others.
+
+    verify : hash again what an earlier pull has verified
+
+    Raises
+    ------
+    LibraryError
+        The library cannot be written, or is being filled by another program.
+    """
+
+    def one(device: PairedDevice) -> PullReport | HostError | DeviceError:
+        try:
+            return sync_one(device, library, devices, open_device, lambda state: tell(device, state), verify=verify)
+        except (HostError, DeviceError) as error:
+            return error
+
+    with library.writing(), ThreadPoolExecutor(max_workers=max(1, len(wanted))) as threads:
+        return list(threads.map(one, wanted))
+
+
+def sync_one(
+    device: PairedDevice,
+    library: Library,
+    devices: PairedDevices,
+    open_device: Opener,
+    tell: Callable[[PullProgress], None],
+    *,
+    verify: bool = False,
+) -> PullReport:
+    """Pull from one device into a library that the caller holds, and store the outcome and its clock's offset."""
+    with open_device(device) as source:
+        report = pull_into(library, source, tell, ReceiptWriter(this_host(), utc_now), verify=verify)
+        offset_s = None if report.lost else source.clock_offset_s()
+    devices.save_sync_state(
+        SyncState(
+            device_id=device.device_id,
+            synced=utc_now(),
+            clock_offset_s=offset_s,
+            verified=report.here,
+            failed=len(report.failed),
+        )
+    )
+    return report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import stat
 import time
 from collections import deque
@@ -15,35 +16,67 @@ from typing import IO, Final
 
 import asyncssh
 
-from device.bundle_layout import BundleKind, is_bundle_id
-from device.disk_advice import explain_refusal
-from device.receipts import RECEIPTS
-from host_sync.errors import HostError, SourceError
-from host_sync.offload.sftp_link import LinkBroken, SftpLink
-from host_sync.offload.ssh_session import Session
+from device.bundles.layout import BundleKind, BundleNames, bundle_names
+from device.bundles.receipt import RECEIPTS
+from device.io.folder import MAX_ENTRIES, EntryKind, FolderEntry, open_regular
+from device.io.os_errors import explain_os_error
+from host_sync.errors import HostError, SourceError, SourceLost
+from host_sync.offload.sftp_link import LinkBroken, ReconnectingSftp, Session
 
 REQUEST_BYTES: Final = 255 << 10
-"""The most that OpenSSH's server sends for one request."""
+"""Maximum that OpenSSH's server sends for one request."""
 
 BLOCK_BYTES: Final = 4 * REQUEST_BYTES
-"""What is handed on at a time, and the most that a cut costs: about one megabyte."""
+"""Size of one block, about a megabyte: at most this much is lost when the connection breaks."""
 
 BLOCKS_AHEAD: Final = 3
-"""Blocks under way, so that neither side ever waits for the other."""
+"""Blocks requested ahead, so that neither side waits for the other."""
 
 WRITTEN_BYTES: Final = 128 << 10
-"""Sent at a time: on the slowest line that is borne, one arrives before patience ends."""
+"""Size of one write: on the slowest accepted line it arrives before the timeout."""
 
-MOST_NAMES: Final = 200_000
-"""A folder that lists more is not a device's."""
+RATE_WINDOW_S: Final = 60.0
+MIN_BYTES_PER_S: Final = 1024
+"""A slower server is treated as lost; the slowest useful line, a GPRS modem, has twice this."""
 
 _CLOCK_FILE: Final = f"{RECEIPTS}/.clock"
 
 
-class SftpSource:
-    """A device's store over a link that is open; a cut is mended and reading goes on at the byte where it stopped."""
+class RateFloor:
+    """Ends a transfer that drips: within each window a minimum of bytes must arrive."""
 
-    def __init__(self, link: SftpLink) -> None:
+    def __init__(self, name: str, now_s: Callable[[], float]) -> None:
+        self._name = name
+        self._now_s = now_s
+        self._begin_s = now_s()
+        self._bytes = 0
+
+    def count(self, size_bytes: int) -> None:
+        """Count bytes that arrived.
+
+        Raises
+        ------
+        SourceLost
+            The window is over and brought too few.
+        """
+        self._bytes += size_bytes
+        if self._now_s() - self._begin_s < RATE_WINDOW_S:
+            return
+        if self._bytes < RATE_WINDOW_S * MIN_BYTES_PER_S:
+            raise SourceLost(
+                f"{self._name}: arrives at less than {MIN_BYTES_PER_S} bytes/s: check cable or network, then repeat"
+            )
+        self._begin_s, self._bytes = self._now_s(), 0
+
+    def pause(self, busy_s: float) -> None:
+        """Leave out time that this side took for itself."""
+        self._begin_s += busy_s
+
+
+class SftpSource:
+    """A device's store over an open link; after a reconnection, reading continues at the byte where it stopped."""
+
+    def __init__(self, link: ReconnectingSftp) -> None:
         self._link = link
 
     @property
@@ -51,42 +84,58 @@ class SftpSource:
         """The device's id."""
         return self._link.name
 
-    def bundle_ids(self, kind: BundleKind) -> list[str]:
-        """Ids of the published bundles, sorted."""
-        return [name for name in self.names(kind) if is_bundle_id(name)]
+    def bundle_names(self, kind: BundleKind) -> BundleNames:
+        """Ids of the published bundles, and entries that cannot be bundles."""
+        return bundle_names(self._entries(kind))
 
     def names(self, folder: str) -> list[str]:
         """Names in a folder of the store, sorted; none when there is no such folder."""
+        return sorted(entry.name for entry in self._entries(folder))
+
+    def _entries(self, folder: str) -> list[FolderEntry]:
         link = self._link
 
-        async def listed(client: asyncssh.SFTPClient) -> list[str]:
-            names: list[str] = []
+        async def listed(client: asyncssh.SFTPClient) -> list[FolderEntry]:
+            found: list[FolderEntry] = []
             async for entry in client.scandir(folder):
                 link.note_progress()
-                names.append(str(entry.filename))
-                if len(names) > MOST_NAMES:
+                found.append(FolderEntry(str(entry.filename), _kind(entry.attrs.permissions)))
+                if len(found) > MAX_ENTRIES:
                     break
-            return names
+            return found
 
         try:
-            names = link.persist(listed)
-        except asyncssh.SFTPNoSuchFile:
+            found = link.retry(listed)
+        except asyncssh.SFTPNoSuchFile as error:
+            if self._is_there(folder):  # OpenSSH says so of what is no folder, too
+                raise SourceError(f"{self.name}/{folder}: is no folder: check the device") from error
             return []
         except asyncssh.SFTPError as error:
             raise self._refused(folder, "be listed", error) from error
-        if len(names) > MOST_NAMES:
-            raise SourceError(f"{self.name}/{folder}: holds more than {MOST_NAMES} names: check the device")
-        return sorted(name for name in names if name not in (".", ".."))
+        if len(found) > MAX_ENTRIES:
+            raise SourceError(f"{self.name}/{folder}: holds more than {MAX_ENTRIES} names: check the device")
+        return [entry for entry in found if entry.name not in (".", "..")]
+
+    def _is_there(self, place: str) -> bool:
+        try:
+            self._link.retry(lambda client: client.lstat(place))
+        except asyncssh.SFTPError:
+            return False
+        return True
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A file's bytes from an offset on, with some requests always under way."""
+        """A file's bytes from an offset, with several requests in flight."""
         self._link.note_progress()
+        floor = RateFloor(f"{self.name}/{place}", self._link.now_s)
         while True:
             session = self._link.session
             try:
                 for block in self._read_ahead(session, place, offset_bytes):
                     offset_bytes += len(block)
+                    floor.count(len(block))
+                    handed_s = self._link.now_s()
                     yield block
+                    floor.pause(self._link.now_s() - handed_s)
             except LinkBroken:
                 self._link.restore(session)
             except asyncssh.SFTPError as error:
@@ -95,13 +144,15 @@ class SftpSource:
                 return
 
     def write(self, place: str, data: bytes | Path) -> None:
-        """Put a file there, durable before it appears under its name; each block that arrives renews patience."""
+        """Put a file there, durable before it appears under its name; each acknowledged block counts as progress."""
         link = self._link
         folder, _, name = place.rpartition("/")
         partial = f"{folder}/.{name}.part"
 
         async def put(client: asyncssh.SFTPClient) -> None:
-            async with client.open(partial, "wb") as file:
+            with suppress(asyncssh.SFTPNoSuchFile):
+                await client.remove(partial)
+            async with client.open(partial, "xb") as file:
                 with BytesIO(data) if isinstance(data, bytes) else _own_file(data) as stream:
                     while block := _own_block(stream):
                         await file.write(block)
@@ -111,61 +162,60 @@ class SftpSource:
             await client.posix_rename(partial, place)
 
         try:
-            link.persist(put)
+            link.retry(put)
         except asyncssh.SFTPError as error:
             raise self._refused(place, "be written", error) from error
 
     def make_folder(self, place: str) -> None:
-        """Make a folder; one that is there is kept."""
+        """Make a folder; an existing one is kept."""
         try:
-            if not self._link.persist(lambda client: client.isdir(place)):
-                self._link.persist(lambda client: client.mkdir(place))
+            if not self._link.retry(lambda client: client.isdir(place)):
+                self._link.retry(lambda client: client.mkdir(place))
         except asyncssh.SFTPError as error:
             raise self._refused(place, "be made", error) from error
 
     def rename(self, place: str, new_place: str) -> None:
         """Rename a file or folder."""
         try:
-            self._link.persist(lambda client: _rename(client, place, new_place))
+            self._link.retry(lambda client: _rename(client, place, new_place))
         except asyncssh.SFTPError as error:
             raise self._refused(place, "be renamed", error) from error
 
     def clock_offset_s(self) -> float | None:
-        """How far the device's clock is ahead of ours, s, by the time stamp of a file that it writes; None when it
-        takes none."""
+        """How far the device's clock is ahead of ours, s, by the time stamp of a new file; None when it takes none."""
         try:
             before_s = time.time()
             self.write(_CLOCK_FILE, b"\n")
             after_s = time.time()
-            stamp_s = self._link.persist(lambda client: client.stat(_CLOCK_FILE)).mtime
+            stamp_s = self._link.retry(lambda client: client.stat(_CLOCK_FILE)).mtime
         except (SourceError, asyncssh.SFTPError):
             return None
-        # Stamps of version 3 of the protocol are whole seconds, cut off.
+        # SFTP version 3 has time stamps in whole seconds, rounded down.
         return None if stamp_s is None else float(stamp_s) + 0.5 - (before_s + after_s) / 2.0
 
     def _read_ahead(self, session: Session, place: str, offset_bytes: int) -> Generator[bytes, None, None]:
         link = self._link
         self._check_regular(session, place)
         file = link.result(link.submit(_open(session.client, place)))
-        asked: deque[Future[bytes]] = deque()
+        requested: deque[Future[bytes]] = deque()
         try:
-            asked_bytes = offset_bytes
+            requested_bytes = offset_bytes
             while True:
-                while len(asked) < BLOCKS_AHEAD:
-                    asked.append(link.submit(_read_block(file, asked_bytes, link.note_progress)))
-                    asked_bytes += BLOCK_BYTES
-                block = link.result(asked.popleft())
+                while len(requested) < BLOCKS_AHEAD:
+                    requested.append(link.submit(_read_block(file, requested_bytes, link.note_progress)))
+                    requested_bytes += BLOCK_BYTES
+                block = link.result(requested.popleft())
                 if not block:
                     return
                 handed_s = time.monotonic()
                 yield block
-                link.allow(time.monotonic() - handed_s)
+                link.pause_timeout(time.monotonic() - handed_s)
                 offset_bytes += len(block)
                 if len(block) < BLOCK_BYTES:
-                    _cancel(asked)
-                    asked_bytes = offset_bytes
+                    _cancel(requested)
+                    requested_bytes = offset_bytes
         finally:
-            _cancel(asked)
+            _cancel(requested)
             link.submit(_close(file))
 
     def _check_regular(self, session: Session, place: str) -> None:
@@ -177,13 +227,21 @@ class SftpSource:
         return SourceError(f"{self.name}/{place}: cannot {verb} ({error.reason or error.code}): check the device")
 
 
+def _kind(permissions: int | None) -> EntryKind:
+    if permissions is None:
+        return "other"
+    if stat.S_ISDIR(permissions):
+        return "folder"
+    return "file" if stat.S_ISREG(permissions) else "other"
+
+
 async def _open(client: asyncssh.SFTPClient, place: str) -> asyncssh.SFTPClientFile:
     # Block size 0: each read is one request, not split further.
     return await client.open(place, "rb", block_size=0)
 
 
 async def _read_block(file: asyncssh.SFTPClientFile, offset_bytes: int, note_progress: Callable[[], None]) -> bytes:
-    """A block from there on; a shorter one, or none, where the file or the connection ends."""
+    """A block from that offset; shorter or empty where the file or the connection ends."""
 
     async def read(at_bytes: int) -> bytes:
         part: bytes = await file.read(REQUEST_BYTES, at_bytes)
@@ -192,20 +250,20 @@ async def _read_block(file: asyncssh.SFTPClientFile, offset_bytes: int, note_pro
 
     places = range(offset_bytes, offset_bytes + BLOCK_BYTES, REQUEST_BYTES)
     parts = await asyncio.gather(*map(read, places), return_exceptions=True)
-    came: list[bytes] = []
+    received: list[bytes] = []
     for part in parts:
         if isinstance(part, BaseException):
-            if not came:
+            if not received:
                 raise part
             break
-        came.append(part)
+        received.append(part)
         if len(part) < REQUEST_BYTES:
             break
-    return b"".join(came)
+    return b"".join(received)
 
 
 async def _rename(client: asyncssh.SFTPClient, place: str, new_place: str) -> None:
-    """Rename, or find that it was done just before a cut."""
+    """Rename; the rename may have happened already, just before the connection broke."""
     try:
         await client.rename(place, new_place)
     except asyncssh.SFTPNoSuchFile:
@@ -220,19 +278,19 @@ async def _close(file: asyncssh.SFTPClientFile) -> None:
 
 def _own_file(path: Path) -> IO[bytes]:
     try:
-        return path.open("rb")
+        return os.fdopen(open_regular(path), "rb")
     except OSError as error:
-        raise HostError(f"{path}: cannot be read {explain_refusal(error)}") from error
+        raise HostError(f"{path}: cannot be read {explain_os_error(error)}") from error
 
 
 def _own_block(stream: IO[bytes]) -> bytes:
-    """The next block of a file of ours; that it fails is not the link's fault, and no reason to try again."""
+    """The next block of a file of ours; an error here is not the link's, so it is not retried."""
     try:
         return stream.read(WRITTEN_BYTES)
     except OSError as error:
-        raise HostError(f"{stream.name}: cannot be read {explain_refusal(error)}") from error
+        raise HostError(f"a file of the library cannot be read {explain_os_error(error)}") from error
 
 
-def _cancel(asked: deque[Future[bytes]]) -> None:
-    while asked:
-        asked.popleft().cancel()
+def _cancel(requested: deque[Future[bytes]]) -> None:
+    while requested:
+        requested.popleft().cancel()

@@ -1,6 +1,6 @@
-"""A connection over SSH that mends itself: it lives in a thread of its own, and what waits for it waits a bounded time.
+"""An SFTP connection over SSH that reconnects by itself, with bounded waiting: pinned host key, fast ciphers.
 
-Why a thread: hashing and writing on this side go on while the next blocks come in.
+It runs in its own thread, so that hashing and writing on this side continue while the next blocks arrive.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -18,23 +20,22 @@ import asyncssh
 
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.offload.paired_devices import PairedDevice
-from host_sync.offload.ssh_session import Patience, Session, explain_refusal, open_session
 
 T = TypeVar("T")
 
 LOST: Final = (asyncssh.Error, OSError)
-"""What a connection that is gone, or never came about, raises; a time-out is an OSError."""
+"""What a lost or failed connection raises; a timeout is an OSError."""
 
-MOST_BEGINNINGS: Final = 20
-"""Work that cannot go on where it stopped is begun so often, and no more."""
+MAX_RETRIES: Final = 20
+"""Limit for work that cannot continue where it stopped and starts again."""
 
 
 class LinkBroken(Exception):
-    """The connection is gone; `SftpLink.restore` brings it back or says why not."""
+    """The connection is lost; `ReconnectingSftp.restore` reconnects or says why it cannot."""
 
 
-class SftpLink:
-    """One device's connection; a context manager. Several threads may use it: one mends it, the others wait.
+class ReconnectingSftp:
+    """One device's connection; a context manager. Threads may share it: one reconnects, the others wait.
 
     Raises
     ------
@@ -44,18 +45,18 @@ class SftpLink:
         It shows another key than it was paired with, or does not accept ours.
     """
 
-    def __init__(self, device: PairedDevice, private_key: Path, patience: Patience) -> None:
+    def __init__(self, device: PairedDevice, private_key: Path, timeouts: Timeouts) -> None:
         self._device = device
         self._private_key = private_key
-        self._patience = patience
+        self._timeouts = timeouts
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"sftp {device.device_id}", daemon=True)
         self._session: Session | None = None
-        self._mending = threading.Lock()
+        self._reconnect_lock = threading.Lock()
         self._lost: SourceLost | SourceRefused | None = None
         self._last_byte_s = 0.0
 
-    def __enter__(self) -> SftpLink:
+    def __enter__(self) -> ReconnectingSftp:
         self._thread.start()
         try:
             self.note_progress()
@@ -77,32 +78,36 @@ class SftpLink:
 
     @property
     def session(self) -> Session:
-        """The present session, which may be broken already."""
+        """The current session; it may be broken already."""
         if self._session is None:
             raise LinkBroken
         return self._session
 
+    def now_s(self) -> float:
+        """Monotonic time, s."""
+        return time.monotonic()
+
     def note_progress(self) -> None:
-        """Something came, or is asked for first: patience begins anew. A new connection alone is no progress."""
+        """Restart the timeout: data arrived, or a first request was sent. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
 
-    def allow(self, busy_s: float) -> None:
-        """Time that this side needed for itself is no silence of the other's."""
+    def pause_timeout(self, busy_s: float) -> None:
+        """Leave time that this side took for itself out of the timeout."""
         self._last_byte_s += busy_s
 
     def submit(self, work: Coroutine[Any, Any, T]) -> Future[T]:
-        """Begin some work on the connection."""
+        """Start work on the connection."""
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     def result(self, future: Future[T]) -> T:
-        """What begun work returns.
+        """Result of started work.
 
         Raises
         ------
         LinkBroken
-            The connection is gone, or nothing came for longer than patience allows.
+            The connection is lost, or nothing arrived within the timeout.
         asyncssh.SFTPError
-            The device refused just this.
+            The device refused this request.
         """
         try:
             return self._awaited(future)
@@ -114,28 +119,28 @@ class SftpLink:
                 raise
             raise LinkBroken from error
 
-    def persist(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
-        """What some work returns that may be begun again on a new connection. Errors as for `restore` and `result`."""
+    def retry(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
+        """Result of work that may start again on a new connection. Errors as for `restore` and `result`."""
         self.note_progress()
-        for _ in range(MOST_BEGINNINGS):
+        for _ in range(MAX_RETRIES):
             session = self.session
             try:
                 return self.result(self.submit(work(session.client)))
             except LinkBroken:
                 self.restore(session)
         raise SourceLost(
-            f"{self.name}: breaks off again and again: check cable or network and repeat; what came is kept"
+            f"{self.name}: the connection keeps breaking: check cable or network and repeat; what arrived is kept"
         )
 
     def restore(self, broken: Session | None) -> None:
-        """Have another session than the broken one, trying until patience ends.
+        """Replace the broken session by a new one, trying until the timeout.
 
         Raises
         ------
         SourceLost, SourceRefused
-            As when the link is made; from then on at once.
+            As for the constructor; after the first time without another try.
         """
-        with self._mending:
+        with self._reconnect_lock:
             if self._lost is not None:
                 raise self._lost
             if self._session is broken:
@@ -147,34 +152,34 @@ class SftpLink:
                     raise
 
     def _awaited(self, future: Future[T]) -> T:
-        """What a future returns, awaited for as long as something comes now and then."""
+        """Result of a future, awaited as long as data keeps arriving."""
         while True:
-            left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
+            left_s = self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
             try:
-                return future.result(timeout=max(left_s, self._patience.retry_s))
+                return future.result(timeout=max(left_s, self._timeouts.retry_s))
             except TimeoutError:
-                if future.done() or left_s <= self._patience.retry_s:
+                if future.done() or left_s <= self._timeouts.retry_s:
                     raise
 
     def _connected(self) -> Session:
         refusals = 0
         while True:
-            left_s = self._last_byte_s + self._patience.give_up_s - time.monotonic()
+            left_s = self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
             try:
-                return self.submit(self._open(max(left_s, self._patience.retry_s))).result()
+                return self.submit(self._open(max(left_s, self._timeouts.retry_s))).result()
             except LOST as error:
                 refusals += isinstance(error, asyncssh.HostKeyNotVerifiable | asyncssh.PermissionDenied)
                 if refusals > 1:
-                    raise SourceRefused(explain_refusal(self._device, error)) from error
+                    raise SourceRefused(describe_refusal(self._device, error)) from error
                 if left_s <= 0.0:
                     raise SourceLost(
                         f"{self.name}: cannot be reached at {self._device.host}:{self._device.port} "
-                        f"({str(error) or 'no answer'}): check cable or network and repeat; what came is kept"
+                        f"({str(error) or 'no answer'}): check cable or network and repeat; what arrived is kept"
                     ) from error
-            threading.Event().wait(self._patience.retry_s)
+            threading.Event().wait(self._timeouts.retry_s)
 
     def _open(self, within_s: float) -> Coroutine[Any, Any, Session]:
-        return open_session(self._device, self._private_key, self._patience, within_s)
+        return open_session(self._device, self._private_key, self._timeouts, within_s)
 
     def _drop(self) -> None:
         if self._session is not None:
@@ -189,10 +194,88 @@ class SftpLink:
 
 
 async def _finish_tasks() -> None:
-    """Let what was begun end, so that nothing speaks up after the link is gone."""
+    """Cancel and await all tasks, so that none reports after the link is closed."""
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()
     if tasks:
         ended, _ = await asyncio.wait(tasks, timeout=1.0)
         await asyncio.gather(*ended, return_exceptions=True)
+
+
+CIPHERS: Final = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "chacha20-poly1305@openssh.com")
+PACKET_BYTES: Final = 128 << 10
+
+_SIGNATURES: Final = {"ssh-rsa": ["rsa-sha2-512", "rsa-sha2-256"]}
+"""Signature algorithms of key types whose name is not also the algorithm's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """One connection and the SFTP session on it; replaced after a reconnection."""
+
+    connection: asyncssh.SSHClientConnection
+    client: asyncssh.SFTPClient
+
+
+@dataclass(frozen=True, slots=True)
+class Timeouts:
+    """Timeouts of a connection, s.
+
+    keepalive_s : interval of keepalive messages
+    unanswered : unanswered keepalives after which the connection counts as lost
+    give_up_s : without any data, after which reconnecting ends
+    retry_s : between two attempts
+    """
+
+    keepalive_s: float = 1.0
+    unanswered: int = 3
+    give_up_s: float = 8.0
+    retry_s: float = 0.25
+
+
+async def open_session(device: PairedDevice, private_key: Path, timeouts: Timeouts, within_s: float) -> Session:
+    """A new session with a device, accepted only with its pinned host key.
+
+    Raises
+    ------
+    asyncssh.Error, OSError
+        It cannot be reached within that time, presents another key, or does not accept ours.
+    """
+    key = asyncssh.import_public_key(device.host_key)
+    kind = device.host_key.partition(" ")[0]
+    async with asyncio.timeout(within_s):
+        connection = await asyncssh.connect(
+            device.host,
+            device.port,
+            username=device.user,
+            client_keys=[str(private_key)],
+            known_hosts=([key], [], []),
+            server_host_key_algs=_SIGNATURES.get(kind, [kind]),
+            encryption_algs=CIPHERS,
+            compression_algs=None,
+            preferred_auth="publickey",
+            agent_path=None,
+            config=None,
+            keepalive_interval=timeouts.keepalive_s,
+            keepalive_count_max=timeouts.unanswered,
+        )
+        try:
+            # The only way to set the packet size of the SFTP session; large packets save a seventh of the time.
+            session = partial(connection.create_session, max_pktsize=PACKET_BYTES)
+            connection.create_session = session  # type: ignore[method-assign]
+            return Session(connection, await connection.start_sftp_client(path_errors="surrogateescape"))
+        except BaseException:
+            connection.abort()
+            raise
+
+
+def describe_refusal(device: PairedDevice, cause: BaseException) -> str:
+    """What a refusal means and what to do, in one sentence."""
+    where = f"{device.device_id} ({device.host}:{device.port})"
+    if isinstance(cause, asyncssh.HostKeyNotVerifiable):
+        return (
+            f"{where}: presents another host key than when it was paired, so it was set up again or something else "
+            "answers in its place: pair it again with --replace only if you set it up again yourself"
+        )
+    return f"{where}: does not accept this workstation's key: pair it again"

@@ -1,6 +1,7 @@
-"""What scans are fetched from: a folder, a card, or a device over the network, all behind one Protocol.
+"""What bundles are fetched from: a folder, a card, or a device over the network, behind one Protocol.
 
-A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif".
+A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source says
+is trusted.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Protocol
 
-from device.bundle_layout import BundleKind
+from device.bundles.layout import BundleKind, BundleNames
 
 
 class Source(Protocol):
-    """Somewhere that published bundles can be read, and receipts and calibrations can be left."""
+    """A store whose published bundles can be read, and where receipts and calibrations can be left."""
 
     @property
     def name(self) -> str:
-        """What people call it, for messages."""
+        """The source's name in messages."""
         ...
 
-    def bundle_ids(self, kind: BundleKind) -> list[str]:
-        """Ids of the published bundles, sorted.
+    def bundle_names(self, kind: BundleKind) -> BundleNames:
+        """Ids of the published bundles, and entries that cannot be bundles.
 
         Raises
         ------
@@ -31,11 +32,17 @@ class Source(Protocol):
         ...
 
     def names(self, folder: str) -> list[str]:
-        """Names in a folder of the store, sorted; none when there is no such folder. Errors as for `bundle_ids`."""
+        """Names in a folder of the store, sorted; none when there is no such folder.
+
+        Raises
+        ------
+        SourceError
+            It cannot be read, or is no folder.
+        """
         ...
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A file's bytes from an offset on, in blocks of at most a megabyte.
+        """A file's bytes from an offset, in blocks of about a megabyte.
 
         Raises
         ------
@@ -47,7 +54,7 @@ class Source(Protocol):
         ...
 
     def write(self, place: str, data: bytes | Path) -> None:
-        """Put a file there, whole or not at all: these bytes, or what a file of ours holds.
+        """Put a file there in one step: these bytes, or the content of a file of ours.
 
         Raises
         ------
@@ -57,7 +64,7 @@ class Source(Protocol):
         ...
 
     def make_folder(self, place: str) -> None:
-        """Make a folder; one that is there is kept. Errors as for `write`."""
+        """Make a folder; an existing one is kept. Errors as for `write`."""
         ...
 
     def rename(self, place: str, new_place: str) -> None:
@@ -65,5 +72,5 @@ class Source(Protocol):
         ...
 
     def clock_offset_s(self) -> float | None:
-        """How far the source's clock is ahead of ours, s; None when it has none of its own or keeps it to itself."""
+        """How far the source's clock is ahead of ours, s; None when it has none or does not show it."""
         ...

@@ -1,1 +1,1 @@
-"""From intensity to height: gradients, gate, weights, multigrid."""
+"""One frame becomes one result."""

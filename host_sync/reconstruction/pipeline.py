@@ -9,22 +9,33 @@ import msgspec
 import numpy as np
 
 from device.errors import CalibrationMismatch
-from device.photometry import IntensityImage, LinearFrame, divide
-from device.surface import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
+from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
 from hal.frame import RawFrame
-from host_sync.calibration.full_calibration import Calibration, Method
-from host_sync.calibration.paper_model import estimate_gradients
-from host_sync.calibration.scale_uncertainty import HEIGHT_PER_PITCH
-from host_sync.calibration.slope_error import SlopeError
-from host_sync.reconstruction.extrapolation import extrapolated
-from host_sync.reconstruction.intensity_checks import check_intensity
-from host_sync.reconstruction.intensity_kernel import raw_intensity
-from host_sync.reconstruction.multigrid import IntegrationReport, integrate
-from host_sync.reconstruction.plausibility import frame_doubts, rest_doubts
-from host_sync.reconstruction.printed_integration import integrate_as_printed
-from host_sync.reconstruction.rest_level import levelled, untouched_skin
-from host_sync.reconstruction.slope_kernel import evaluate
-from host_sync.reconstruction.uncertainty import contradicted_slope, height_uncertainty, slope_sigma, slopes_at_rest
+from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.calibration.scale import HEIGHT_PER_PITCH
+from host_sync.frame_checks.colour_check import check_datum, check_frame
+from host_sync.gradients.extrapolation import extrapolated
+from host_sync.gradients.flat_field_kernel import raw_intensity
+from host_sync.gradients.intensity_checks import check_exposure
+from host_sync.gradients.inverse_map_kernel import evaluate
+from host_sync.integration.integrate import IntegrationReport, integrate
+from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
+from host_sync.johnson2009.model import estimate_gradients, integrate_forward_difference
+from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
+from host_sync.results.detail_name import DetailName
+from host_sync.results.frame_check import FrameCheck, refusals
+from host_sync.uncertainty.calibration_draws import calibration_doubt
+from host_sync.uncertainty.height_error import (
+    NOISE_KEPT,
+    flat_bias,
+    height_uncertainty,
+    nonintegrable_residual,
+    reduced_size,
+    slope_sigma,
+)
+from host_sync.uncertainty.slope_error import SlopeError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +52,12 @@ class Reconstruction:
     integration : what the solver reports
     extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught
     clipped_share : share of pixels with a saturated channel
-    warnings : what speaks against the frame being of this calibration; it was reconstructed all the same
+    frame_checks : what was checked of the frame, with figure and limit, and what could not be checked
+    warnings : what speaks against the frame being of this calibration, or its heights having a zero; it was
+        reconstructed all the same
+    datum : what the height's zero was taken from
+    detail : which detail the height map holds
+    other : the height map with the other detail on the same long waves, None where there is one kind only
     """
 
     method: Method
@@ -56,6 +72,10 @@ class Reconstruction:
     extrapolated: MaskArray
     clipped_share: float
     warnings: tuple[str, ...]
+    frame_checks: tuple[FrameCheck, ...]
+    datum: Datum
+    detail: DetailName = "raw"
+    other: HeightMap | None = None
 
     @property
     def masked_share(self) -> float:
@@ -64,51 +84,93 @@ class Reconstruction:
 
 
 def reconstruct(
-    frame: LinearFrame, calibration: Calibration, name: str, method: Method | None = None, *, force: bool = False
+    frame: LinearFrame,
+    calibration: Calibration,
+    name: str,
+    method: Method | None = None,
+    *,
+    force: bool = False,
+    detail: DetailName = "shrunk",
 ) -> Reconstruction:
     """The surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
 
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
+    detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
 
     Raises
     ------
     FrameError
         The frame is black or saturated.
     CalibrationMismatch
-        Its size or channel order is not the calibration's, or it was made with other lights, gel, exposure or turned.
+        Its size is not the calibration's, or it was made with other lights, gel, exposure or focus, shifted or turned.
     """
-    return reconstruct_intensity(divide(frame, calibration.divisor), calibration, name, method, force=force)
+    return reconstruct_intensity(
+        flat_field_correct(frame, calibration.flat_field), calibration, name, method, force=force, detail=detail
+    )
 
 
 def reconstruct_raw(
-    frame: RawFrame, calibration: Calibration, name: str, method: Method | None = None, *, force: bool = False
+    frame: RawFrame,
+    calibration: Calibration,
+    name: str,
+    method: Method | None = None,
+    *,
+    force: bool = False,
+    detail: DetailName = "shrunk",
 ) -> Reconstruction:
     """The same from a raw frame, which becomes intensity in one pass; errors as for `reconstruct`."""
-    return reconstruct_intensity(raw_intensity(frame, calibration.divisor), calibration, name, method, force=force)
+    return reconstruct_intensity(
+        raw_intensity(frame, calibration.flat_field), calibration, name, method, force=force, detail=detail
+    )
 
 
 def reconstruct_intensity(
-    intensity: IntensityImage, calibration: Calibration, name: str, method: Method | None = None, *, force: bool = False
+    intensity: NormalizedImage,
+    calibration: Calibration,
+    name: str,
+    method: Method | None = None,
+    *,
+    force: bool = False,
+    detail: DetailName = "shrunk",
 ) -> Reconstruction:
     """The same from intensity under the calibration's divisor; errors as for `reconstruct`."""
     chosen = method or calibration.preferred
-    check_intensity(intensity, calibration.divisor, name)
-    warnings = frame_doubts(intensity, calibration.divisor, calibration.inverse.map)
-    refuse_doubtful(warnings, name, force=force)
+    check_exposure(intensity, calibration.flat_field, name)
+    checks = calibration.frame_model.check(intensity, calibration.flat_field)
+    raw, shrinkage = intensity, calibration.shrinkage
+    if shrinkage is not None:
+        intensity = shrinkage.shrunk(raw)
+    warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
+    raise_on_warnings(warnings, name, force=force)
     gradients = estimate(intensity, calibration, chosen)
-    solve = integrate_as_printed if chosen == "paper" else integrate
+    solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
-    at_rest = untouched_skin(gradients)
-    warnings += rest_doubts(intensity, at_rest)
-    refuse_doubtful(warnings, name, force=force)
-    height = levelled(height, at_rest)
+    datum = find_datum(height, gradients)
+    warnings += check_datum(intensity, datum.skin)
+    raise_on_warnings(warnings, name, force=force)
+    if datum.is_relative:
+        warnings += [NO_ZERO]
+    height = datum.level(height)
     p, q = surface_slopes(height)
     error = slope_error_of(calibration, chosen)
-    contradiction = contradicted_slope(gradients, p, q)
-    resting = slopes_at_rest(calibration.inverse.map)
+    contradiction = nonintegrable_residual(gradients, p, q)
+    resting = flat_bias(calibration.inverse.map)
+    replicas = calibration.inverse.replicas if chosen == "direct" else ()
+    doubt = calibration_doubt(intensity, replicas, reduced_size(p.shape))
     known = height_uncertainty(
-        height, gradients, contradiction, error, resting, at_rest, known_scale_share(calibration)
+        height, gradients, contradiction, error, resting, datum, known_scale_share(calibration), doubt=doubt
     )
+    noise = calibration.slope_noise
+    kept = noise.shrunk_kept if noise else NOISE_KEPT
+    steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, doubt.with_unresolved(p, q), kept)
+    other = None
+    if shrinkage is not None:
+        raw_gradients = estimate(raw, calibration, chosen)
+        other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
+        if detail == "raw":
+            steepness_sigma = raw_slope_sigma(steepness_sigma, p, q, calibration.slope_noise)
+            height, other, gradients = other, height, raw_gradients
+            p, q = surface_slopes(height)
     return Reconstruction(
         method=chosen,
         height=height,
@@ -116,12 +178,16 @@ def reconstruct_intensity(
         draws_um=known.draws_um,
         p=p,
         q=q,
-        slope_sigma=slope_sigma(gradients, p, q, contradiction, error),
+        slope_sigma=steepness_sigma,
         gradients=gradients,
         integration=integration,
         extrapolated=extrapolated(intensity, calibration.inverse.map, p, q),
         clipped_share=float(intensity.clipped.mean()),
         warnings=tuple(warnings),
+        frame_checks=checks,
+        datum=datum,
+        detail="raw" if shrinkage is None else detail,
+        other=other,
     )
 
 
@@ -146,7 +212,7 @@ def known_scale_share(calibration: Calibration) -> float:
     return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))
 
 
-def refuse_doubtful(doubts: Sequence[str], name: str, *, force: bool) -> None:
+def raise_on_warnings(doubts: Sequence[str], name: str, *, force: bool) -> None:
     """Refuse a frame that something speaks against, unless it is forced.
 
     Raises
@@ -161,8 +227,11 @@ def refuse_doubtful(doubts: Sequence[str], name: str, *, force: bool) -> None:
         )
 
 
-def estimate(intensity: IntensityImage, calibration: Calibration, method: Method) -> GradientField:
+def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
     """Slopes per pixel by the method."""
     if method == "paper":
         return estimate_gradients(calibration.paper, intensity)
-    return evaluate(calibration.inverse.map, intensity)
+    gradients = evaluate(calibration.inverse.map, intensity)
+    if calibration.elevation is not None:
+        correct_elevation(gradients, calibration.elevation)
+    return gradients

@@ -1,16 +1,15 @@
-"""Many reliefs on one sheet, each with its name."""
+"""Contact sheet: many reliefs with their names on one picture."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Final
 
-import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from host_sync.render.relief import Picture
+from host_sync.render.relief_sheet import font_file, shortened
 
 CELL_PX: Final = 420
 _GAP: Final = 20
@@ -19,11 +18,11 @@ _INK: Final = (40, 40, 40)
 
 
 def contact_sheet(pictures: Iterable[tuple[str, str, Picture]], across: int) -> Picture:
-    """Sheet of shape (H, W, 3): name, a line of facts and picture of each, `across` side by side.
+    """Picture of shape (H, W, 3) with `across` reliefs per row, each with its name and a line of facts.
 
-    pictures : are taken one at a time, at most `CELL_PX` wide and high
+    pictures : name, facts and picture of each, at most `CELL_PX` wide and high
     """
-    font = ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), _LETTER)
+    font = ImageFont.truetype(font_file(), _LETTER)
     lines: list[Image.Image] = []
     cells = list(pictures)
     below = 3 * _LETTER + _GAP
@@ -39,16 +38,6 @@ def contact_sheet(pictures: Iterable[tuple[str, str, Picture]], across: int) -> 
             line.paste(Image.fromarray(picture), (left + (CELL_PX - picture.shape[1]) // 2, _GAP // 2))
             for number, words in enumerate((name, facts)):
                 at = (left, _GAP // 2 + tallest + 6 + number * round(1.35 * _LETTER))
-                draw.text(at, shortened(words, font), _INK if number == 0 else (110, 110, 110), font)
+                draw.text(at, shortened(words, font, CELL_PX), _INK if number == 0 else (110, 110, 110), font)
         lines.append(line)
     return np.concatenate([np.asarray(line) for line in lines])
-
-
-def shortened(words: str, font: ImageFont.FreeTypeFont, room_px: float = CELL_PX) -> str:
-    """The words, or their beginning when they are too long; control characters are left out."""
-    text = "".join(letter for letter in words if letter.isprintable())
-    if font.getlength(text) <= room_px:
-        return text
-    while text and font.getlength(f"{text}…") > room_px:
-        text = text[:-1]
-    return f"{text}…"

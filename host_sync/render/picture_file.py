@@ -1,4 +1,4 @@
-"""Pictures as files of the kind that their name says, whole or not at all."""
+"""Pictures as files, in the format of their suffix, written atomically."""
 
 from __future__ import annotations
 
@@ -9,38 +9,31 @@ from typing import Final
 
 import cv2
 
+from device.io.atomic import write_output
 from host_sync.errors import RenderError, ResultError
 from host_sync.render.relief import Picture
 
 SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
-_LONGEST: Final = 80
+MAX_STEM: Final = 80
 
 
 def write_any_picture(path: Path, picture: Picture) -> None:
-    """Write a picture of shape (H, W, 3) as its suffix says.
+    """Write a picture of shape (H, W, 3) in the format of the suffix.
 
     Raises
     ------
     RenderError
-        No picture has that suffix.
+        The suffix is not supported.
     ResultError
         The place cannot be written.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise RenderError(f"{path}: is no kind of picture: name it .png, .jpg, .tif or .webp")
+        raise RenderError(f"{path}: is not a picture format: use .png, .jpg, .tif or .webp")
     made, data = cv2.imencode(path.suffix.lower(), picture[..., ::-1])
     if not made:
-        raise RenderError(f"{path}: the picture is too large for this kind of file: choose .png or a smaller --width")
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        make_folder(path.parent)
-        partial.write_bytes(data.tobytes())
-        partial.replace(path)
-    except OSError as error:
-        if isinstance(error, ResultError):
-            raise
-        partial.unlink(missing_ok=True)
-        raise ResultError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
+        raise RenderError(f"{path}: the picture is too large for this format: choose .png or a smaller --width")
+    make_folder(path.parent)
+    write_output(path, data.tobytes())
 
 
 def make_folder(folder: Path) -> None:
@@ -58,10 +51,10 @@ def make_folder(folder: Path) -> None:
 
 
 def file_stems(titles: Sequence[str]) -> list[str]:
-    """A file name without suffix for each title: letters, digits, . _ and - only, no two alike."""
+    """A file name without suffix for each title: letters, digits, . _ and - only, all different."""
     stems: list[str] = []
     for title in titles:
-        stem = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.")[:_LONGEST] or "relief"
+        stem = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.")[:MAX_STEM] or "relief"
         number, unique = 2, stem
         while unique in stems:
             unique, number = f"{stem}-{number}", number + 1

@@ -1,7 +1,7 @@
-"""Movies of reliefs: an MP4 to look at, and a GIF that also plays inside a page.
+"""Movies of reliefs: MP4, and GIF for web pages.
 
-Why MPEG-4 part 2: OpenCV brings its encoder on every machine under a free licence, and it keeps up with the
-reconstruction. VLC, mpv, ffmpeg and the players of Linux and Windows show it; web browsers do not, hence the GIF.
+Why MPEG-4 part 2: OpenCV includes its encoder everywhere under a free licence, and it is as fast as the reconstruction.
+VLC, mpv, ffmpeg and the players of Linux and Windows show it; web browsers do not, hence the GIF.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from PIL import Image
 from host_sync.errors import ResultError
 from host_sync.render.relief import Picture
 
-MOST_RATE_HZ: Final = 60.0
-"""Faster sequences are shown with frames left out: neither screens nor players follow them."""
+MAX_RATE_HZ: Final = 60.0
+"""Frames of faster sequences are skipped: neither screens nor players can show them."""
 
 GIF_RATE_HZ: Final = 12.5
 GIF_FRAMES: Final = 200
-GIF_WIDEST_PX: Final = 480
-"""A GIF holds at most so many frames of so many columns: it has no compression worth the name."""
+GIF_MAX_COLUMNS: Final = 480
+"""Most frames and columns of a GIF, which compresses poorly."""
 
 _PALETTE_FRAMES: Final = 8
 
@@ -35,7 +35,7 @@ class ReliefMovie:
     ----------
     path : the file to write
     shape : (H, W) of the pictures, even
-    rate_hz : pictures a second
+    rate_hz : pictures per second
 
     Raises
     ------
@@ -67,12 +67,12 @@ class ReliefMovie:
 
 
 class ReliefGif:
-    """Collects some of a movie's pictures, reduced, and writes them as a GIF that repeats.
+    """Collects a subset of a movie's pictures, reduced, and writes them as a looping GIF.
 
     Parameters
     ----------
-    count : how many pictures the movie has
-    rate_hz : its pictures a second
+    count : number of pictures in the movie
+    rate_hz : its pictures per second
     """
 
     def __init__(self, count: int, rate_hz: float) -> None:
@@ -81,11 +81,11 @@ class ReliefGif:
         self._frames: list[Image.Image] = []
 
     def append(self, number: int, picture: Picture) -> None:
-        """Take the picture of this number, or leave it out."""
+        """Take or skip the picture of this number."""
         if number % self._every:
             return
         rows, columns = picture.shape[:2]
-        factor = min(1.0, GIF_WIDEST_PX / columns)
+        factor = min(1.0, GIF_MAX_COLUMNS / columns)
         size = (round(columns * factor), round(rows * factor))
         small = Image.fromarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
         self._frames.append(small)
@@ -103,7 +103,7 @@ class ReliefGif:
         first.save(path, save_all=True, append_images=others, duration=self._duration_ms, loop=0, optimize=False)
 
     def _palette(self) -> Image.Image:
-        """Colours that serve every frame: those of some frames side by side."""
+        """A palette for all frames, made from some of them."""
         some = self._frames[:: max(1, len(self._frames) // _PALETTE_FRAMES)]
         rows = np.concatenate([np.asarray(frame)[::2, ::2] for frame in some])
         return Image.fromarray(rows).quantize(256)

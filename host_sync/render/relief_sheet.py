@@ -1,6 +1,6 @@
-"""A relief as a sheet that can be read alone: the relief, a colour bar in µm, a scale bar, a title.
+"""A relief with colour bar in µm, scale bar and title.
 
-Everything but the relief is drawn once, so that a sequence of reliefs has one range, one shading and one layout.
+Everything but the relief is drawn once, so that a sequence of reliefs shares range, shading and layout.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from device.surface import HeightMap
+from device.surface.fields import HeightMap
+from host_sync.render.colormap import tint_table
 from host_sync.render.relief import Picture, height_range_um, relief_rgb
 from host_sync.render.shading import exaggeration_for, reduced, steep_slope
-from host_sync.render.tints import tint_table
 
-WIDEST_PX: Final = 1600
-NARROWEST_PX: Final = 320
-"""Reliefs with fewer columns are enlarged by a whole factor, so that the lettering has room."""
+MAX_COLUMNS: Final = 1600
+MIN_COLUMNS: Final = 320
+"""Reliefs with fewer columns are enlarged by an integer factor, to leave room for the lettering."""
 
 _INK: Final = (40, 40, 40)
 _STEPS: Final = (1.0, 2.0, 5.0)
@@ -31,11 +31,11 @@ class ReliefSheet:
 
     Parameters
     ----------
-    shape : (H, W) of the height maps, at most as wide as the sheet is to be
+    shape : (H, W) of the height maps
     pitch_um : their pixel pitch, µm
-    range_um : heights of the first and the last colour, µm
-    exaggeration : factor on the slopes that are shaded
-    title : the upper line
+    range_um : heights of the first and last colour, µm
+    exaggeration : factor on the slopes for shading
+    title : line above the relief
     """
 
     def __init__(
@@ -48,23 +48,23 @@ class ReliefSheet:
     ) -> None:
         self._range_um = range_um
         self._exaggeration = exaggeration
-        self._enlargement = max(1, -(-NARROWEST_PX // shape[1]))
+        self._enlargement = max(1, -(-MIN_COLUMNS // shape[1]))
         self._rows, self._columns = (side * self._enlargement for side in shape)
         self._letter = max(13, round(float(np.sqrt(self._rows * self._columns)) / 50.0))
-        self._font = ImageFont.truetype(_font_file(), self._letter)
+        self._font = ImageFont.truetype(font_file(), self._letter)
         self._edge = self._letter
         self._top = 2 * self._letter + self._edge // 2
         self._blank = self._draw_sheet(pitch_um / self._enlargement, title)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W) of the sheet, both even, as movies need it."""
+        """(H, W) of the sheet, both even, as movies require."""
         return self._blank.shape[0], self._blank.shape[1]
 
     def draw(self, height: HeightMap, caption: str = "") -> Picture:
         """The sheet with this relief: uint8 array of shape (H, W, 3), R, G, B.
 
-        caption : a few words at the right end of the title's line
+        caption : a short text at the right end of the title line
         """
         sheet = self._blank.copy()
         relief = relief_rgb(height, *self._range_um, self._exaggeration)
@@ -92,8 +92,8 @@ class ReliefSheet:
         rows = self._top + self._rows + below
         image = Image.new("RGB", (columns + columns % 2, rows + rows % 2), "white")
         draw = ImageDraw.Draw(image)
-        room = self._columns * 0.7
-        draw.text((self._edge, self._top - self._letter // 2), self._fitted(title, room), _INK, self._font, "ls")
+        line = shortened(title, self._font, self._columns * 0.7)
+        draw.text((self._edge, self._top - self._letter // 2), line, _INK, self._font, "ls")
         self._draw_colour_bar(image, labels, bar)
         self._draw_scale_bar(draw, pitch_um)
         return np.array(image)
@@ -111,7 +111,7 @@ class ReliefSheet:
         draw.text((left, top - self._letter // 2), "µm", _INK, self._font, "ls")
 
     def _draw_scale_bar(self, draw: ImageDraw.ImageDraw, pitch_um: float) -> None:
-        """A bar of a round length, about a fifth of the relief, and what the shading exaggerates."""
+        """A bar of a round length, about a fifth of the relief, and the exaggeration of the shading."""
         length_um = round_below(0.25 * self._columns * pitch_um)
         text = f"{length_um / 1000.0:g} mm" if length_um >= 1000.0 else f"{length_um:g} µm"
         row, left = self._top + self._rows + self._edge, self._edge
@@ -122,13 +122,15 @@ class ReliefSheet:
             words = f"shading ×{self._exaggeration:g}"
             draw.text((self._edge + self._columns, row), words, _INK, self._font, "rm")
 
-    def _fitted(self, text: str, room_px: float) -> str:
-        """The text, or its beginning when it is too long."""
-        if self._font.getlength(text) <= room_px:
-            return text
-        while text and self._font.getlength(f"{text}…") > room_px:
-            text = text[:-1]
-        return f"{text}…"
+
+def shortened(text: str, font: ImageFont.FreeTypeFont, room_px: float) -> str:
+    """The printable characters of a text, cut with an ellipsis to a width in pixels."""
+    text = "".join(letter for letter in text if letter.isprintable())
+    if font.getlength(text) <= room_px:
+        return text
+    while text and font.getlength(f"{text}…") > room_px:
+        text = text[:-1]
+    return f"{text}…"
 
 
 def write_relief(path: Path, height: HeightMap, title: str) -> None:
@@ -139,14 +141,14 @@ def write_relief(path: Path, height: HeightMap, title: str) -> None:
     OSError
         The file cannot be written.
     """
-    small = reduced(height, WIDEST_PX)
+    small = reduced(height, MAX_COLUMNS)
     exaggeration = exaggeration_for(steep_slope(small))
     sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(small), exaggeration, title)
     write_picture(path, sheet.draw(small))
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture of shape (H, W, 3) as a PNG; compressed lightly, for time is dearer than a few bytes.
+    """Write a picture of shape (H, W, 3) as a PNG with light compression, which is faster.
 
     Raises
     ------
@@ -158,13 +160,13 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def round_below(value: float) -> float:
-    """The largest of 1, 2, 5, 10, 20, … and their tenths that is not above a positive value."""
+    """The largest number 1, 2 or 5 times a power of ten that does not exceed a positive value."""
     decade = 10.0 ** np.floor(np.log10(value))
     return float(max(step * decade for step in _STEPS if step * decade <= value * (1.0 + 1e-9)))
 
 
 def ticks(low: float, high: float, most: int = 10) -> list[float]:
-    """Round values from low to high, at most `most` of them and ten; one just beside an end counts as within."""
+    """Round values from low to high, at most `most` and at most ten; ends have a tolerance of 1 %."""
     span = max(high - low, 1e-9)
     step = round_below(span / 3.0)
     while span / step > min(most, 10) - 1:
@@ -174,6 +176,6 @@ def ticks(low: float, high: float, most: int = 10) -> list[float]:
     return [float(round(index * step, 12)) for index in range(first, last + 1)]
 
 
-def _font_file() -> str:
-    """A typeface with µ, × and °, which comes with matplotlib."""
+def font_file() -> str:
+    """A font with µ, × and °, from matplotlib."""
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")

@@ -6,18 +6,18 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numba import njit
 
-from device.surface import Float32Array, HeightMap
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.kernels.jit import njit
 
 LIGHT_AZIMUTH_DEG: Final = 135.0
 LIGHT_ELEVATION_DEG: Final = 40.0
 AMBIENT: Final = 0.15
 
 PLEASANT_SLOPE: Final = 0.35
-"""Slope that shades well; a relief whose steep parts are flatter is shaded as if they had it."""
+"""Slope with good contrast; flatter reliefs are exaggerated up to it."""
 
-MOST_EXAGGERATION: Final = 20.0
+MAX_EXAGGERATION: Final = 20.0
 STEEP_PERCENTILE: Final = 97.0
 
 
@@ -27,10 +27,10 @@ def shade(
     elevation_deg: float = LIGHT_ELEVATION_DEG,
     exaggeration: float = 1.0,
 ) -> Float32Array:
-    """Brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside the invalid.
+    """Brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside invalid pixels.
 
-    azimuth_deg : where the light stands, counter-clockwise from the right edge of the picture; 135 is the upper left
-    elevation_deg : of the light above the plane
+    azimuth_deg : azimuth of the light, counter-clockwise from the right edge of the picture; 135 is the upper left
+    elevation_deg : elevation of the light above the plane
     exaggeration : factor on the slopes
     """
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
@@ -43,13 +43,13 @@ def shade(
 
 
 def flat_brightness(elevation_deg: float = LIGHT_ELEVATION_DEG) -> float:
-    """Brightness of a flat."""
+    """Brightness of a flat surface."""
     return float(AMBIENT + (1.0 - AMBIENT) * np.sin(np.radians(elevation_deg)))
 
 
-def steep_slope(height: HeightMap) -> float:
-    """Slope that few pixels exceed; 0 when none is valid."""
-    step = max(1, height.z_um.shape[1] // 250)
+def steep_slope(height: HeightMap, samples: int = 250) -> float:
+    """97th percentile of the slope, from about `samples` columns; 0 when no pixel is valid."""
+    step = max(1, height.z_um.shape[1] // samples)
     here = height.z_um[:-1:step, :-1:step]
     across, down = height.z_um[:-1:step, 1::step], height.z_um[1::step, :-1:step]
     steepness = np.hypot(across - here, down - here) / height.pitch_um
@@ -58,12 +58,12 @@ def steep_slope(height: HeightMap) -> float:
 
 
 def exaggeration_for(steep: float) -> float:
-    """Factor on slopes that makes a relief readable: a whole number, 1 for slopes as steep as a ball's."""
-    return float(np.clip(np.round(PLEASANT_SLOPE / max(steep, 1e-6)), 1.0, MOST_EXAGGERATION))
+    """Factor on slopes for good contrast: an integer, 1 for slopes as steep as a ball's."""
+    return float(np.clip(np.round(PLEASANT_SLOPE / max(steep, 1e-6)), 1.0, MAX_EXAGGERATION))
 
 
 def reduced(height: HeightMap, widest_px: int) -> HeightMap:
-    """The height map averaged down to at most `widest_px` columns; pixels with an invalid part become invalid."""
+    """The height map averaged down to at most `widest_px` columns; a pixel with an invalid part becomes invalid."""
     columns = height.z_um.shape[1]
     factor = int(np.ceil(columns / widest_px))
     if factor <= 1:
@@ -76,9 +76,9 @@ def reduced(height: HeightMap, widest_px: int) -> HeightMap:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shade(z_um: Any, per_pixel: Any, light: Any, brightness: Any) -> None:
-    """Write the brightness; slopes are central differences, one-sided at the borders. Holds no interpreter lock."""
+    """Write the brightness; slopes are central differences, one-sided at the borders."""
     rows, columns = z_um.shape
-    ambient, one, nought = np.float32(AMBIENT), np.float32(1.0), np.float32(0.0)
+    ambient, one, zero = np.float32(AMBIENT), np.float32(1.0), np.float32(0.0)
     for r in range(rows):
         above, below = max(r - 1, 0), min(r + 1, rows - 1)
         down = per_pixel / np.float32(max(below - above, 1))
@@ -87,4 +87,4 @@ def _shade(z_um: Any, per_pixel: Any, light: Any, brightness: Any) -> None:
             p = (z_um[r, after] - z_um[r, before]) * per_pixel / np.float32(max(after - before, 1))
             q = (z_um[below, c] - z_um[above, c]) * down
             cosine = (light[2] - p * light[0] - q * light[1]) / np.sqrt(one + p * p + q * q)
-            brightness[r, c] = ambient + (one - ambient) * max(nought, cosine)
+            brightness[r, c] = ambient + (one - ambient) * max(zero, cosine)

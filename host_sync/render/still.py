@@ -1,4 +1,4 @@
-"""A picture of a relief as in the paper's figures: diffuse, one light, from above or from another viewpoint."""
+"""Picture of a relief as in the paper's figures: diffuse, one light, from above or another viewpoint."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from device.surface import Float32Array, HeightMap
+from device.surface.fields import Float32Array, HeightMap
 from host_sync.errors import RenderError
-from host_sync.render.occlusion import light_share, sky_share
+from host_sync.render.occlusion import ambient_occlusion, shadow_mask
 from host_sync.render.relief import Picture, height_range_um, tinted
 from host_sync.render.shading import (
     AMBIENT,
@@ -22,21 +22,21 @@ from host_sync.render.shading import (
     steep_slope,
 )
 from host_sync.render.viewpoint import Viewpoint, project
-from host_sync.render.z_buffer import OVERSAMPLING, draw_net
+from host_sync.render.z_buffer import OVERSAMPLING, rasterize_mesh
 
 Colour = Literal["height", "white"]
-MOST_PX: Final = 16_000
+MAX_PX: Final = 16_000
 
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """How a picture is to look.
+    """Settings of a picture.
 
-    columns : its width, px
+    columns : width, px
     viewpoint : None looks straight down, orthographic
     light_azimuth_deg : counter-clockwise from the right edge of the height map; 135 is the upper left
-    exaggeration : factor on heights; None takes one that makes slopes readable
-    shadow, occlusion : whether the relief hides the light, and the sky, from itself
+    exaggeration : factor on heights; None chooses one for good contrast
+    shadow, occlusion : whether the relief casts shadows, and occludes the sky
     """
 
     columns: int = 1600
@@ -49,9 +49,9 @@ class Still:
     occlusion: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what no picture can be."""
-        if not 16 <= self.columns <= MOST_PX:
-            raise RenderError(f"a picture {self.columns} px wide cannot be made: choose 16 to {MOST_PX}")
+        """Check the settings."""
+        if not 16 <= self.columns <= MAX_PX:
+            raise RenderError(f"a picture {self.columns} px wide cannot be made: choose 16 to {MAX_PX}")
         if not 0.0 < self.light_elevation_deg <= 90.0:
             raise RenderError("the light must stand above the surface: choose an elevation above 0 and up to 90")
         if self.exaggeration is not None and not 0.0 < self.exaggeration <= 1e4:
@@ -62,28 +62,28 @@ class Still:
 
 
 def render(height: HeightMap, still: Still) -> Picture:
-    """Picture of shape (rows, columns, 3), white where there is nothing to see.
+    """Picture of shape (rows, columns, 3), white where nothing is visible.
 
     Raises
     ------
     RenderError
         The height map has no valid pixel.
     """
-    small = fitted(height, still.columns)
+    small = resize_to_width(height, still.columns)
     colours = surface_colours(small, still)
     if still.viewpoint is None:
         rows = max(1, round(still.columns * small.z_um.shape[0] / small.z_um.shape[1]))
         if rows > small.z_um.shape[0]:
             return np.asarray(cv2.resize(colours, (still.columns, rows), interpolation=cv2.INTER_CUBIC), np.uint8)
         return np.asarray(cv2.resize(colours, (still.columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
-    points = project(small, still.viewpoint, exaggeration_of(small, still), OVERSAMPLING * still.columns)
-    if max(points.shape) > 2 * MOST_PX:
+    points = project(small, still.viewpoint, auto_exaggeration(small, still), OVERSAMPLING * still.columns)
+    if max(points.shape) > 2 * MAX_PX:
         raise RenderError("the picture would be far higher than wide: choose a smaller exaggeration")
-    return draw_net(points, colours)
+    return rasterize_mesh(points, colours)
 
 
-def fitted(height: HeightMap, columns: int) -> HeightMap:
-    """The height map averaged to about the picture's width; invalid pixels do not spread.
+def resize_to_width(height: HeightMap, columns: int) -> HeightMap:
+    """The height map averaged to the picture's width; invalid pixels do not spread.
 
     Raises
     ------
@@ -103,16 +103,16 @@ def fitted(height: HeightMap, columns: int) -> HeightMap:
     return HeightMap(z_um.astype(np.float32), height.pitch_um * whole / columns)
 
 
-def exaggeration_of(height: HeightMap, still: Still) -> float:
-    """The factor on heights that a picture has."""
+def auto_exaggeration(height: HeightMap, still: Still) -> float:
+    """The factor on heights of a picture."""
     return still.exaggeration or exaggeration_for(steep_slope(height))
 
 
 def surface_colours(height: HeightMap, still: Still) -> Picture:
     """Colour of every pixel under the picture's light: uint8 array of shape (H, W, 3)."""
-    factor = exaggeration_of(height, still)
+    factor = auto_exaggeration(height, still)
     brightness = shade(height, still.light_azimuth_deg, still.light_elevation_deg, factor)
-    brightness = _hidden(height, still, factor, brightness)
+    brightness = _occluded(height, still, factor, brightness)
     if still.colour == "height":
         flat = flat_brightness(still.light_elevation_deg)
         return tinted(height, brightness, flat, *height_range_um(height))
@@ -120,11 +120,11 @@ def surface_colours(height: HeightMap, still: Still) -> Picture:
     return np.repeat(grey[..., None], 3, axis=2)
 
 
-def _hidden(height: HeightMap, still: Still, factor: float, brightness: Float32Array) -> Float32Array:
-    """The brightness less what the relief hides."""
+def _occluded(height: HeightMap, still: Still, factor: float, brightness: Float32Array) -> Float32Array:
+    """The brightness with shadows and occlusion."""
     if still.shadow:
-        share = light_share(height, factor, still.light_azimuth_deg, still.light_elevation_deg)
+        share = shadow_mask(height, factor, still.light_azimuth_deg, still.light_elevation_deg)
         brightness = np.float32(AMBIENT) + (brightness - np.float32(AMBIENT)) * share
     if still.occlusion:
-        brightness = brightness * (0.35 + 0.65 * sky_share(height, factor))
+        brightness = brightness * (0.35 + 0.65 * ambient_occlusion(height, factor))
     return np.asarray(brightness, np.float32)

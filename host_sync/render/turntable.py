@@ -1,4 +1,4 @@
-"""A relief that turns once around: the eye walks about it, the light stays with the relief."""
+"""A relief on a turntable: the viewpoint moves around it, the light stays fixed to the relief."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import HeightMap
+from device.surface.fields import HeightMap
 from host_sync.errors import RenderError
 from host_sync.render.relief import Picture
 from host_sync.render.relief_movie import ReliefGif, ReliefMovie
-from host_sync.render.still import Still, exaggeration_of, fitted, surface_colours
+from host_sync.render.still import Still, auto_exaggeration, resize_to_width, surface_colours
 from host_sync.render.viewpoint import Viewpoint, project
-from host_sync.render.z_buffer import OVERSAMPLING, draw_net
+from host_sync.render.z_buffer import OVERSAMPLING, rasterize_mesh
 
 FRAMES: Final = 120
 RATE_HZ: Final = 24.0
 
 
 def turning_pictures(height: HeightMap, still: Still, frames: int = FRAMES) -> Iterator[Picture]:
-    """Pictures of one size, with an even number of rows and columns, from all around."""
-    small = fitted(height, still.columns)
+    """Pictures of one size, with an even number of rows and columns, from all directions."""
+    small = resize_to_width(height, still.columns)
     colours = surface_colours(small, still)
     view = still.viewpoint or Viewpoint()
-    factor = exaggeration_of(small, still)
+    factor = auto_exaggeration(small, still)
     shape = _shape(small, view, factor, still.columns)
     for number in range(frames):
         seen = replace(view, azimuth_deg=view.azimuth_deg + 360.0 * number / frames)
         points = project(small, seen, factor, shape[1], shape=shape)
-        yield draw_net(points, colours)
+        yield rasterize_mesh(points, colours)
 
 
 def write_turntable(
@@ -41,7 +41,7 @@ def write_turntable(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> None:
-    """Write the turning relief as .mp4 or .gif, by the file's suffix.
+    """Write the turntable as .mp4 or .gif, by the suffix.
 
     Raises
     ------
@@ -66,11 +66,11 @@ def write_turntable(
                 movie.append(picture)
                 progress(number + 1, frames)
     else:
-        raise RenderError(f"{path}: a turning relief is written as .mp4 or .gif: name one")
+        raise RenderError(f"{path}: a turntable is written as .mp4 or .gif: choose one")
 
 
 def _shape(height: HeightMap, view: Viewpoint, factor: float, columns: int) -> tuple[int, int]:
-    """(rows, columns) of the enlarged picture that holds the relief from all sides."""
+    """(rows, columns) of the oversampled picture that shows the relief from all sides."""
     rise = np.radians(view.elevation_deg)
     diagonal = float(np.hypot(*height.z_um.shape)) * height.pitch_um
     tall = (float(np.nanmax(height.z_um)) - float(np.nanmin(height.z_um))) * factor

@@ -1,4 +1,4 @@
-"""Where a relief is seen from, and where its points then lie on the picture."""
+"""Viewpoint of a relief, and projection of its points to the picture."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Final
 
 import numpy as np
 
-from device.surface import Float32Array, HeightMap
+from device.surface.fields import Float32Array, HeightMap
 
 MARGIN: Final = 1.04
-"""The picture is so much larger than what it shows."""
+"""Size of the picture over that of its content."""
 
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """A direction to look from.
+    """A viewing direction.
 
-    azimuth_deg : where the eye stands, counter-clockwise from the right edge of the height map; 270 is before it
-    elevation_deg : of the eye above the plane; 90 looks straight down
-    field_deg : width of the view; 0 is orthographic, as in the paper
+    azimuth_deg : azimuth of the eye, counter-clockwise from the right edge of the height map; 270 is in front
+    elevation_deg : elevation of the eye above the plane; 90 looks straight down
+    field_deg : field of view; 0 is orthographic, as in the paper
     """
 
     azimuth_deg: float = 300.0
@@ -32,7 +32,7 @@ class Projected:
     """A height map's points on the picture.
 
     x, y : float32 arrays of shape (H, W), px from the left and from the top
-    depth : float32 array of shape (H, W), larger is further away
+    depth : float32 array of shape (H, W), larger is farther
     shape : (rows, columns) of the picture
     """
 
@@ -45,9 +45,9 @@ class Projected:
 def project(
     height: HeightMap, viewpoint: Viewpoint, exaggeration: float, columns: int, shape: tuple[int, int] | None = None
 ) -> Projected:
-    """The points of a height map on a picture `columns` wide that just holds it; NaN where invalid.
+    """The points of a height map on a picture `columns` wide that fits it; NaN where invalid.
 
-    shape : (rows, columns) of the picture when it must be one for all azimuths, as a turntable's
+    shape : (rows, columns) of the picture when it is fixed for all azimuths, as in a turntable
     """
     right, up, away = _in_eye(height, viewpoint, exaggeration)
     if viewpoint.field_deg > 0.0:
@@ -75,7 +75,7 @@ def project(
 def _in_eye(
     height: HeightMap, viewpoint: Viewpoint, exaggeration: float
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """How far each point lies to the right, up and away of the map's middle, µm."""
+    """Coordinates of each point right of, above and behind the map's centre, as seen, µm."""
     turn, rise = np.radians([viewpoint.azimuth_deg, viewpoint.elevation_deg])
     rows, columns = height.z_um.shape
     x = ((np.arange(columns) - 0.5 * (columns - 1)) * height.pitch_um).astype(np.float32)[None, :]

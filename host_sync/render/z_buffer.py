@@ -1,6 +1,6 @@
-"""Draws a net of coloured points as a closed surface: the nearest wins. No graphics card, no library.
+"""Software rasterizer with a depth buffer for a grid of coloured points.
 
-The picture is drawn twice as large each way and averaged, so that edges are smooth.
+The picture is drawn at twice the size in each direction and averaged, for smooth edges.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numba import njit
 
+from host_sync.kernels.jit import njit
 from host_sync.render.relief import Picture
 from host_sync.render.viewpoint import Projected
 
 OVERSAMPLING: Final = 2
 
 
-def draw_net(points: Projected, colours: Picture, background: tuple[int, int, int] = (255, 255, 255)) -> Picture:
+def rasterize_mesh(points: Projected, colours: Picture, background: tuple[int, int, int] = (255, 255, 255)) -> Picture:
     """Picture of shape (rows, columns, 3) of the surface between the points.
 
-    points : where they lie, on a picture `OVERSAMPLING` times as large each way
+    points : their positions on a picture `OVERSAMPLING` times as large in each direction
     colours : uint8 array of shape (H, W, 3), R, G, B of each point
     """
     rows, columns = points.shape
@@ -34,7 +34,7 @@ def draw_net(points: Projected, colours: Picture, background: tuple[int, int, in
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw(x: Any, y: Any, depth: Any, colours: Any, nearest: Any, picture: Any) -> None:
-    """Two triangles a cell, each where its corners are valid."""
+    """Draw two triangles per cell, where their corners are valid."""
     rows, columns = x.shape
     for r in range(rows - 1):
         for c in range(columns - 1):

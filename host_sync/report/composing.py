@@ -1,4 +1,4 @@
-"""Composes the report of a measurement: what was measured, how sure it is, and where it comes from."""
+"""Composes the report of a measurement: quantities, uncertainties, calibration and provenance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.measurement_text import operations, shared_doubts
+from host_sync.measurement.measurement_text import operations, shared_warnings
 from host_sync.report.content import Report, Table
 from host_sync.report.pictures import pictures_of
 from host_sync.report.provenance import Origin, hashed_files, origin_of
@@ -28,7 +28,7 @@ def compose(measurement: Measurement) -> Report:
     origin = origin_of(measurement.folder, record)
     notes = list(measurement.notes)
     if origin.scan is None:
-        notes.append("frame: not shown, as the result does not lie in a library beside its scan")
+        notes.append("frame: not shown, because the result is not in a library beside its scan")
     tables = (*_numbers(measurement), _calibration(measurement, origin), _hashes(measurement, origin))
     return Report(
         title=record.name,
@@ -42,7 +42,7 @@ def compose(measurement: Measurement) -> Report:
 
 
 def _place(folder: Path, origin: Origin) -> Path:
-    """The result's folder for readers elsewhere: within its library, else as seen from here or by its last names."""
+    """The result's path without private parts: within its library, else relative to here, else its last two names."""
     if origin.scan is not None:
         return Path(*folder.absolute().parts[-4:])
     if not folder.is_absolute():
@@ -86,19 +86,19 @@ def _warnings(measurement: Measurement) -> Iterator[str]:
     record = measurement.record
     yield from record.warnings
     if record.calibration_passed is False:
-        yield "the calibration did not pass its own checks: " + "; ".join(record.calibration_notes)
+        yield "the calibration did not pass its checks: " + "; ".join(record.calibration_notes)
 
 
 def _numbers(measurement: Measurement) -> Iterator[Table]:
-    """A table for each subject: number, uncertainty, doubts."""
+    """A table per subject: quantity, value ± uncertainty, warnings."""
     for subject, group in groupby(measurement.quantities, key=lambda one: one.subject):
         quantities = list(group)
         first = quantities[0]
         title = f"{subject}: k = {first.coverage_factor}, {100.0 * first.masked_share:.2g} % masked"
-        shared = shared_doubts(quantities)
-        own = ["; ".join(doubt for doubt in one.doubts if doubt not in shared) for one in quantities]
-        rows = tuple((one.name, one.number, doubts) for one, doubts in zip(quantities, own, strict=True))
-        remarks = tuple(f"doubtful: {doubt}" for doubt in shared)
+        shared = shared_warnings(quantities)
+        own = ["; ".join(warning for warning in one.warnings if warning not in shared) for one in quantities]
+        rows = tuple((one.name, one.number, warnings) for one, warnings in zip(quantities, own, strict=True))
+        remarks = tuple(f"doubtful: {warning}" for warning in shared)
         yield Table(title, ("number", "value ± uncertainty", "doubtful because"), rows, remarks)
 
 
@@ -108,10 +108,10 @@ def _calibration(measurement: Measurement, origin: Origin) -> Table:
     rows.append(("passed", {True: "yes", False: "NO", None: "not known"}[record.calibration_passed]))
     rows.append(("reference", record.reference or "-"))
     if record.held_out_error_deg is not None:
-        rows.append(("error of normals on balls kept out", f"{record.held_out_error_deg:.2f}°"))
+        rows.append(("error of normals on held-out balls", f"{record.held_out_error_deg:.2f}°"))
     steepest_deg = (origin.calibration or {}).get("steepest_slope_deg")
     if isinstance(steepest_deg, float):
-        rows.append(("steepest slope that balls showed", f"{steepest_deg:.0f}°"))
+        rows.append(("steepest slope of the balls", f"{steepest_deg:.0f}°"))
     scale = record.height_scale
     for label, share in (("pixel pitch", scale.pixel_pitch_share), ("ball radius", scale.ball_radius_share)):
         rows.append((f"± of the {label}", "not measured" if share is None else f"{100.0 * share:.2g} %"))
@@ -121,7 +121,7 @@ def _calibration(measurement: Measurement, origin: Origin) -> Table:
 
 
 def check_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """The checks of a calibration's report, as far as it holds any of the known form."""
+    """Name and result of each check in a calibration's report."""
     checks = report.get("checks")
     for check in checks if isinstance(checks, list) else []:
         if isinstance(check, dict):
@@ -131,7 +131,7 @@ def check_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _short(value: object) -> str:
-    """A figure to four digits, anything else as it is."""
+    """A number with four digits; other values as text."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -1,4 +1,4 @@
-"""What a report holds, apart from how it is set: facts, pictures, numbers, notes."""
+"""Content of a report, independent of its layout: facts, pictures, tables, notes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture and what it shows; PNG bytes, and its size in pixels (columns, rows)."""
+    """A picture: caption, PNG bytes, and size in pixels (columns, rows)."""
 
     caption: str
     png: bytes
@@ -16,12 +16,13 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts under a head; `remarks` hold for every row."""
+    """Rows of texts under a header; `remarks` concern all rows; `widths` are fractions of the page width per column."""
 
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...] = ()
+    widths: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +30,9 @@ class Report:
     """One result's report.
 
     title : its name
-    operations : what was done to the surface before it was measured
+    operations : operations on the surface before the measurement
     facts : label and value, in order
-    warnings : what a reader must see first
+    warnings : shown first
     """
 
     title: str

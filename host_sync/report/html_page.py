@@ -1,6 +1,6 @@
-"""A report as one HTML file: pictures inside, no scripts, nothing from anywhere else; prints as it reads.
+"""A report as one self-contained HTML file without scripts, also for printing.
 
-Every text goes through `escape`, and a content policy forbids what a text might still smuggle in.
+Every text is escaped, and a content policy forbids scripts and external resources as a second barrier.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import base64
 from html import escape as escape_markup
 from typing import Final
 
-from host_sync.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
+from host_sync.text import printable
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -57,7 +57,7 @@ def html_page(report: Report) -> str:
 
 
 def escape(text: str) -> str:
-    """The text in which nothing is markup."""
+    """The text with markup escaped."""
     return escape_markup(printable(text))
 
 

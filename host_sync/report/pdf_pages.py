@@ -1,6 +1,6 @@
-"""A report as PDF pages, A4, with the typeface that comes with matplotlib: µ, ±, × and most scripts are in it.
+"""A report as PDF pages (A4) in matplotlib's font, which covers µ, ±, × and most scripts.
 
-Why reportlab: it sets tables and pictures over pages by itself, is one wheel for every machine, and is BSD.
+Why reportlab: it breaks tables and pictures over pages, is one wheel for all machines, and has a BSD licence.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from reportlab.platypus import (
     TableStyle,
 )
 
-from host_sync.plain_text import printable
 from host_sync.report.content import Picture, Report, Table
+from host_sync.text import printable
 
 WIDTH: Final = A4[0] - 30.0 * mm - 12.0
-"""Between the margins and the padding of six points inside them."""
-MOST_HEIGHT: Final = 120.0 * mm
+"""Width between the margins and their padding of six points."""
+MAX_HEIGHT: Final = 120.0 * mm
 _FACES: Final = {"Report": "DejaVuSans.ttf", "Report-Bold": "DejaVuSans-Bold.ttf", "Report-Mono": "DejaVuSansMono.ttf"}
 _SHARES: Final = {2: (0.34, 0.66), 3: (0.16, 0.30, 0.54)}
 _HASH_SHARES: Final = (0.30, 0.13, 0.57)
@@ -48,7 +48,7 @@ _WARNING: Final = ParagraphStyle("warning", parent=_BODY, textColor=colors.HexCo
 
 
 def pdf_pages(report: Report) -> bytes:
-    """The file's bytes; the same report gives the same bytes."""
+    """The bytes of the PDF; the same report gives the same bytes."""
     for name, file in _FACES.items():
         if name not in pdfmetrics.getRegisteredFontNames():
             pdfmetrics.registerFont(TTFont(name, str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / file)))
@@ -82,14 +82,14 @@ def _story(report: Report) -> list[Flowable]:
 
 
 def _words(text: str, style: ParagraphStyle) -> Paragraph:
-    """A paragraph in which nothing is markup."""
+    """A paragraph with markup escaped."""
     return Paragraph(escape(printable(text), quote=False), style)
 
 
 def _table(table: Table, shares: tuple[float, ...] | None = None, style: ParagraphStyle = _SMALL) -> list[Flowable]:
     head = [[_words(cell, _GREY) for cell in table.head]]
     rows = [[_words(cell, style) for cell in row] for row in table.rows]
-    grid = _grid(head + rows, shares or _SHARES[len(table.head)], repeated=1)
+    grid = _grid(head + rows, shares or table.widths or _SHARES[len(table.head)], repeated=1)
     return [_words(table.title, _HEAD), grid, *(_words(remark, _SMALL) for remark in table.remarks)]
 
 
@@ -106,13 +106,13 @@ def _grid(rows: list[list[Paragraph]], shares: tuple[float, ...], repeated: int 
 
 def _figure(picture: Picture) -> Flowable:
     columns, rows = picture.size
-    scale = min(WIDTH / columns, MOST_HEIGHT / rows)
+    scale = min(WIDTH / columns, MAX_HEIGHT / rows)
     image = Image(io.BytesIO(picture.png), columns * scale, rows * scale)
     return KeepTogether([Spacer(0, 3.0 * mm), image, _words(picture.caption, _GREY)])
 
 
 def _foot(title: str) -> Any:
-    """What is drawn under each page: the beginning of the title and the page's number."""
+    """Draw the page footer: the beginning of the title and the page number."""
 
     def draw(canvas: Any, document: Any) -> None:
         canvas.setFont("Report", 7)

@@ -13,16 +13,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from device.photometry import demosaic
-from device.scan_bundle import ScanBundle
-from device.surface import Float32Array, HeightMap
-from host_sync.measurement.material_ratio import MaterialRatioCurve
+from device.bundles.scan import ScanBundle
+from device.imaging.flat_field import demosaic
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.iso25178.material_ratio import MaterialRatioCurve
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
-from host_sync.plain_text import printable
-from host_sync.render.relief_axes import draw_relief
-from host_sync.render.relief_sheet import WIDEST_PX
+from host_sync.render.figures import draw_relief
+from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import reduced
 from host_sync.report.content import Picture
+from host_sync.text import printable
 
 DPI: Final = 130
 FRAME_PX: Final = 900
@@ -48,7 +48,7 @@ def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[P
 
 
 def relief_picture(measurement: Measurement) -> Picture:
-    """The whole height map, with the region and the lines that were measured."""
+    """The whole height map, with the measured region and lines."""
     figure, axes = _figure(7.0, 5.2, grid=False)
     draw_relief(axes, measurement.height, "")
     if measurement.recipe.region_um is not None:
@@ -66,7 +66,7 @@ def relief_picture(measurement: Measurement) -> Picture:
 
 def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
     """The standard uncertainty of the height, pixel by pixel."""
-    small = reduced(HeightMap(sigma_um, pitch_um), WIDEST_PX)
+    small = reduced(HeightMap(sigma_um, pitch_um), MAX_COLUMNS)
     rows, columns = small.z_um.shape
     mm = small.pitch_um / 1000.0
     figure, axes = _figure(7.0, 4.6, grid=False)
@@ -85,7 +85,7 @@ def surface_picture(measurement: Measurement) -> Picture:
 
 
 def frame_picture(scan: ScanBundle) -> Picture:
-    """The frame as the camera took it, brightened for the eye."""
+    """The camera's frame, brightened for display."""
     rgb = demosaic(scan.raw_frame()).rgb
     factor = max(1, int(np.ceil(rgb.shape[1] / FRAME_PX)))
     small = cv2.resize(rgb, (rgb.shape[1] // factor, rgb.shape[0] // factor), interpolation=cv2.INTER_AREA)
@@ -145,14 +145,14 @@ def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, 
 
 
 def _plain(text: str) -> str:
-    """A text that matplotlib takes for no formula."""
+    """The text, escaped so that matplotlib does not read a formula."""
     return printable(text).replace("$", r"\$")
 
 
 def _picture(figure: Figure, caption: str) -> Picture:
     stream = io.BytesIO()
     with warnings.catch_warnings():
-        # A name in a script that the typeface lacks is drawn as boxes; the report's text has it.
+        # Characters that the font lacks are drawn as boxes; the report's text has them.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
     size = figure.get_size_inches() * DPI

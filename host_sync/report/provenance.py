@@ -1,4 +1,4 @@
-"""Where a result comes from: its scan, its calibration, and the hash of every file that the report speaks of."""
+"""Provenance of a result: its scan, its calibration, and the hashes of all files of the report."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import msgspec
 
+from device.bundles.record import describe_file
+from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import DeviceError
-from device.records import describe_file
-from device.scan_bundle import SCAN_MANIFEST, ScanBundle, read_scan
 from host_sync.errors import MeasurementError
-from host_sync.measurement.result_surface import ResultRecord
+from host_sync.results.record import ResultRecord
 
 CALIBRATION_REPORT: Final = "report.json"
-MOST_BYTES: Final = 64 << 20
+MAX_BYTES: Final = 64 << 20
 
 _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 
@@ -25,9 +25,9 @@ _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 class Origin:
     """The files around a result.
 
-    scan : the scan bundle, of a result in a library
-    calibration : the calibration's report, if it is there
-    calibration_file : its place
+    scan : scan bundle of a result in a library; or None
+    calibration : the calibration's report, if found
+    calibration_file : path of the report
     """
 
     scan: ScanBundle | None
@@ -36,14 +36,14 @@ class Origin:
 
 
 def origin_of(folder: Path, record: ResultRecord) -> Origin:
-    """What lies around a result: a scan bundle above its folder, its calibration's report near it."""
+    """The files around a result: the scan bundle above its folder, and its calibration's report."""
     above = folder.absolute().parent.parent
     scan = None
     if (above / SCAN_MANIFEST).is_file():
         try:
             scan = read_scan(above)
         except DeviceError:
-            scan = None  # a damaged bundle is for `verify`; the report says that there is none
+            scan = None  # `verify` reports a damaged bundle; here there is none
     places = [folder.absolute().parent / "calibration" / CALIBRATION_REPORT]
     if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
         bundle = above.parent.parent / "calibrations" / record.calibration_bundle / "results"
@@ -83,7 +83,7 @@ def hashed_files(folder: Path, origin: Origin) -> tuple[tuple[str, str, str], ..
 
 def _report(place: Path) -> dict[str, Any] | None:
     try:
-        if place.stat().st_size > MOST_BYTES:
+        if place.stat().st_size > MAX_BYTES:
             return None
         return msgspec.json.decode(place.read_bytes(), type=dict[str, Any])
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):

@@ -1,23 +1,33 @@
-"""Who may ask, and what the page may do: token, Host, and the headers that keep a page to itself.
+"""Access control of the viewer: one-time links, session cookie, Host check and security headers.
 
-The address that the command prints carries a token; the first visit turns it into a cookie and takes it out of the
-address. Without it nothing is answered, so that no other user of the machine and no page from elsewhere sees a scan.
-The Host is compared, so that a name somebody points at this machine (DNS rebinding) reaches nothing.
+A link carries a code that can be exchanged once for a session cookie, and leaves the address bar with the exchange. On
+loopback the page is served under a random host name below `localhost`: browsers send a host's cookies to all of its
+ports, so a cookie of 127.0.0.1 would reach every other server on this machine. A browser on the desktop is started with
+a file that only its user can read, because every user can read the arguments of a program.
 """
 
 from __future__ import annotations
 
 import html
 import ipaddress
+import os
 import secrets
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from threading import Lock
 from typing import Final
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from host_sync.errors import ViewError
 
 LOOPBACK: Final = frozenset({"127.0.0.1", "localhost", "::1"})
 
@@ -35,44 +45,64 @@ HEADERS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """What a visitor must bring.
+    """Credentials of one run of the viewer.
 
-    host : the address that the server listens at
+    host : address that the server listens on
     port : its port
+    token : value of the session cookie
+    random_name : label of the host name below `localhost`
     """
 
     host: str
     port: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
+    random_name: str = field(default_factory=lambda: secrets.token_hex(16))
+    _codes: set[str] = field(default_factory=set)
+    _lock: Lock = field(default_factory=Lock)
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; browsers tell hosts apart but not ports."""
+        """Name of the session cookie."""
         return f"retrograph-{self.port}"
 
     @property
-    def address(self) -> str:
-        """The page's address, token included."""
+    def origin(self) -> str:
+        """Scheme, host and port of the page."""
+        if self.host in LOOPBACK:
+            return f"http://{self.random_name}.localhost:{self.port}"
         shown = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104
-        shown = f"[{shown}]" if ":" in shown else shown
-        return f"http://{shown}:{self.port}/?token={self.token}"
+        return f"http://[{shown}]:{self.port}" if ":" in shown else f"http://{shown}:{self.port}"
+
+    def new_link(self) -> str:
+        """An address that opens the page once."""
+        code = secrets.token_urlsafe(32)
+        with self._lock:
+            self._codes.add(code)
+        return f"{self.origin}/?code={code}"
+
+    def redeem(self, code: str) -> bool:
+        """Whether this is the code of an unused link; marks it as used."""
+        with self._lock:
+            found = [one for one in self._codes if secrets.compare_digest(one.encode(), code.encode())]
+            self._codes.difference_update(found)
+        return bool(found)
 
     def knows_host(self, header: str) -> bool:
-        """Whether a Host header names this server; beyond loopback a plain address will do, a stranger's name not."""
+        """Whether a Host header names this server: the random name on loopback, else the host or any IP address."""
         name, port = _split_host(header)
         if port != str(self.port) and not (port == "" and self.port == 80):
             return False
-        if name in LOOPBACK or name == self.host.lower():
-            return True
-        return self.host not in LOOPBACK and _is_address(name)
+        if self.host in LOOPBACK:
+            return secrets.compare_digest(name.encode(), f"{self.random_name}.localhost".encode())
+        return name == self.host.lower() or _is_address(name)
 
     def holds_token(self, given: str | None) -> bool:
-        """Whether this is the token."""
+        """Whether this is the session token."""
         return given is not None and secrets.compare_digest(given.encode(), self.token.encode())
 
 
 class AccessCheck:
-    """Lets requests through that may pass, and puts the headers on every answer."""
+    """Middleware that refuses requests without access and adds the security headers to every answer."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
@@ -84,32 +114,67 @@ class AccessCheck:
             await self._app(scope, receive, send)
             return
         if scope["type"] != "http":
-            return  # no web sockets are spoken here
+            return  # the viewer has no web sockets
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(HEADERS)
             await send(message)
 
-        refusal = self._refusal(scope)
-        await (refusal or self._app)(scope, receive, send_with_headers)
+        answer = self._own_answer(scope)
+        await (answer or self._app)(scope, receive, send_with_headers)
 
-    def _refusal(self, scope: Scope) -> Response | None:
-        """What to answer instead, or None when the request may pass."""
+    def _own_answer(self, scope: Scope) -> Response | None:
+        """A refusal or the exchange of a link; None when the request may pass."""
         headers = Headers(scope=scope)
         if not self._access.knows_host(headers.get("host", "")):
-            return refused("This is not the address that the viewer was opened at: use the one that it printed.", 421)
+            return refused("The viewer does not answer at this address: use the link that it printed.", 421)
         opened = scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate"
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and not opened:
-            return refused("Another page asked for this: only the viewer's own page may.", 403)
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [None])[0]
-        if scope["path"] == "/" and self._access.holds_token(given):
-            answer = RedirectResponse("/", 303)
-            answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
-            return answer
+            return refused("Another page requested this: only the viewer's own page may.", 403)
+        if scope["path"] == "/" and scope["method"] == "GET" and "prefetch" not in headers.get("sec-purpose", ""):
+            code = parse_qs(scope["query_string"].decode("latin-1")).get("code", [""])[0]
+            if code and self._access.redeem(code):
+                return self._session(headers)
         if not self._access.holds_token(_cookie(headers.get("cookie", ""), self._access.cookie)):
-            return refused("Open the address that `retrosync view` printed: it carries the key to this page.", 403)
+            return refused("Open the link that retrosync view printed. Each link opens once: start it again.", 403)
         return None
+
+    def _session(self, headers: Headers) -> Response:
+        """Set the cookie and load the page without the code."""
+        if headers.get("sec-fetch-site") == "cross-site":
+            # From the redirect file. A browser withholds a strict cookie after a redirect that began on another site.
+            answer: Response = HTMLResponse(_moving_on("/"))
+        else:
+            answer = RedirectResponse("/", 303)
+        answer.headers["Cache-Control"] = "no-store"
+        answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
+        return answer
+
+
+@contextmanager
+def redirect_file(link: str) -> Iterator[Path]:
+    """A page that leads to a link, readable by its owner only; it is removed at the end.
+
+    Raises
+    ------
+    ViewError
+        No temporary file can be written.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="retrograph-view-"))
+    except OSError as error:
+        raise ViewError(f"no temporary file can be written ({error.strerror}): start it with --no-browser") from error
+    try:
+        path = folder / "open.html"
+        try:
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
+                stream.write(_moving_on(link))
+        except OSError as error:
+            raise ViewError(f"{path} cannot be written ({error.strerror}): start it with --no-browser") from error
+        yield path
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def refused(words: str, status: int) -> Response:
@@ -119,6 +184,16 @@ def refused(words: str, status: int) -> Response:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Retrograph: not opened</title>'
         f"<main><h1>Not opened</h1><p>{said}</p></main></html>",
         status,
+    )
+
+
+def _moving_on(link: str) -> str:
+    """A page that loads another."""
+    place = html.escape(link, quote=True)
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+        f'<meta http-equiv="refresh" content="0; url={place}"><title>Retrograph</title>'
+        f'<p><a href="{place}">Open the viewer</a></p></html>'
     )
 
 

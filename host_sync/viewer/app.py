@@ -1,4 +1,4 @@
-"""The viewer's web application: routes, and how their arguments are read."""
+"""The viewer's web application: routes and their arguments."""
 
 from __future__ import annotations
 
@@ -18,37 +18,36 @@ from starlette.routing import Route
 
 from device.errors import DeviceError
 from host_sync.errors import HostError, ViewError
-from host_sync.library_index import Query
+from host_sync.library.index import Query
+from host_sync.render.colormap import palettes
 from host_sync.viewer.access import Access, AccessCheck, refused
-from host_sync.viewer.answers import (
+from host_sync.viewer.catalogue import ListFilter
+from host_sync.viewer.responses import (
     binary_answer,
-    entry_facts,
+    entry_info,
     json_answer,
     level_answer,
     profile_csv,
-    profile_facts,
+    profile_info,
     readable,
 )
-from host_sync.viewer.catalogue import Wanted
-from host_sync.viewer.desk import Desk
-from host_sync.viewer.palettes import palettes
-from host_sync.viewer.profile import Line
+from host_sync.viewer.service import ViewerService
 
 MEDIA: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-LONGEST_TEXT: Final = 200
+MAX_TEXT: Final = 200
 _DAYS: Final = ("since", "until")
 
 NumberT = TypeVar("NumberT", int, float, date)
 
 
-def make_app(desk: Desk, access: Access) -> Starlette:
-    """The application that shows what is on the desk to whoever has access."""
+def make_app(service: ViewerService, access: Access) -> Starlette:
+    """The application, open to requests with access."""
     pages = _page_files()
 
     async def file(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
         if name not in pages:
-            return refused("There is no such page here: go back to the list.", 404)
+            return refused("No such page: go back to the list.", 404)
         data, media, tag = pages[name]
         kept = request.headers.get("if-none-match") == tag
         headers = {"Cache-Control": "no-cache", "ETag": tag}
@@ -57,20 +56,20 @@ def make_app(desk: Desk, access: Access) -> Starlette:
     routes = [
         Route("/", file),
         Route("/page/{name:path}", file),
-        Route("/api/list", _answering(lambda request: _list(desk, request))),
+        Route("/api/list", _answering(lambda request: _list(service, request))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
-        Route("/api/scan/{key}", _answering(lambda request: _facts(desk, request))),
-        Route("/api/scan/{key}/thumbnail", _answering(lambda request: _thumbnail(desk, request))),
-        Route("/api/scan/{key}/frame", _answering(lambda request: _frame(desk, request))),
-        Route("/api/scan/{key}/sigma", _answering(lambda request: _sigma(desk, request))),
-        Route("/api/scan/{key}/level/{level:int}", _answering(lambda request: _level(desk, request))),
-        Route("/api/scan/{key}/height", _answering(lambda request: _height(desk, request))),
-        Route("/api/scan/{key}/profile", _answering(lambda request: _profile(desk, request))),
-        Route("/api/compare", _answering(lambda request: _compare(desk, request)), methods=["POST"]),
+        Route("/api/scan/{key}", _answering(lambda request: _facts(service, request))),
+        Route("/api/scan/{key}/thumbnail", _answering(lambda request: _thumbnail(service, request))),
+        Route("/api/scan/{key}/frame", _answering(lambda request: _frame(service, request))),
+        Route("/api/scan/{key}/sigma", _answering(lambda request: _sigma(service, request))),
+        Route("/api/scan/{key}/level/{level:int}", _answering(lambda request: _level(service, request))),
+        Route("/api/scan/{key}/height", _answering(lambda request: _height(service, request))),
+        Route("/api/scan/{key}/profile", _answering(lambda request: _profile(service, request))),
+        Route("/api/compare", _answering(lambda request: _compare(service, request)), methods=["POST"]),
     ]
 
     async def not_found(_request: Request, _error: Exception) -> Response:
-        return refused("There is no such page here: go back to the list.", 404)
+        return refused("No such page: go back to the list.", 404)
 
     return Starlette(
         routes=routes, middleware=[Middleware(AccessCheck, access=access)], exception_handlers={404: not_found}
@@ -78,16 +77,16 @@ def make_app(desk: Desk, access: Access) -> Starlette:
 
 
 def _answering(answer: Callable[[Request], Response]) -> Callable[[Request], Any]:
-    """Run a handler in a thread; what it refuses becomes one sentence in JSON."""
+    """Run a handler in a thread; an error becomes one sentence in JSON."""
 
     def guarded(request: Request) -> Response:
         try:
             return answer(request)
         except (HostError, DeviceError) as error:
             status = 404 if isinstance(error, LookupError) else 400
-            told = json_answer({"error": readable(str(error))})
-            told.status_code = status
-            return told
+            problem = json_answer({"error": readable(str(error))})
+            problem.status_code = status
+            return problem
 
     async def handler(request: Request) -> Response:
         return await run_in_threadpool(guarded, request)
@@ -95,28 +94,28 @@ def _answering(answer: Callable[[Request], Response]) -> Callable[[Request], Any
     return handler
 
 
-def _list(desk: Desk, request: Request) -> Response:
+def _list(service: ViewerService, request: Request) -> Response:
     asked = request.query_params
     texts: dict[str, Any] = {}
     for name in (part.name for part in fields(Query)):
-        text = asked.get(name, "")[:LONGEST_TEXT].strip()
+        text = asked.get(name, "")[:MAX_TEXT].strip()
         if text and name in _DAYS:
             texts[name] = _number(text, date.fromisoformat, name)
         elif text:
             texts[name] = text if name == "verdict" else f"*{_literal(text)}*"
-    wanted = Wanted(Query(**texts), tuple(asked.get("q", "")[:LONGEST_TEXT].split()))
-    listing = desk.catalogue.list(wanted)
+    wanted = ListFilter(Query(**texts), tuple(asked.get("q", "")[:MAX_TEXT].split()))
+    listing = service.catalogue.list(wanted)
     entries, complaints = [], list(listing.complaints)
     for entry in listing.entries:
         try:
-            entries.append(entry_facts(entry))
-        except ViewError as error:
+            entries.append(entry_info(entry))
+        except ViewError as error:  # its heights were removed just now
             complaints.append(str(error))
-    only = desk.catalogue.only
+    only = service.catalogue.only
     return json_answer(
         {
-            "root": readable(str(desk.catalogue.root)),
-            "is_library": desk.catalogue.is_library,
+            "root": readable(str(service.catalogue.root)),
+            "is_library": service.catalogue.is_library,
             "only": only.key if only else None,
             "entries": entries,
             "complaints": [readable(words) for words in complaints],
@@ -125,56 +124,56 @@ def _list(desk: Desk, request: Request) -> Response:
 
 
 def _literal(text: str) -> str:
-    """A text in which only * and ? are patterns; SQLite's GLOB knows brackets too."""
+    """The text with brackets escaped: SQLite's GLOB would read them as a pattern."""
     return text.replace("[", "[[]")
 
 
-def _facts(desk: Desk, request: Request) -> Response:
-    entry = desk.catalogue.find(_key(request))
-    return json_answer(entry_facts(entry) | desk.facts(entry.key))
+def _facts(service: ViewerService, request: Request) -> Response:
+    entry = service.catalogue.find(_key(request))
+    return json_answer(entry_info(entry) | service.facts(entry.key))
 
 
-def _thumbnail(desk: Desk, request: Request) -> Response:
-    return _picture(desk.thumbnail(_key(request)), "image/webp")
+def _thumbnail(service: ViewerService, request: Request) -> Response:
+    return _picture(service.thumbnail(_key(request)), "image/webp")
 
 
-def _frame(desk: Desk, request: Request) -> Response:
-    return _picture(desk.frame(_key(request)), "image/jpeg")
+def _frame(service: ViewerService, request: Request) -> Response:
+    return _picture(service.frame(_key(request)), "image/jpeg")
 
 
 def _picture(data: bytes, media: str) -> Response:
     return Response(data, media_type=media, headers={"Cache-Control": "private, max-age=3600"})
 
 
-def _sigma(desk: Desk, request: Request) -> Response:
-    found = desk.sigma(_key(request))
+def _sigma(service: ViewerService, request: Request) -> Response:
+    found = service.sigma(_key(request))
     return binary_answer(found.tobytes(), {"Rows": found.shape[0], "Columns": found.shape[1]})
 
 
-def _level(desk: Desk, request: Request) -> Response:
+def _level(service: ViewerService, request: Request) -> Response:
     asked = request.query_params
     first, last = (_number(asked.get(name, ""), int, name) for name in ("first", "last"))
-    return level_answer(desk.level(_key(request), _page(request), int(request.path_params["level"]), first, last))
+    return level_answer(service.level(_key(request), _page(request), int(request.path_params["level"]), first, last))
 
 
-def _height(desk: Desk, request: Request) -> Response:
+def _height(service: ViewerService, request: Request) -> Response:
     row, column = (_number(request.query_params.get(name, ""), int, name) for name in ("row", "column"))
-    return json_answer({"z_um": desk.height(_key(request), _page(request), row, column)})
+    return json_answer({"z_um": service.height(_key(request), _page(request), row, column)})
 
 
-def _profile(desk: Desk, request: Request) -> Response:
+def _profile(service: ViewerService, request: Request) -> Response:
     names = ("row_0", "column_0", "row_1", "column_1")
-    line = Line(*(_number(request.query_params.get(name, ""), float, name) for name in names))
-    entry = desk.catalogue.find(_key(request))
-    found = desk.profile(entry.key, _page(request), line)
+    row_0, column_0, row_1, column_1 = (_number(request.query_params.get(name, ""), float, name) for name in names)
+    entry = service.catalogue.find(_key(request))
+    found = service.profile(entry.key, _page(request), (row_0, column_0, row_1, column_1))
     if request.query_params.get("form") == "csv":
         return profile_csv(found, entry)
-    return json_answer(profile_facts(found, entry))
+    return json_answer(profile_info(found, entry))
 
 
-def _compare(desk: Desk, request: Request) -> Response:
+def _compare(service: ViewerService, request: Request) -> Response:
     asked = request.query_params
-    return json_answer(entry_facts(desk.compare(asked.get("first", ""), asked.get("second", ""))))
+    return json_answer(entry_info(service.compare(asked.get("first", ""), asked.get("second", ""))))
 
 
 def _key(request: Request) -> str:
@@ -189,11 +188,11 @@ def _number(text: str, read: Callable[[str], NumberT], name: str) -> NumberT:
     try:
         return read(text)
     except ValueError as error:
-        raise ViewError(f"{name}: is not what it should be: load the page again") from error
+        raise ViewError(f"{name}: {text[:40]!r} is not valid: load the page again") from error
 
 
 def _page_files() -> dict[str, tuple[bytes, str, str]]:
-    """The page's own files by name, with kind and tag; nothing else of the disk can be asked for."""
+    """The page's own files by name, with media type and tag; no other file can be requested."""
     folder = files("host_sync.viewer") / "page"
     found = {}
     for place in (folder, folder / "vendor"):

@@ -1,6 +1,6 @@
-"""The viewer's cache: pyramids, thumbnails and differences in a folder of its own, which may be deleted at any time.
+"""The viewer's cache: pyramids, thumbnails and differences in a folder that can be deleted at any time.
 
-Nothing in it is true of a library; the oldest goes when it is larger than agreed.
+Everything in it can be computed again; the folders used longest ago are removed above a size limit.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from threading import Lock
 from typing import Final
 
 import numpy as np
+import platformdirs
 
 from host_sync.errors import ViewError
 from host_sync.viewer.entry import Entry
@@ -23,32 +24,31 @@ from host_sync.viewer.heights import Heights
 from host_sync.viewer.pyramid import Level, coarse_levels, finest_rows, level_count, padded_shape
 
 FORM: Final = 1
-"""Of what is stored: a program that computes or stores otherwise gets another number."""
+"""Version of the stored files."""
 
-MOST_BYTES: Final = 4_000_000_000
+MAX_BYTES: Final = 4_000_000_000
 _UNFINISHED: Final = ".unfinished-"
 _OWN: Final = re.compile(r"[0-9]+-[0-9a-f]{32}")
 
 
 def default_cache() -> Path:
-    """Where the cache lies when nobody says otherwise."""
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "retrograph" / "viewer"
+    """The default cache folder."""
+    return platformdirs.user_cache_path("retrograph", appauthor=False) / "viewer"
 
 
 class Cache:
-    """Levels and thumbnails of entries, made when they are first asked for, one at a time.
+    """Levels and thumbnails of entries, computed at the first request, one at a time.
 
     Parameters
     ----------
-    folder : is made when something is first put into it
-    most_bytes : beyond this the folders that were used longest ago are deleted
+    folder : created with the first file
+    max_bytes : above this, the folders used longest ago are removed
     """
 
-    def __init__(self, folder: Path, heights: Heights, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: Path, heights: Heights, max_bytes: int = MAX_BYTES) -> None:
         self._folder = folder
         self._heights = heights
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
         self._making = Lock()
 
     def level(self, entry: Entry, page: int, level: int, first: int, last: int) -> Level:
@@ -57,7 +57,7 @@ class Cache:
         Raises
         ------
         ViewError
-            There are no such rows, or the heights cannot be read.
+            There are no such rows.
         """
         rows = padded_shape(entry.shape)[0] >> level if 0 <= level < level_count(entry.shape) else 0
         if not 0 <= first < last <= rows or (level == 0 and (first % 2 or last % 2) and level_count(entry.shape) > 1):
@@ -70,7 +70,7 @@ class Cache:
         return Level(found.surface[first:last], found.valid[first:last])
 
     def file(self, entry: Entry, name: str, make: Callable[[], bytes]) -> bytes:
-        """A small file of an entry, made when it is not there."""
+        """A small file of an entry, made if missing."""
         folder = self.folder(entry.stamp())
         path = folder / name
         try:
@@ -84,11 +84,11 @@ class Cache:
             partial.replace(path)
             partial.parent.rmdir()
         except OSError:
-            return data  # a cache that cannot be written costs time only
+            return data  # without a cache, only time is lost
         return data
 
     def folder(self, stamp: str) -> Path:
-        """Where the files of one height map lie."""
+        """Folder of the files of one height map."""
         return self._folder / f"{FORM}-{stamp}"
 
     def _stored(self, entry: Entry, page: int, level: int) -> Level:
@@ -104,7 +104,7 @@ class Cache:
         return found
 
     def _store(self, folder: Path, levels: list[Level]) -> bool:
-        """Put levels into a folder; False when the disk refuses."""
+        """Store levels in a folder; False if the disk refuses."""
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
             partial = Path(mkdtemp(prefix=_UNFINISHED, dir=folder.parent))
@@ -119,13 +119,13 @@ class Cache:
         return True
 
     def _prune(self, keep: Path) -> None:
-        """Delete what was used longest ago until the rest is small enough; never `keep`, and nothing but its own."""
+        """Delete the cache's own folders used longest ago, except `keep`, until the rest is small enough."""
         folders = [one for one in self._folder.iterdir() if _OWN.fullmatch(one.name) and one.is_dir()]
         sizes = {one: sum(file.stat().st_size for file in one.rglob("*") if file.is_file()) for one in folders}
         used = {one: one.stat().st_mtime_ns for one in folders}
         total = sum(sizes.values())
         for one in sorted(folders, key=used.__getitem__):
-            if total <= self._most_bytes:
+            if total <= self._max_bytes:
                 break
             if one != keep:
                 shutil.rmtree(one, ignore_errors=True)
@@ -133,7 +133,7 @@ class Cache:
 
 
 def _open(folder: Path, entry: Entry, level: int) -> Level | None:
-    """A stored level as arrays that stay on disk, or None when it is not there or not whole."""
+    """A stored level as memory-mapped arrays; None when it is missing or incomplete."""
     rows, columns = (size >> level for size in padded_shape(entry.shape))
     try:
         surface = np.memmap(folder / f"surface-{level}.f16", np.float16, "r")
@@ -142,5 +142,5 @@ def _open(folder: Path, entry: Entry, level: int) -> Level | None:
     except (OSError, ValueError):
         return None
     with suppress(OSError):
-        os.utime(folder.parent)  # it was used just now
+        os.utime(folder.parent)  # time of last use
     return found

@@ -1,4 +1,4 @@
-"""What a library, a folder of results or one result has to show, and which of it answers to the filters."""
+"""Entries of a library, of a folder of results or of one result, and the filters on them."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ from pathlib import Path
 from threading import Lock
 from typing import Final
 
-from device.errors import RecordError
-from device.scan_bundle import read_scan
-from host_sync.errors import ViewError
-from host_sync.library import Library
-from host_sync.library_index import Hit, Query, search
-from host_sync.viewer.entry import RECORD_FILE, Entry, key_of, quick_look_entry, result_entry
+from device.bundles.scan import read_scan
+from device.errors import DeviceError
+from host_sync.errors import UnreadableResult, ViewError
+from host_sync.library.index import Hit, Query, search
+from host_sync.library.library import Library
+from host_sync.results.files import RECORD_FILE
+from host_sync.viewer.entry import Entry, key_of, quick_look_entry, result_entry
 
-DEEPEST: Final = 3
-"""Folders of results are looked for so many levels below the one that was named."""
+MAX_DEPTH: Final = 3
+"""Levels below the named folder that are searched for results."""
 
-MOST_RESULTS: Final = 5000
-MOST_DERIVED: Final = 16
+MAX_RESULTS: Final = 5000
+MAX_DERIVED: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What the page filters by.
+class ListFilter:
+    """The filters of the page.
 
-    words : all of them must occur in what is known of a scan
+    words : each must occur in the facts of a scan
     """
 
     query: Query = field(default_factory=Query)
@@ -36,14 +37,14 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """The entries that answer, and a sentence for each thing that cannot be shown."""
+    """The entries that match, and one sentence for each scan or result that cannot be shown."""
 
     entries: tuple[Entry, ...]
     complaints: tuple[str, ...]
 
 
 class Catalogue:
-    """Finds entries by key, and lists them; the folders are the truth and are looked at each time.
+    """Lists entries and finds them by key; the folders are read each time.
 
     Parameters
     ----------
@@ -51,24 +52,24 @@ class Catalogue:
 
     Raises
     ------
-    ViewError
-        It is none of these.
+    ViewError, UnreadableResult
+        It is none of these, or the one result is damaged.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self.is_library = (root / "scans").is_dir()
         if not root.is_dir():
-            raise ViewError(f"{root}: there is no such folder: name a library or a result")
+            raise ViewError(f"{root}: no such folder: name a library or a result")
         self.only: Entry | None = result_entry(root) if (root / RECORD_FILE).is_file() else None
         self._known: dict[str, Entry] = {}
         self._derived: OrderedDict[str, Entry] = OrderedDict()
         self._lock = Lock()
-        if not self.is_library and not self.list(Wanted()).entries:
+        if not self.is_library and not self.list(ListFilter()).entries:
             raise ViewError(f"{root}: holds neither scans nor results: name a library or a result")
 
-    def list(self, wanted: Wanted) -> Listing:
-        """The entries that answer to the filters; those of a library in the order of their presses, newest first.
+    def list(self, wanted: ListFilter) -> Listing:
+        """The entries that match the filters; those of a library by time of the press, newest first.
 
         Raises
         ------
@@ -97,18 +98,18 @@ class Catalogue:
         with self._lock:
             found = self._derived.get(key) or self._known.get(key)
         if found is None:
-            self.list(Wanted())
+            self.list(ListFilter())
             with self._lock:
                 found = self._known.get(key)
         if found is None:
-            raise ViewError("there is no such scan here: go back to the list")
+            raise ViewError("no such scan: go back to the list")
         return found
 
-    def keep(self, entry: Entry) -> None:
-        """Make an entry that lies in no library known; the oldest of many is forgotten."""
+    def add_derived(self, entry: Entry) -> None:
+        """Add an entry that belongs to no library; beyond `MAX_DERIVED` the oldest is dropped."""
         with self._lock:
             self._derived[entry.key] = entry
-            while len(self._derived) > MOST_DERIVED:
+            while len(self._derived) > MAX_DERIVED:
                 self._derived.popitem(last=False)
 
     def _of_folder(self) -> Iterator[Entry | str]:
@@ -118,7 +119,7 @@ class Catalogue:
         for folder in _result_folders(self.root):
             try:
                 yield result_entry(folder)
-            except ViewError as error:
+            except UnreadableResult as error:
                 yield str(error)
 
     def _of_library(self, query: Query) -> Iterator[Entry | str]:
@@ -131,12 +132,12 @@ class Catalogue:
 
 
 def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
-    """The results of a scan, newest first, else its quick look: `seen`, if it was read before."""
+    """The results of a scan, newest first, else its quick look: `seen`, if it was read before. Errors are yielded."""
     shown = 0
     for folder in sorted(_result_folders(scan / "results"), key=_changed_ns, reverse=True):
         try:
             yield result_entry(folder, scan, hit)
-        except ViewError as error:
+        except UnreadableResult as error:
             yield str(error)
         else:
             shown += 1
@@ -145,16 +146,16 @@ def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
     elif not shown:
         try:
             record = read_scan(scan).record
-            yield quick_look_entry(scan, hit, record.pixel_pitch_um, record.shape[1])
-        except (ViewError, RecordError) as error:
+            yield quick_look_entry(scan, hit, record.pixel_pitch_um, record.shape)
+        except (UnreadableResult, DeviceError) as error:
             yield str(error)
 
 
-def _result_folders(root: Path, depth: int = DEEPEST) -> list[Path]:
-    """Folders with a record of results at or below a folder, sorted; links are not followed."""
+def _result_folders(root: Path, depth: int = MAX_DEPTH) -> list[Path]:
+    """Folders with a record at or below a folder, sorted; links are not followed."""
     found: list[Path] = []
     waiting = [(root, depth)]
-    while waiting and len(found) < MOST_RESULTS:
+    while waiting and len(found) < MAX_RESULTS:
         folder, left = waiting.pop()
         try:
             if (folder / RECORD_FILE).is_file():
@@ -167,12 +168,12 @@ def _result_folders(root: Path, depth: int = DEEPEST) -> list[Path]:
                     if one.is_dir() and not one.is_symlink() and not one.name.startswith(".")
                 ]
         except OSError:
-            continue  # a folder that may not be read shows nothing
+            continue  # the folder is not readable
     return found
 
 
 def _changed_ns(folder: Path) -> int:
-    """When a folder was last changed; one that has just vanished is the oldest."""
+    """Time of the last change; 0 for a folder that was just removed."""
     try:
         return folder.stat().st_mtime_ns
     except OSError:
@@ -181,7 +182,7 @@ def _changed_ns(folder: Path) -> int:
 
 def _answers(entry: Entry, words: tuple[str, ...]) -> bool:
     hit = entry.hit
-    known = [entry.title, entry.kind, str(entry.record.get("name", "")), entry.folder.name]
+    known = [entry.title, entry.kind, entry.record.name if entry.record else "", entry.folder.name]
     if hit is not None:
         facts = (hit.scan_id, hit.taken, hit.verdict, hit.job, hit.part, hit.gel, hit.operator, hit.device)
         known += [fact for fact in facts if fact]

@@ -1,57 +1,73 @@
-"""Reads what an entry's files hold; the last few height maps stay in memory, as a page asks for one in bands."""
+"""Height maps of entries; the last few stay in memory, because a page requests one in bands."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from pathlib import Path
 from threading import Lock
 from typing import Final
 
 import numpy as np
-import tifffile
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 from host_sync.errors import ViewError
-from host_sync.reconstruction.height_stack import open_heights
-from host_sync.viewer.entry import MOST_PIXELS, Entry
+from host_sync.results.field_file import read_draws, read_field, read_stack_page
+from host_sync.results.files import DRAWS_FILE, HEIGHT_SIGMA_FILE
+from host_sync.results.reader import max_draw_values
+from host_sync.viewer.entry import Entry
 
 KEPT: Final = 3
-SIGMA_FILE: Final = "height_sigma_um.tif"
-DRAWS_FILE: Final = "height_draws_um.tif"
+
+MAX_HEIGHT_UM: Final = 1e6
+"""Heights beyond this come from a damaged file; squared slopes would overflow."""
 
 
 class Heights:
-    """Height maps by entry and page, and what lies beside them; at most `KEPT` are held."""
+    """Reads height maps and the fields beside them, and keeps the last `KEPT`."""
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[str, int | str], Float32Array] = OrderedDict()
         self._lock = Lock()
 
     def read(self, entry: Entry, page: int = 0) -> Float32Array:
-        """The height map: float32 array of shape (H, W), µm, NaN where invalid; not to be written to.
+        """The height map: float32 array of shape (H, W), µm, NaN where invalid or impossible; read only.
 
         Raises
         ------
         ViewError
-            There is no such page, or the file is damaged or of another size than its record says.
+            There is no such page.
+        UnreadableResult
+            The file is damaged or of another size than its record states.
         """
         if not 0 <= page < entry.pages:
             raise ViewError(f"{entry.title}: has no frame {page}: choose one from 0 to {entry.pages - 1}")
         return self._holding((entry.stamp(), page), lambda: _read(entry, page))
 
-    def beside(self, entry: Entry, name: str, dimensions: int) -> Float32Array | None:
-        """A float32 TIFF beside the heights of a result or a difference, or None when there is none.
+    def sigma(self, entry: Entry) -> Float32Array | None:
+        """The standard uncertainty, float32 array of shape (H, W), µm; None when the entry has none.
 
         Raises
         ------
-        ViewError
-            It is damaged.
+        UnreadableResult
+            It is damaged or not as large as the height map.
         """
-        path = entry.folder / name
+        path = entry.folder / HEIGHT_SIGMA_FILE
         if entry.kind not in {"result", "difference"} or not path.is_file():
             return None
-        return self._holding((entry.stamp(), name), lambda: _tiff(path, dimensions))
+        return self._holding((entry.stamp(), path.name), lambda: read_field(path, entry.shape))
+
+    def draws(self, entry: Entry) -> Float32Array | None:
+        """Monte Carlo samples of the height error, float32 array of shape (K, h, w), µm; None when there are none.
+
+        Raises
+        ------
+        UnreadableResult
+            They are damaged.
+        """
+        path = entry.folder / DRAWS_FILE
+        if entry.kind != "result" or not path.is_file():
+            return None
+        return self._holding((entry.stamp(), path.name), lambda: read_draws(path, max_draw_values(entry.shape)))
 
     def _holding(self, key: tuple[str, int | str], read: Callable[[], Float32Array]) -> Float32Array:
         with self._lock:
@@ -65,28 +81,8 @@ class Heights:
 
 def _read(entry: Entry, page: int) -> Float32Array:
     if entry.kind == "video":
-        try:
-            stack = open_heights(entry.heights)
-            z_um = np.array(stack[page], np.float32)
-        except (OSError, ValueError, IndexError, tifffile.TiffFileError) as error:
-            raise ViewError(f"{entry.heights}: is damaged: reconstruct the video again") from error
+        z_um = read_stack_page(entry.heights, page, entry.shape)
     else:
-        z_um = _tiff(entry.heights, 2)
-    if z_um.shape != entry.shape:
-        raise ViewError(f"{entry.heights}: is not of the size that its record says: reconstruct the scan again")
-    np.copyto(z_um, np.nan, where=~np.isfinite(z_um))
+        z_um = read_field(entry.heights, entry.shape)
+    np.copyto(z_um, np.nan, where=~(np.abs(z_um) <= MAX_HEIGHT_UM))
     return z_um
-
-
-def _tiff(path: Path, dimensions: int) -> Float32Array:
-    """A TIFF's values, when its header says that they are as many as can be held."""
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            shape = tiff.series[0].shape
-            if len(shape) != dimensions or int(np.prod(shape, dtype=np.int64)) > MOST_PIXELS:
-                raise ViewError(f"{path}: is not what its name says: reconstruct the scan again")
-            return np.asarray(tiff.asarray(), np.float32)
-    except (OSError, ValueError, KeyError, IndexError, RuntimeError, tifffile.TiffFileError) as error:
-        if isinstance(error, ViewError):
-            raise
-        raise ViewError(f"{path}: is damaged: reconstruct the scan again") from error

@@ -1,4 +1,4 @@
-"""Pictures for the page: thumbnails, the frame, and the map of ±."""
+"""Pictures for the page: thumbnails, the frame, and the uncertainty map."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from device.bundles.scan import read_scan
 from device.errors import DeviceError
-from device.photometry import demosaic
-from device.scan_bundle import read_scan
-from device.surface import Float32Array
+from device.imaging.flat_field import demosaic
+from device.surface.fields import Float32Array
 from host_sync.errors import HostError, ViewError
-from host_sync.frame_reading import read_frame
-from host_sync.frame_set import ScanSpec
-from host_sync.render.tints import HIGHLIGHT, tint_table
+from host_sync.frames.frame_set import ScanSpec
+from host_sync.frames.linear_light import read_frame
+from host_sync.render.colormap import HIGHLIGHT, tint_table
 from host_sync.viewer.entry import Entry
 
 THUMBNAIL_PX: Final = 384
@@ -36,7 +36,7 @@ def thumbnail(z_um: Float32Array, pitch_um: float) -> bytes:
     p, q = (slope * max(1.0, 0.35 / max(float(np.percentile(steep, 97.0)), 0.35 / 20.0)) for slope in (p, q))
     light = (_LIGHT[2] - p * _LIGHT[0] - q * _LIGHT[1]) / np.sqrt(1.0 + p * p + q * q)
     brightness = _AMBIENT + (1.0 - _AMBIENT) * np.clip(light, 0.0, None)
-    known = np.isfinite(brightness)
+    known = np.isfinite(brightness) & np.isfinite(small)  # a central difference ignores its own pixel
     low, high = np.percentile(small[known], [0.1, 99.9]) if known.any() else (0.0, 1.0)
     share = np.clip((np.nan_to_num(small, nan=low) - low) / max(high - low, 1e-3), 0.0, 1.0)
     colour = tint_table()[np.round(share * 255.0).astype(int)]
@@ -49,9 +49,9 @@ def thumbnail(z_um: Float32Array, pitch_um: float) -> bytes:
 
 
 def frame_picture(entry: Entry, spec: ScanSpec | None) -> bytes:
-    """The frame that a height map was made from, as JPEG for the eye.
+    """The frame that a height map was made from, as JPEG.
 
-    spec : the scan of the frame set that was named, for results that belong to no library
+    spec : the scan of the named frame set, for results outside a library
 
     Raises
     ------
@@ -71,11 +71,11 @@ def frame_picture(entry: Entry, spec: ScanSpec | None) -> bytes:
     if factor > 1:
         size = (rgb.shape[1] // factor, rgb.shape[0] // factor)
         rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32)
-    return _encoded(".jpg", _for_the_eye(rgb)[..., ::-1], cv2.IMWRITE_JPEG_QUALITY, 92)
+    return _encoded(".jpg", _display_rgb(rgb)[..., ::-1], cv2.IMWRITE_JPEG_QUALITY, 92)
 
 
-def _for_the_eye(rgb: Float32Array) -> NDArray[np.uint8]:
-    """sRGB of linear light, as bright as a screen can show it."""
+def _display_rgb(rgb: Float32Array) -> NDArray[np.uint8]:
+    """sRGB of linear light, scaled to the full range."""
     white = max(float(np.percentile(rgb[::7, ::7], _WHITE_SHARE)), 1e-6)
     steps = np.clip(rgb / white, 0.0, 1.0) * np.float32(4095.0)
     linear = np.arange(4096) / 4095.0
@@ -85,7 +85,7 @@ def _for_the_eye(rgb: Float32Array) -> NDArray[np.uint8]:
 
 
 def sigma_picture(sigma_um: Float32Array) -> Float32Array:
-    """The map of ± reduced, float32 array of shape (h, w), µm; NaN where no pixel has one."""
+    """The reduced uncertainty map: float32 array of shape (h, w), µm; NaN where unknown."""
     factor = max(1, int(np.ceil(max(sigma_um.shape) / SIGMA_PX)))
     size = (max(1, sigma_um.shape[1] // factor), max(1, sigma_um.shape[0] // factor))
     known = np.isfinite(sigma_um).astype(np.float32)

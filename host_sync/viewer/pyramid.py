@@ -1,11 +1,10 @@
-"""The levels that a page draws from: slopes and heights averaged 2 × 2, again and again.
+"""Pyramid of levels for the page: slopes and heights averaged 2 × 2 per level.
 
-Slopes are averaged, not colours: the shading of a mean slope is what an eye further away would see, so that a relief
-does not sparkle when it is small. Means are taken over valid pixels; where none is valid, heights are those of the
-level above, so that nothing falls into a hole.
+Slopes are averaged, not colours, so that a small relief does not sparkle. Means are taken over valid pixels; where none
+is valid, heights come from the level above, so that holes have no walls.
 
 A level is (rows, columns, 4) of half floats - p, q, and the height as a large and a small part whose sum has 22 bits -
-and (rows, columns) of bytes, the share of valid pixels. Sizes are padded to a multiple of the coarsest cell, so that
+and (rows, columns) of bytes, the fraction of valid pixels. Sizes are padded to a multiple of the coarsest cell, so that
 each level lies exactly on the one below.
 """
 
@@ -19,12 +18,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 
-COARSEST_PX: Final = 96
-MOST_LEVELS: Final = 8
-STEEPEST: Final = 1e4
-"""Slopes beyond this are not told apart; half floats end at 65504."""
+MIN_LEVEL_PX: Final = 96
+MAX_LEVELS: Final = 8
+MAX_SLOPE: Final = 1e4
+"""Slopes are clipped here; half floats end at 65504."""
 
 Half: TypeAlias = NDArray[np.float16]
 Bytes: TypeAlias = NDArray[np.uint8]
@@ -32,7 +31,7 @@ Bytes: TypeAlias = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """What a page uploads: half floats of shape (h, w, 4) and bytes of shape (h, w)."""
+    """One level: half floats of shape (h, w, 4) and bytes of shape (h, w)."""
 
     surface: Half
     valid: Bytes
@@ -40,7 +39,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Means:
-    """Means over cells: float32 arrays (h, w); p, q, z are nought where the weight is."""
+    """Means over cells: float32 arrays (h, w); p, q, z are 0 where the weight is 0."""
 
     p: Float32Array
     q: Float32Array
@@ -49,15 +48,15 @@ class Means:
 
 
 def level_count(shape: tuple[int, int]) -> int:
-    """How many levels a height map has, itself included."""
+    """Number of levels of a height map, including level 0."""
     count = 1
-    while count < MOST_LEVELS and max(shape) >> (count - 1) > COARSEST_PX:
+    while count < MAX_LEVELS and max(shape) >> (count - 1) > MIN_LEVEL_PX:
         count += 1
     return count
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """The size of level 0: (H, W) made up to multiples of the coarsest level's cell."""
+    """Size of level 0: (H, W) padded to multiples of the coarsest level's cell."""
     cell = 1 << (level_count(shape) - 1)
     return -(-shape[0] // cell) * cell, -(-shape[1] // cell) * cell
 
@@ -78,7 +77,7 @@ def coarse_levels(z_um: Float32Array, pitch_um: float) -> list[Level]:
 def finest_rows(z_um: Float32Array, pitch_um: float, above: Level | None, first: int, last: int) -> Level:
     """Rows `first` to `last` of level 0, both even.
 
-    above : level 1, from which heights of holes are taken
+    above : level 1, which gives heights inside holes
     """
     p, q, weight = _slopes(z_um, pitch_um, first, last)
     shape = (last - first, padded_shape(z_um.shape)[1])
@@ -97,7 +96,7 @@ def _bands(rows: int, step: int = 512) -> Iterator[tuple[int, int]]:
 
 
 def _first_means(z_um: Float32Array, pitch_um: float) -> Means:
-    """Level 1, band by band, so that little more than the height map is in memory."""
+    """Level 1, computed in bands to save memory."""
     rows, columns = padded_shape(z_um.shape)
     half = (max(rows // 2, 1), max(columns // 2, 1))
     found = Means(*(np.zeros(half, np.float32) for _ in range(4)))
@@ -116,7 +115,7 @@ def _first_means(z_um: Float32Array, pitch_um: float) -> Means:
 def _slopes(
     z_um: Float32Array, pitch_um: float, first: int, last: int
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """p, q and the weight, 1 where both are numbers, of some rows of a height map; fewer at its end."""
+    """p, q and weight (1 where both are finite) of some rows of a height map; fewer rows at its end."""
     rows = z_um.shape[0]
     first, last = min(first, rows), min(last, rows)
     top, bottom = max(first - 1, 0), min(last + 1, rows)
@@ -128,9 +127,9 @@ def _slopes(
     q, p = np.gradient(z_um[top:bottom] / np.float32(pitch_um))
     kept = slice(first - top, last - top)
     p, q = p[kept], q[kept]
-    # A central difference does not look at its own pixel.
+    # A central difference ignores its own pixel.
     known = np.isfinite(p) & np.isfinite(q) & np.isfinite(z_um[first:last])
-    bounded = (np.where(known, np.clip(slope, -STEEPEST, STEEPEST), np.float32(0.0)) for slope in (p, q))
+    bounded = (np.where(known, np.clip(slope, -MAX_SLOPE, MAX_SLOPE), np.float32(0.0)) for slope in (p, q))
     p, q = (np.asarray(slope, np.float32) for slope in bounded)
     return p, q, known.astype(np.float32)
 
@@ -149,7 +148,7 @@ def _halved(fine: Means) -> Means:
 
 
 def _filled(z_um: Float32Array, known: NDArray[np.bool_], coarser: Float32Array | None) -> Float32Array:
-    """Heights, with those of the coarser level where none is known."""
+    """Heights, from the coarser level where invalid."""
     if known.all():
         return z_um
     if coarser is None:

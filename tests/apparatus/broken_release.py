@@ -1,4 +1,4 @@
-"""A release like another but for its version and one defect, for trying out updates."""
+"""A release that differs from another in its version and in one defect, for testing updates."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import shutil
 import zipfile
 from pathlib import Path
 
-ENTRY = "device/__main__.py"
+ENTRY = "device/cli/main.py"
 
 
 def release_with(good: Path, folder: Path, version: str, function: str, first_line: str) -> Path:
-    """A release folder at `folder` whose wheel has another version, and a function of the program a new first line.
+    """Make a release folder at `folder` whose wheel has another version, and a new first line in one function of the
+    program.
 
-    function : how its definition begins, such as "def _watch("
+    function : begin of its definition, such as "def _watch("
     """
     shutil.copytree(good, folder, ignore=shutil.ignore_patterns("retrograph-*.whl"))
     wheel = next(good.glob("retrograph-*.whl"))

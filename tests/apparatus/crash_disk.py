@@ -1,7 +1,7 @@
-"""What is left on a disk when the power goes: its recorded writes, replayed up to any of them.
+"""Contents of a disk after a power cut: its recorded writes, replayed up to any of them.
 
-The log is the one that QEMU's blklogwrites driver writes. A crash point keeps what was flushed before it and a random
-half of what was written since, as a disk's cache does; then the file system is mounted and its journal runs.
+The log is written by QEMU's blklogwrites driver. A crash point keeps what was flushed before it and a random half of
+what was written since, like a disk cache; then the file system is mounted and its journal is replayed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from device.bundle_store import BundleStore
+from device.bundles.scan import ScanBundle
 from device.errors import RecordError
-from device.scan_bundle import ScanBundle
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
 
 TOOLS = ("mkfs.ext4", "losetup", "mount", "umount")
@@ -27,7 +27,7 @@ FLUSH, FUA, DISCARD = 1, 2, 4
 
 @dataclass(frozen=True)
 class Write:
-    """One entry of the log: where its bytes go on the disk, where they lie in the log, and its flags."""
+    """One entry of the log: position of its bytes on the disk and in the log, and its flags."""
 
     at: int
     log_at: int
@@ -37,7 +37,7 @@ class Write:
 
 @dataclass(frozen=True)
 class Recording:
-    """The disk before, what was written to it, and after how many entries each scan was acknowledged."""
+    """The disk before, the writes to it, and the number of entries after which each scan was acknowledged."""
 
     before: Path
     log: Path
@@ -77,7 +77,7 @@ def read_log(log: Path) -> list[Write]:
 
 
 def crash_images(recording: Recording, points: list[int], image: Path, rng: np.random.Generator) -> Iterator[int]:
-    """Makes the disk of each crash point in turn, in ascending order; yields the point."""
+    """Make the disk of each crash point in turn, in ascending order; yields the point."""
     safe = image.with_suffix(".safe")
     run("cp", "--sparse=always", recording.before, safe)
     done = 0
@@ -103,7 +103,7 @@ def apply(recording: Recording, entries: range | list[int], image: Path) -> None
 
 
 def lost_scans(recording: Recording, points: int, folder: Path, publish_scan: Callable[..., ScanBundle]) -> list[str]:
-    """What is wrong after each of so many crashes, a line each."""
+    """Errors after each of this many crashes, one line each."""
     rng = np.random.default_rng(5)
     first = min(recording.acknowledged.values())
     chosen = [int(at) for at in rng.integers(first, len(recording.writes) + 1, points)]

@@ -1,4 +1,4 @@
-"""The project's systemd units, read as systemd reads them."""
+"""The project's systemd units, parsed like systemd does."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def unit_files() -> list[Path]:
 
 
 def settings(name: str) -> Settings:
-    """What a unit says, each key with all its values."""
+    """Settings of a unit, each key with all its values."""
     found: Settings = {}
     for line in (SYSTEMD / name).read_text(encoding="utf-8").splitlines():
         if "=" in line and not line.startswith(("#", "[")):

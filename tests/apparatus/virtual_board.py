@@ -1,4 +1,4 @@
-"""The virtual board as a handheld: what the system tests push, ask and wait for."""
+"""The virtual board as a handheld: helpers that push, ask and wait in the system tests."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ for unit in retroscan retrograph-first-boot retrograph-trial; do
     printf '[Service]\\nTimeoutStartSec=600\\nTimeoutStopSec=300\\n' >/etc/systemd/system/$unit.service.d/patience.conf
 done
 """
-"""An emulated processor starts Python for half a minute: what the units allow a board is not enough for it."""
+"""An emulated processor takes half a minute to start Python, more than the units allow a board."""
 
 INSTALL = "/mnt/handover/release/board/install.sh --board /mnt/source/tests/system/virtual-board.toml"
 PROGRAM = "runuser -u retroscan -- retroscan --board /etc/retrograph/board.toml --store /var/lib/retroscan"
 STATUS = "systemctl show -P StatusText retroscan"
 PUSHING = "(while :; do sleep 2; /usr/local/lib/virtual/press; done) & pushing=$!; trap 'kill $pushing' EXIT; "
 PWM_ALL, LEDOUT0 = 0x44, 0x82
-"""Where the stub has them: to it the bit that asks a chip to count on is part of the number."""
+"""Address in the stub, which treats the auto-increment bit as part of the register number."""
 
 SCAN_SAID = re.compile(r"^\w+: .* \(([\w-]+)\)$", re.MULTILINE)
 
 
 def register(number: int, count: int = 1) -> str:
-    """A script that says what stands in so many of the stub's registers."""
+    """A script that prints this many registers of the stub."""
     read = f"from smbus2 import SMBus; print(*SMBus(1).read_i2c_block_data(0x15, {number}, {count}))"
     return f"/data/app/current/bin/python -c '{read}' 2>/dev/null"
 
 
 def replug(address: int) -> str:
-    """A script that puts the stub at an address, with nothing in its registers, between two tries of an instrument."""
+    """A script that reconnects the stub at an address, with empty registers, between two attempts of an instrument."""
     gone = "until rmmod i2c-stub 2>/dev/null; do sleep 0.2; done"
     return f"{gone}; modprobe i2c-stub chip_addr={address:#x}; udevadm settle"
 
 
 @dataclass
 class Board:
-    """The machine, and what became of its tests so far.
+    """The machine, and the progress of its tests.
 
-    acknowledged : after how many writes of the data disk each scan was told to its user
+    acknowledged : number of writes to the data disk after which each scan was reported to its user
     """
 
     machine: VirtualMachine
@@ -67,20 +67,20 @@ class Board:
     acknowledged: dict[str, int] = field(default_factory=dict)
 
     def start_service(self) -> None:
-        """The instrument, until it says that it is ready."""
+        """Start the instrument and wait until it reports ready."""
         self.machine.run("systemctl reset-failed retroscan; systemctl restart retroscan")
 
     def scan(self) -> str:
-        """Pushes the button; the id of the scan that the instrument then told of."""
-        before = len(self._told())
+        """Push the button; returns the id of the scan that the instrument then reports."""
+        before = len(self._reported())
         self.machine.run("/usr/local/lib/virtual/press")
         end = time.monotonic() + 120.0
-        while len(told := self._told()) == before:
+        while len(reported := self._reported()) == before:
             assert time.monotonic() < end, self.machine.run("journalctl -u retroscan -n 30 -o cat --no-pager")
             time.sleep(0.5)
-        assert len(told) == before + 1
-        self.acknowledged[told[-1]] = logged_entries(self.machine.log)
-        return told[-1]
+        assert len(reported) == before + 1
+        self.acknowledged[reported[-1]] = logged_entries(self.machine.log)
+        return reported[-1]
 
-    def _told(self) -> list[str]:
+    def _reported(self) -> list[str]:
         return SCAN_SAID.findall(self.machine.run("journalctl -u retroscan -o cat --no-pager"))

@@ -1,7 +1,7 @@
-"""The virtual board: Debian in QEMU without KVM, obeying scripts over a serial port of its own.
+"""The virtual board: Debian in QEMU without KVM, controlled by scripts over its own serial port.
 
 Its disk is a copy-on-write layer over the cached root, so that what a test installs is gone afterwards; its data disk
-records every write. Everything in it is emulated: times say how long the tests take, nothing about a board.
+records every write. Everything in it is emulated: times show how long the tests take, nothing about a board.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ QEMU = "qemu-system-x86_64"
 MEMORY_MIB = 1536
 SSH, PAIRING = 22, 8022
 LONG_S = 900.0
-"""Nothing takes so long, however loaded the machine is: who waits this long waits for something that hangs."""
+"""Longer than anything takes on a loaded machine; after this long something hangs."""
 
 
 class GuestError(RuntimeError):
-    """A script failed in the guest, or the guest fell silent."""
+    """A script failed in the guest, or the guest stopped responding."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a script in the guest ended with, and what it said."""
+    """Exit code and output of a script in the guest."""
 
     code: int
     text: str
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody listens on now."""
+    """A port of the loopback interface that is not in use."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -45,14 +45,14 @@ def free_port() -> int:
 
 @dataclass
 class VirtualMachine:
-    """One machine; entering it switches it on, leaving it pulls the plug.
+    """One machine; entering switches it on, leaving cuts the power.
 
-    cache : what tests/system/build made
-    folder : its own files: overlay, console, log of its data disk's writes
+    cache : output of tests/system/build
+    folder : its own files: overlay, console, log of the writes to its data disk
     shares : folders that the guest mounts by 9p, by tag
-    init : the guest's first process
-    data : a disk image whose writes are recorded in `log`, as blklogwrites does
-    number : what the firmware numbers this board with (a UUID)
+    init : first process of the guest
+    data : a disk image whose writes are recorded in `log` by blklogwrites
+    number : serial number of this board in the firmware (a UUID)
     """
 
     cache: Path
@@ -65,17 +65,17 @@ class VirtualMachine:
 
     @property
     def console(self) -> Path:
-        """What kernel and systemd wrote to the serial console."""
+        """Output of kernel and systemd on the serial console."""
         return self.folder / "console.log"
 
     @property
     def log(self) -> Path:
-        """The log of the data disk's writes."""
+        """Log of the writes to the data disk."""
         return self.folder / "data.log"
 
     @property
     def disk(self) -> Path:
-        """What its root file system became, over the cached one."""
+        """Its root file system, over the cached one."""
         return self.folder / "root.qcow2"
 
     def __enter__(self) -> Self:
@@ -86,9 +86,9 @@ class VirtualMachine:
         return self
 
     def switch_on(self, command_line: str | None = None) -> float:
-        """Starts it, for the first time or after `power_off`; returns after how many seconds it obeys.
+        """Start it, for the first time or after `power_off`; returns the seconds until it responds.
 
-        command_line : what a board's firmware reads in cmdline.txt: as there, the initramfs mounts the root
+        command_line : contents of cmdline.txt for a board's firmware; as there, the initramfs mounts the root
         """
         if command_line is None:
             boot = ["-append", f"root=/dev/vda rw console=ttyS0 quiet init={self.init} systemd.show_status=yes"]
@@ -112,23 +112,23 @@ class VirtualMachine:
         self._qemu.wait()
 
     def wait_until_up(self, timeout_s: float = LONG_S) -> float:
-        """Waits until the guest obeys; returns after how many seconds."""
+        """Wait until the guest responds; returns the seconds."""
         began = time.monotonic()
         if (line := self._line(timeout_s)) != b"ready\n":
-            raise GuestError(f"the guest says {line!r} in the place of 'ready'; see {self.console}")
+            raise GuestError(f"the guest sent {line!r} instead of 'ready'; see {self.console}")
         return time.monotonic() - began
 
     def ask(self, script: str, timeout_s: float = LONG_S) -> Answer:
-        """What a script (bash -euo pipefail, as root) ends with and says."""
+        """Exit code and output of a script (bash -euo pipefail, as root)."""
         self._agent.sendall(base64.b64encode(script.encode()) + b"\n")
         answer = self._line(timeout_s)
         if answer == b"ready\n":
-            raise GuestError(f"the guest was started anew by itself; see {self.console}")
+            raise GuestError(f"the guest restarted by itself; see {self.console}")
         code, _, said = answer.partition(b" ")
         return Answer(int(code), base64.b64decode(said).decode(errors="replace"))
 
     def run(self, script: str, timeout_s: float = LONG_S) -> str:
-        """What a script says.
+        """Output of a script.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class VirtualMachine:
         return answer.text
 
     def wait_for(self, script: str, timeout_s: float = LONG_S) -> str:
-        """Asks every second until the script succeeds; what it says then."""
+        """Run the script every second until it succeeds; returns its output."""
         end = time.monotonic() + timeout_s
         while (answer := self.ask(script)).code:
             if time.monotonic() > end:
@@ -150,12 +150,12 @@ class VirtualMachine:
         return answer.text
 
     def reboot(self, timeout_s: float = LONG_S) -> float:
-        """In order, not by the plug; returns after how many seconds the guest obeys again."""
+        """Reboot in order; returns the seconds until the guest responds again."""
         self.run("systemctl reboot --no-block")
         return self.wait_until_up(timeout_s)
 
     def power_off(self, script: str = "systemctl poweroff --no-block", timeout_s: float = LONG_S) -> float:
-        """In order, by whatever asks for it; returns after how many seconds the machine was off."""
+        """Shut down in order; returns the seconds until the machine is off."""
         began = time.monotonic()
         self.run(script)
         self._qemu.wait(timeout_s)
@@ -211,9 +211,9 @@ class VirtualMachine:
             try:
                 more = self._agent.recv(1 << 16)
             except TimeoutError:
-                raise GuestError(f"the guest says nothing for {timeout_s:g} s; see {self.console}") from None
+                raise GuestError(f"no output from the guest for {timeout_s:g} s; see {self.console}") from None
             if not more:
-                raise GuestError(f"the guest has gone; see {self.console}")
+                raise GuestError(f"the guest disappeared; see {self.console}")
             self._said += more
         line, _, rest = bytes(self._said).partition(b"\n")
         self._said = bytearray(rest)

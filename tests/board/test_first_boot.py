@@ -127,7 +127,7 @@ def test_a_copied_card_is_another_device_and_says_so(device: Path, run: Run, cut
     ran = run("systemd/first-boot", RETROSCAN_BOARD="twin")
     assert ran.returncode == 0, ran.stderr
     assert "was set up in another board (number 100000001234abcd)" in ran.stderr
-    assert "pair every workstation anew, and calibrate" in ran.stderr
+    assert "pair every workstation again, and calibrate" in ran.stderr
     assert all(old != new for old, new in zip(before, identity(device), strict=True))
     paired = device / "var/lib/retroscan-pairing/authorized_keys"
     assert not paired.exists()

@@ -1,37 +1,17 @@
 """Drawings, tables and pin maps are what the profiles and the wiring say; contradictions are refused."""
 
-import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from xml.etree import ElementTree
 
 import msgspec
 import pytest
 
 from hal.board_profile import load_board_profile
+from tests.drawings.board import drawings, wiring
 
 ROOT = Path(__file__).parents[2]
 WIRED = ("pi4-imx477", "pi4-imx477-binned", "pi5-imx296", "zero2w-imx708")
-
-
-@pytest.fixture(scope="module")
-def drawings() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(ROOT / "docs" / "board"))
-    try:
-        import drawings
-
-        yield drawings
-    finally:
-        sys.path.pop(0)
-
-
-@pytest.fixture(scope="module")
-def wiring(drawings: ModuleType) -> ModuleType:
-    import wiring
-
-    return wiring
 
 
 @pytest.fixture
@@ -39,20 +19,20 @@ def facts() -> dict[str, object]:
     return tomllib.loads((ROOT / "board/wiring/wiring.toml").read_text(encoding="utf-8"))
 
 
-def test_what_is_drawn_is_what_is_there(drawings: ModuleType) -> None:
+def test_what_is_drawn_is_what_is_there() -> None:
     """`make board` would change nothing; tables of figures may differ in the last digit on another processor."""
     for place, text in drawings.pages().items():
         assert (ROOT / "board" / place).read_text(encoding="utf-8") == text, f"run `make board`: board/{place} is old"
 
 
-def test_every_wired_board_has_its_pages(wiring: ModuleType) -> None:
+def test_every_wired_board_has_its_pages() -> None:
     assert tuple(wiring.wired_boards()) == WIRED
     shown = {path.stem for path in (ROOT / "board/wiring").iterdir() if path.suffix in {".svg", ".md"}}
     assert shown == set(WIRED)
 
 
 @pytest.mark.parametrize("board", WIRED)
-def test_a_drawing_shows_every_wire_of_its_profile(wiring: ModuleType, board: str) -> None:
+def test_a_drawing_shows_every_wire_of_its_profile(board: str) -> None:
     profile = load_board_profile(board)
     drawn = ElementTree.parse(ROOT / f"board/wiring/{board}.svg")  # noqa: S314
     told = {element.text for element in drawn.iter("{http://www.w3.org/2000/svg}title")}
@@ -75,7 +55,7 @@ def test_the_header_is_the_raspberry_pis(facts: dict[str, list[str]]) -> None:
     assert lines == list(range(28))
 
 
-def test_contradictions_are_refused(wiring: ModuleType, facts: dict[str, dict[str, int]]) -> None:
+def test_contradictions_are_refused(facts: dict[str, dict[str, int]]) -> None:
     profile = load_board_profile("pi4-imx477")
     assert profile.light_driver is not None
     elsewhere = msgspec.structs.replace(profile.light_driver, address=0x16)
@@ -90,9 +70,9 @@ def test_contradictions_are_refused(wiring: ModuleType, facts: dict[str, dict[st
         wiring.of_profile(profile, facts)
 
 
-def test_gain_is_the_cotangent_of_the_elevation(drawings: ModuleType) -> None:
+def test_gain_is_the_cotangent_of_the_elevation() -> None:
     """The figures' own check: closed forms for a diffuse skin."""
-    from light_geometry import Geometry, all_lit_deg, gain, unevenness
+    from tests.drawings.board.light_geometry import Geometry, all_lit_deg, gain, unevenness
 
     assert gain(Geometry()) == pytest.approx(3**0.5, rel=1e-3)
     assert gain(Geometry(elevation_deg=45.0)) == pytest.approx(1.0, rel=1e-3)

@@ -5,8 +5,8 @@ import pytest
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware
-from hal.twin.bench import Bench, build
-from hal.twin.hardware import twin_hardware
+from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.hardware import twin_hardware
 
 
 @pytest.fixture
@@ -15,10 +15,10 @@ def profile(small_twin: BoardProfile) -> BoardProfile:
 
 
 @pytest.fixture
-def bench(profile: BoardProfile) -> Bench:
+def bench(profile: BoardProfile) -> SimulatedScene:
     return build(profile, VirtualClock())
 
 
 @pytest.fixture
-def hardware(bench: Bench) -> Hardware:
+def hardware(bench: SimulatedScene) -> Hardware:
     return twin_hardware(bench)

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from hal.board_profile import load_board_profile, profile_names
+from hal.drivers.lights_pca9955b import Pca9955b
+from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
+from hal.frame import CameraSettings
+from hal.simulator.sensor_controls import CONTROLS, granted
 
 
 def rewritten(folder: Path, old: str, new: str, name: str = "twin") -> Path:
@@ -58,9 +62,9 @@ def test_unknown_name_lists_the_known_ones() -> None:
         ('skin = "diffuse"', 'skin = "chrome"', r"twin\.skin: .*accepted: diffuse, flake, sharp-flake"),
         ('colour = "G"', 'colour = "Y"', r"lights\[1\]\.colour: \'Y\' is not accepted; accepted: B, G, R"),
         ('colour = "G"', 'kolour = "G"', r"lights\[1\]: .*kolour.*accepted: name, colour"),
-        ('colour = "G"', 'colour = "R"', r"lights: colours are R, R, B; accepted is the order R, G, B"),
-        ('name = "green"', 'name = "red"', r"lights: two of them"),
-        ("12.500]", "-12.500]", r"lights: position_mm of red .*accepted is z > 0"),
+        ('colour = "G"', 'colour = "R"', r"lights: colours are R, R, B; accepted: the order R, G, B"),
+        ('name = "green"', 'name = "red"', r"lights: two have"),
+        ("12.500]", "-12.500]", r"lights: position_mm of red .*accepted: z > 0"),
         ("white_level_dn = 4095.0", "white_level_dn = 200.0", r"sensor\.white_level_dn"),
         (
             '[twin]\nskin = "diffuse"\nseed = 1\ncamera_distance_mm = 160.0  # a 35 mm lens at this field\n',
@@ -154,14 +158,22 @@ def test_the_global_shutter_camera_hands_out_bggr_on_every_board() -> None:
         ("channel = 15", "channel = 9", r"lights: channel 9 is named twice"),
         ("channel = 15", "channel = 15\nline = 3", r"indicator: accepted: exactly one"),
         ("channel = 15 ", "line = 17 ", r"indicator\.line: 17 is the button's line"),
-        ("raw_bits = 16", "raw_bits = 12", r"sensor\.white_level_dn: accepted is less than 2\^raw_bits, 4096"),
+        ("raw_bits = 16", "raw_bits = 12", r"sensor\.white_level_dn: accepted: less than 2\^raw_bits, 4096"),
         (
             "buffer_count = 4",
             "aiming_rows = 180",
-            r"libcamera\.aiming_rows: 180 .*a part of the field only; .*about 240",
+            r"libcamera\.aiming_rows: 180 .*only a part of the field; .*about 240",
         ),
         ("raw_bits = 16", "raw_bits = 11", r"libcamera\.raw_bits: 11 .*accepted: 8, 10, 12, 14, 16"),
-        ("frame_period_us = 16667.0", "frame_period_us = 1000.0", r"camera\.exposure_us: accepted is at most"),
+        ("frame_period_us = 16667.0", "frame_period_us = 1000.0", r"camera\.exposure_us: accepted: at most"),
+        ("max_ma = 25.0 ", "max_ma = 4.0 ", r"lights: current_ma of red is 6\.4; accepted: at most its max_ma, 4"),
+        ("analogue_gain = 1.0", "analogue_gain = 65.0", r"camera\.analogue_gain: 65\.0 .*to 64"),
+        (
+            "max_gain = 64.0 ",
+            "min_gain = 1.2 ",
+            r"camera\.analogue_gain: the IMX296 has no gain of 1; accepted: 1\.2 to",
+        ),
+        ("exposure_us = 2000.0", "exposure_us = 10.0", r"camera\.exposure_us: accepted: at least 14\.8"),
         ('[button]\nchip_label = "pinctrl-rp1"\nline = 17\n', "", r"button: .*needs a \[button\] table"),
         ('camera_id = "imx296@1a"\n', "", r"libcamera\.camera_id: is missing; accepted: a text of 3 letters"),
         ('throttled = "vcgencmd"', 'throttled = "guess"', r"power\.throttled: .*accepted: sysfs, vcgencmd"),
@@ -172,3 +184,40 @@ def test_wrong_wiring_names_file_key_and_what_is_accepted(tmp_path: Path, old: s
     with pytest.raises(BoardProfileError, match=message) as caught:
         load_board_profile(path)
     assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("name", REAL_BOARDS)
+def test_a_shipped_profile_requests_only_what_its_sensor_grants(name: str) -> None:
+    """The twin's table of gain codes comes from the kernel drivers, not from the profiles."""
+    profile = load_board_profile(name)
+    sensor, asked = profile.sensor, profile.camera.settings
+    found = granted(sensor.model, asked, sensor.exposure_step_us)
+    assert found.analogue_gain == pytest.approx(asked.analogue_gain, rel=1e-3)
+    assert found.exposure_us == pytest.approx(asked.exposure_us, abs=sensor.exposure_step_us + 1.0)
+    controls = CONTROLS[sensor.model]
+    assert sensor.min_gain == pytest.approx(controls.gain(controls.codes[0]), rel=1e-4)
+    assert sensor.max_gain <= controls.gain(controls.codes[1]) * 1.001
+    assert (sensor.min_exposure_us or sensor.exposure_step_us) >= controls.min_lines * sensor.exposure_step_us - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("model", "asked", "gain"), [("IMX708", 1.0, 1024 / 912), ("IMX477", 1.0, 1.0), ("IMX296", 2.0, 10**0.3)]
+)
+def test_a_sensor_clamps_a_gain_that_it_does_not_have(model: str, asked: float, gain: float) -> None:
+    assert granted(model, CameraSettings(2000.0, asked), 10.0).analogue_gain == pytest.approx(gain, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", REAL_BOARDS)
+def test_no_light_driver_can_exceed_the_limit_of_its_leds(name: str) -> None:
+    profile = load_board_profile(name)
+    assert profile.light_driver is not None
+    chip = {"PCA9955B": Pca9955b, "TLC59116": Tlc59116}[profile.light_driver.chip]
+    for light in profile.lights:
+        assert light.max_ma is not None
+        assert chip(None, profile.light_driver.reference_ohm).max_ma <= light.max_ma  # type: ignore[arg-type]
+
+
+def test_a_light_without_a_limit_is_refused(tmp_path: Path) -> None:
+    path = rewritten(tmp_path, "max_ma = 25.0              # continuous, of each LED\n", "", "pi5-imx296")
+    with pytest.raises(BoardProfileError, match=r"lights: red has no max_ma"):
+        load_board_profile(path)

@@ -4,12 +4,13 @@ import pytest
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.errors import CameraError, HalError, LightError, OperatorError
-from hal.hardware import Hardware, open_hardware
+from hal.factory import open_hardware
+from hal.hardware import Hardware
 from hal.interfaces import PressObject
-from hal.twin.bench import Bench
+from hal.simulator.bench import SimulatedScene
 
 
-def test_twin_is_opened_by_name_and_leaves_the_lights_dark(hardware: Hardware, bench: Bench) -> None:
+def test_twin_is_opened_by_name_and_leaves_the_lights_dark(hardware: Hardware, bench: SimulatedScene) -> None:
     with hardware as opened:
         assert opened is hardware
         opened.lights.switch_on(bench.profile.currents_ma)
@@ -22,13 +23,13 @@ def _lit(hardware: Hardware, request: PressObject) -> PressObject:
     return request
 
 
-def test_lights_go_dark_on_an_error(hardware: Hardware, bench: Bench) -> None:
+def test_lights_go_dark_on_an_error(hardware: Hardware, bench: SimulatedScene) -> None:
     with pytest.raises(OperatorError), hardware:
         hardware.operator.ask(_lit(hardware, PressObject("unicorn")))
     assert bench.currents_ma == {}
 
 
-def test_opening_fails_loudly_and_releases_what_it_had(hardware: Hardware, bench: Bench) -> None:
+def test_opening_fails_loudly_and_releases_what_it_had(hardware: Hardware, bench: SimulatedScene) -> None:
     bench.faults.lights_silent = True
     with pytest.raises(LightError), hardware:
         pass

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.calibration.calibration_frames import CalibrationFrames, calibrate_frames
-from host_sync.calibration.full_calibration import Calibration
-from host_sync.calibration.report import REPORT_FILE, write_report
-from host_sync.reconstruction.whole_directory import whole_directory
-
-CALLERS = ("frame_set_job", "library_job", "figures_job", "held_out_ball")
+from device.io.atomic import atomic_directory
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration_report.report import REPORT_FILE, write_report
+from host_sync.evaluation import figures, held_out_ball
+from host_sync.reconstruction import from_frame_set, from_library
 
 
 class Calibrated:
@@ -36,7 +36,7 @@ class Calibrated:
         """The report in its place: drawn the first time."""
         drawn = self._folder / calibration.calibration_id
         if drawn.is_dir():
-            with whole_directory(target, REPORT_FILE) as folder:
+            with atomic_directory(target, REPORT_FILE) as folder:
                 shutil.copytree(drawn, folder, dirs_exist_ok=True)
             return
         write_report(target, calibration)
@@ -52,8 +52,8 @@ def calibrated_so_far(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
 def calibrated_once(calibrated_so_far: Calibrated) -> Iterator[None]:
     """No command of this module calibrates from frames that were calibrated from before: it would get the same."""
     with pytest.MonkeyPatch.context() as patch:
-        for caller in CALLERS:
-            patch.setattr(f"host_sync.reconstruction.{caller}.calibrate_frames", calibrated_so_far.calibrate)
-        for caller in CALLERS[:2]:
-            patch.setattr(f"host_sync.reconstruction.{caller}.write_report", calibrated_so_far.report)
+        for caller in (from_frame_set, from_library, figures, held_out_ball):
+            patch.setattr(caller, "calibrate_frames", calibrated_so_far.calibrate)
+        for caller in (from_frame_set, from_library):
+            patch.setattr(caller, "write_report", calibrated_so_far.report)
         yield

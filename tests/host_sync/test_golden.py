@@ -11,18 +11,18 @@ import pytest
 import rawpy
 import tifffile
 
-from device.bundle_store import BundleStore
-from device.model_file import read_model
-from device.photometry import bin_bayer
-from device.quick_look import QuickLookModel, quick_look
-from device.receipts import is_receipted
+from device.bundles.receipt import is_receipted
+from device.imaging.flat_field import bin_bayer
+from device.inverse_map.npz import read_model
+from device.quick_look.solver import QuickLookModel, quick_look
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.export.raw_scan import export_raw
-from host_sync.library import Library
-from host_sync.library_index import Query, search
+from host_sync.library.index import Query, search
+from host_sync.library.library import Library
+from host_sync.library.verification import verify_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
-from host_sync.verification import verify_library
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 COUNTS_CRC32 = {"record-1": 3667700596}
@@ -57,7 +57,7 @@ def test_the_device_reads_it(golden: Path, version: str) -> None:
     calibration.verify()
     assert scan.record.calibration_id == calibration.calibration_id
     assert [calibration.press_frame(press).shape for press in calibration.record.presses] == [(90, 120)] * 2
-    assert is_receipted(golden, scan.scan_id, (scan.directory / "scan.json").read_bytes())
+    assert is_receipted(golden, "scans", scan.scan_id, (scan.directory / "scan.json").read_bytes())
     assert store.make_room(1 << 62) == [scan.scan_id]
     assert store.next_identity("scans").counter == 3
 

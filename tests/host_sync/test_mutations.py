@@ -17,31 +17,31 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.active_calibration import ActiveCalibration
-from device.bundle_store import BundleStore
-from device.calibration_bundle import CalibrationBundle, read_calibration
-from device.device_identity import DeviceState
+from device.bundles.calibration import CalibrationBundle, read_calibration
+from device.bundles.raw_frame import read_raw
+from device.bundles.receipt import Receipt
+from device.bundles.record import checksum_name, decode_record, manifest_checksum
+from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
-from device.inverse_map import InverseMap
-from device.model_file import read_model
-from device.pairing_exchange import DeviceCard, Element, HostCard
-from device.raw_file import read_raw
-from device.receipts import Receipt
-from device.records import decode_record, seal_name, seal_of
-from device.scan_bundle import ScanBundle, read_scan
+from device.inverse_map.model import InverseMap
+from device.inverse_map.npz import read_model
+from device.pairing.exchange import DeviceCard, Element, HostCard
+from device.store.active import ActiveCalibration
+from device.store.device_id import DeviceState
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.errors import HostError
-from host_sync.frame_reading import read_frame
-from host_sync.frame_set import load_frame_set
-from host_sync.library import Library
-from host_sync.library_index import Query, search
+from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.linear_light import read_frame
+from host_sync.library.index import Query, search
+from host_sync.library.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.paired_devices import PairedDevice, SyncState
 from host_sync.offload.pull import pull
 
 Case = Callable[[np.random.Generator], None]
 LONGEST_S = 20
-MOST_GROWTH_KB = 700_000
+MAX_GROWTH_KB = 700_000
 TEXTS = (b"null", b"-1", b"1e999", b"18446744073709551616", b'"../../x"', b"[[[[", b'"\\u0000"', b"{}", b"true", b"0.0")
 SMALL_RECORDS = (ActiveCalibration, DeviceState, Receipt, Element, HostCard, DeviceCard, PairedDevice, SyncState)
 
@@ -97,7 +97,7 @@ def refused_or_read(read: Callable[[], object]) -> None:
 
 def resealed(path: Path, data: bytes) -> None:
     path.write_bytes(data)
-    path.with_name(seal_name(path.name)).write_bytes(seal_of(path.name, data))
+    path.with_name(checksum_name(path.name)).write_bytes(manifest_checksum(path.name, data))
 
 
 @pytest.fixture
@@ -212,7 +212,7 @@ def try_all(cases: dict[str, tuple[Case, int]], tries: int, seed: int) -> None:
     for case, percent in cases.values():
         for _ in range(max(1, tries * percent // 100)):
             case(rng)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < MOST_GROWTH_KB
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < MAX_GROWTH_KB
 
 
 def test_some_mutations(cases: dict[str, tuple[Case, int]]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from host_sync.__main__ import main
+from host_sync.cli.main import main
 
 SHARED = Path(__file__).parents[3] / "shared"
 DATA = Path(os.environ.get("RETROGRAPH_DATA", SHARED / "data"))

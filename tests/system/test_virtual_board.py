@@ -15,12 +15,12 @@ import pytest
 from virtual_board import INSTALL, PATIENCE, PROGRAM, PUSHING, PWM_ALL, SHARES, STATUS, Board, register, replug
 from virtual_machine import PAIRING, SSH
 
-from device.scan_bundle import read_scan
+from device.bundles.scan import read_scan
 
 pytestmark = pytest.mark.system
 
 TREE = Path(__file__).parents[2]
-MOST_EXPOSED = 2.5
+MAX_EXPOSED = 2.5
 """Of `systemd-analyze security`."""
 
 
@@ -56,7 +56,7 @@ def test_every_service_is_shut_in_as_this_systemd_counts_it(board: Board) -> Non
     )
     exposed = {line.split()[-4].rstrip(":"): float(line.split()[-3]) for line in told.splitlines()}
     assert len(exposed) == len(list((TREE / "systemd").glob("*.service")))
-    assert {unit: level for unit, level in exposed.items() if level > MOST_EXPOSED} == {}
+    assert {unit: level for unit, level in exposed.items() if level > MAX_EXPOSED} == {}
 
 
 def test_the_self_test_drives_bus_and_lines(board: Board) -> None:

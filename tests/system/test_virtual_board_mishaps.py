@@ -14,7 +14,7 @@ from broken_release import release_with
 from crash_disk import Recording, lost_scans, read_log
 from virtual_board import INSTALL, LEDOUT0, ONE_NETWORK, SHARES, STATUS, Board, register, replug
 
-from device.scan_bundle import ScanBundle
+from device.bundles.scan import ScanBundle
 
 pytestmark = pytest.mark.system
 

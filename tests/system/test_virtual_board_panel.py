@@ -15,7 +15,7 @@ from virtual_board import INSTALL, LEDOUT0, PATIENCE, PROGRAM, PUSHING, SHARES, 
 pytestmark = pytest.mark.system
 
 SCREEN = "tr '\\0' ' ' </dev/vcs1 | fold -w 80"
-MOST_LIT_S = 120.0
+MAX_LIT_S = 120.0
 WITH_SCREEN = """
 mkdir -p /etc/systemd/system/retroscan-tui.service.d
 printf '[Service]\\nTimeoutStartSec=600\\nTimeoutStopSec=300\\nWatchdogSec=300\\n' \
@@ -95,7 +95,7 @@ def test_a_push_scans_behind_the_screen(panel: Board) -> None:
 def test_the_lights_are_dark_once_the_screen_has_ended(panel: Board) -> None:
     outputs = register(LEDOUT0, 4)
     panel.machine.run("/usr/local/lib/virtual/press")
-    panel.machine.wait_for(f"{outputs} | grep '[1-9]'", MOST_LIT_S)
+    panel.machine.wait_for(f"{outputs} | grep '[1-9]'", MAX_LIT_S)
     panel.machine.run("systemctl stop retroscan-tui")
     assert panel.machine.run(outputs).split() == ["0"] * 4
     assert panel.machine.run("systemctl show -P Result retroscan-tui").strip() == "success"

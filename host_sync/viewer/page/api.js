@@ -1,4 +1,4 @@
-// What the page asks the viewer for. A refusal becomes an Error with the sentence that was given.
+// Requests to the viewer. A refusal becomes an Error with its sentence.
 
 async function ask(path, options = {}) {
   let answer;
@@ -6,13 +6,13 @@ async function ask(path, options = {}) {
     answer = await fetch(path, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new Error("The viewer no longer answers: start retrosync view again.");
+    throw new Error("The viewer does not answer: start retrosync view again.");
   }
   if (answer.ok) return answer;
   const kind = answer.headers.get("Content-Type") ?? "";
   if (kind.startsWith("application/json")) throw new Error((await answer.json()).error);
-  if (answer.status >= 500) throw new Error("The viewer failed at this: its terminal says how.");
-  throw new Error("The viewer was started anew: open the address that it printed.");
+  if (answer.status >= 500) throw new Error("The viewer failed: see its terminal.");
+  throw new Error("This tab's session has ended: open the link that retrosync view printed.");
 }
 
 const json = async (path, options) => (await ask(path, options)).json();

@@ -1,9 +1,9 @@
-// Where the eye is: a map seen from above, or a place in space around a point. Lengths are pixels of the height map.
+// Camera: the map from above, or orbit around a point. Lengths are pixels of the height map.
 
 import { MathUtils, OrthographicCamera, PerspectiveCamera, Vector3 } from "./vendor/three.module.js";
 
 const FIELD_DEG = 28;
-const MOST_ZOOM = 64;
+const MAX_ZOOM = 64;
 
 export class Eye {
   constructor(size) {
@@ -41,19 +41,19 @@ export class Eye {
     this.distance = (reach / Math.tan(MathUtils.degToRad(FIELD_DEG / 2))) * Math.max(1, 1.25 / aspect) * 0.87;
   }
 
-  /** Screen pixels a pixel of the height map, at the middle of the view. */
+  /** Screen pixels per pixel of the height map, at the centre of the view. */
   get scale() {
     if (!this.space) return this.zoom;
     return this.view.height / (2 * this.distance * Math.tan(MathUtils.degToRad(FIELD_DEG / 2)));
   }
 
   setScale(scale) {
-    const bounded = Math.min(MOST_ZOOM, Math.max(this.fittingZoom / 8, scale));
+    const bounded = Math.min(MAX_ZOOM, Math.max(this.fittingZoom / 8, scale));
     if (this.space) this.distance *= this.scale / bounded;
     else this.zoom = bounded;
   }
 
-  /** Zoom by a factor about a place of the screen, which stays where it is. */
+  /** Zoom by a factor about a fixed place of the screen. */
   zoomAt(factor, x = this.view.width / 2, y = this.view.height / 2) {
     const before = this.place(x, y);
     this.setScale(this.scale * factor);
@@ -64,7 +64,7 @@ export class Eye {
     this.keepInside();
   }
 
-  /** Move what is seen by so many screen pixels. */
+  /** Pan by screen pixels. */
   pan(right, down) {
     const scale = this.scale;
     if (!this.space) {
@@ -89,7 +89,7 @@ export class Eye {
     this.centre.column = Math.min(this.size.columns, Math.max(0, this.centre.column));
   }
 
-  /** The place of the height map under a place of the screen; of the map only. */
+  /** The place of the height map under a place of the screen; map view only. */
   place(x, y) {
     return {
       row: this.centre.row + (y - this.view.height / 2) / this.zoom,
@@ -104,7 +104,7 @@ export class Eye {
     return { x: ((seen.x + 1) / 2) * width, y: ((1 - seen.y) / 2) * height, inFront: seen.z < 1 };
   }
 
-  /** Put the camera where the eye is; `z` is the middle of the heights, px. */
+  /** Place the camera; `z` is the middle of the heights, px. */
   update(z = 0) {
     const { width, height } = this.view;
     const { row, column } = this.centre;

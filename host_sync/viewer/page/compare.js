@@ -72,7 +72,7 @@ class ComparePage {
     for (const stage of this.stages) if (stage.relief) stage.apply();
   }
 
-  /** Let the other view see the same place of the thing. */
+  /** Move the other view to the same place. */
   follow(moved, eye) {
     const other = this.stages[1 - moved].relief;
     if (!other) return;

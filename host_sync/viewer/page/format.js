@@ -1,6 +1,6 @@
-// Numbers as people read them; every one with its unit.
+// Formatted numbers with their units.
 
-/** A height, µm, with as many digits as its size deserves. */
+/** A height, µm, with digits according to its size. */
 export function micrometres(value, digits = null) {
   if (value === null || !Number.isFinite(value)) return "–";
   const places = digits ?? (Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3);
@@ -15,12 +15,12 @@ export function withSigma(value, sigma) {
   return `${value.toFixed(places).replace("-", "−")} ± ${sigma.toFixed(places)} µm`;
 }
 
-/** A length along the skin. */
+/** A lateral length. */
 export function length(um) {
   return um >= 1000 ? `${Number((um / 1000).toPrecision(4))} mm` : `${Number(um.toPrecision(4))} µm`;
 }
 
-/** The largest of 1, 2, 5, 10, … and their tenths that is not above a positive value. */
+/** The largest number 1, 2 or 5 times a power of ten that does not exceed a positive value. */
 export function roundBelow(value) {
   const decade = 10 ** Math.floor(Math.log10(value));
   return [5, 2, 1].map((step) => step * decade).find((step) => step <= value * (1 + 1e-9)) ?? decade;
@@ -39,17 +39,17 @@ export function ticks(low, high, most = 6) {
   return found;
 }
 
-/** A tick's own words. */
+/** The label of a tick. */
 export function plain(value) {
   return String(Number(value.toPrecision(6))).replace("-", "−");
 }
 
-/** A day and time as the device believed them. */
+/** Date and time by the device's clock. */
 export function moment(text) {
   return text ? text.slice(0, 16).replace("T", " ") : "";
 }
 
-/** A share as percent. */
+/** A fraction in percent. */
 export function percent(share) {
   return `${Number((share * 100).toPrecision(2))} %`;
 }

@@ -1,4 +1,4 @@
-// One finger, two fingers, mouse and wheel, as calls: drag, pinch, hover, tap.
+// Touch, mouse and wheel as calls: drag, pinch, hover, tap.
 
 export function listenToGestures(element, { drag, pinch, hover, leave, begin, end }) {
   const held = new Map();

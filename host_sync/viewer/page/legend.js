@@ -1,4 +1,4 @@
-// What the colours and lengths on the stage mean: a colour bar in µm, and a scale bar.
+// Legend of the stage: colour bar in µm and scale bar.
 
 import { h, svg } from "./dom.js";
 import { length, plain, roundBelow, ticks } from "./format.js";
@@ -46,7 +46,7 @@ export class ScaleBar {
     this.element = h("div", { class: "scale-bar" }, this.bar, this.words);
   }
 
-  /** um: length of a screen pixel on the skin, µm; null hides it. */
+  /** um: length of a screen pixel, µm; null hides it. */
   show(um) {
     this.element.hidden = um === null;
     if (um === null) return;

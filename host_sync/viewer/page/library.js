@@ -1,11 +1,11 @@
-// What there is to look at: thumbnails, filters, search; two that are ticked can be compared.
+// The list: thumbnails, filters, search; two selected scans can be compared.
 
 import * as api from "./api.js";
 import { announce, field, h } from "./dom.js";
 import { length, moment } from "./format.js";
 
 const WAIT_MS = 180;
-const MOST_SHOWN = 240;
+const MAX_SHOWN = 240;
 
 export async function libraryPage() {
   const listing = await api.list({});
@@ -75,7 +75,7 @@ class LibraryPage {
   }
 
   showMore() {
-    const next = this.entries.slice(this.shown, this.shown + MOST_SHOWN);
+    const next = this.entries.slice(this.shown, this.shown + MAX_SHOWN);
     this.cards.append(...next.map((entry) => this.card(entry)));
     this.shown += next.length;
     this.more.hidden = this.shown >= this.entries.length;

@@ -1,4 +1,4 @@
-// Where the light stands, as a dot on a dome seen from above; two sliders say and set the same.
+// Direction of the light: a dot on a dome seen from above, and two sliders.
 
 import { field, h, svg } from "./dom.js";
 
@@ -37,7 +37,7 @@ export class LightDial {
     return input;
   }
 
-  /** The light at a place of the dome, right and down from its middle; the rim is the horizon. */
+  /** The light at a place of the dome, right and down from its centre; the rim is the horizon. */
   aim(right, down, radius = RADIUS) {
     const far = Math.min(1, Math.hypot(right, down) / radius);
     this.look.azimuth = Math.round(((Math.atan2(-down, right) * 180) / Math.PI + 360) % 360);

@@ -1,13 +1,13 @@
-// How a relief is made to look, and the panel on which that is changed.
+// Appearance of a relief, and the panel that changes it.
 
 import { check, field, h } from "./dom.js";
 import { plain, roundBelow } from "./format.js";
 import { LightDial } from "./light_dial.js";
 
 const PLEASANT_SLOPE = 0.35;
-const MOST_EXAGGERATION = 20;
+const MAX_EXAGGERATION = 20;
 
-/** The look that a scan begins with. */
+/** The initial appearance. */
 export function firstLook(facts) {
   const isDifference = facts.kind === "difference";
   const end = Math.max(Math.abs(facts.low_um), Math.abs(facts.high_um));
@@ -15,7 +15,7 @@ export function firstLook(facts) {
   return {
     azimuth: 135,
     elevation: 40,
-    exaggeration: Math.min(MOST_EXAGGERATION, Math.max(1, Math.round(PLEASANT_SLOPE / Math.max(facts.steep, 1e-6)))),
+    exaggeration: Math.min(MAX_EXAGGERATION, Math.max(1, Math.round(PLEASANT_SLOPE / Math.max(facts.steep, 1e-6)))),
     colour: "height",
     palette: isDifference ? "difference" : "relief",
     shading: !isDifference,
@@ -28,7 +28,7 @@ export function firstLook(facts) {
   };
 }
 
-/** The panel; `onchange` is called with the look whenever it changes, `onuncertainty` before ± is first shown. */
+/** The panel; `onchange` is called with the look on each change, `onuncertainty` before ± is first shown. */
 export class LookPanel {
   constructor(facts, look, { onchange, onframe = null, onuncertainty = null }) {
     this.look = look;
@@ -88,7 +88,7 @@ export class LookPanel {
     this.show();
   }
 
-  /** Change some of the look. */
+  /** Change parts of the look. */
   async set(part) {
     Object.assign(this.look, part);
     this.changed();

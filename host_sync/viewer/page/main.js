@@ -1,4 +1,4 @@
-// The page: which of its parts is shown for an address.
+// The page: chooses its part by the address.
 
 import * as api from "./api.js";
 import { comparePage } from "./compare.js";

@@ -1,9 +1,9 @@
-// Plays the height maps of a video: a frame is shown when it is there, none is skipped over silently.
+// Plays the height maps of a video; each frame is shown when it has arrived.
 
 import { field, h } from "./dom.js";
 
 export class Player {
-  /** onpage: shows a page and resolves when it is drawn; onplaying: says whether it runs. */
+  /** onpage: shows a page and resolves when it is drawn; onplaying: whether it plays. */
   constructor(facts, first, { onpage, onplaying }) {
     this.facts = facts;
     this.onpage = onpage;

@@ -1,4 +1,4 @@
-// A profile: heights over the distance along a line, with ± as a band, and a reading where one points.
+// Profile plot: height over distance, ± as a band, and a reading at the pointer.
 
 import { h, svg } from "./dom.js";
 import { length, plain, ticks, withSigma } from "./format.js";

@@ -1,4 +1,4 @@
-// A relief on a canvas: what it looks like, where it is seen from, and drawing it when something has changed.
+// A relief on a canvas: appearance, camera, and drawing on changes.
 
 import {
   BufferAttribute, BufferGeometry, Color, ColorManagement, DataTexture, DataUtils, DoubleSide, GLSL3, HalfFloatType, LinearFilter,
@@ -80,7 +80,7 @@ export class Relief {
     });
   }
 
-  /** Change what it looks like; the names are those of the look (see look.js). */
+  /** Change its appearance; names as in look.js. */
   apply(look) {
     const set = (name, value) => (this.material.uniforms[name].value = value);
     if (look.palette !== this.paletteName) {
@@ -188,7 +188,7 @@ export class Relief {
     }
   }
 
-  /** A net of so many cells across, as long as the height map is wide. */
+  /** A grid of cells with the aspect ratio of the height map. */
   setMesh(across) {
     if (across === this.meshSize) return;
     this.meshSize = across;

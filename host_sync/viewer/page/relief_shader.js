@@ -1,6 +1,6 @@
-// Shading, colours and overlays of a relief, the same for the map and for the view in space.
+// Shading, colours and overlays of a relief, the same for the map and the 3-D view.
 //
-// Brightness is that of retrosync's own pictures: ambient + (1 - ambient) max(0, n·l) of the exaggerated mean slope.
+// Brightness is that of retrosync's pictures: ambient + (1 - ambient) max(0, n·l) of the exaggerated mean slope.
 
 export const AMBIENT = 0.15;
 export const HIGHLIGHT = 0.55;
@@ -58,7 +58,7 @@ float height(vec2 place) {
   return there.b + there.a;
 }
 
-// Where pixels are drawn as squares, level curves still run between them.
+// Level curves stay smooth where pixels are drawn as squares.
 float smoothHeight() {
   vec2 corner = floor(at - 0.5) + 0.5;
   vec2 share = at - corner;

@@ -105,7 +105,7 @@ class ScanPage {
     this.stage.overlay();
   }
 
-  /** Ask for the heights along a line; while one answer is awaited only the last line asked for counts. */
+  /** Request the heights along a line; while one answer is awaited, only the latest line is kept. */
   async profile({ from, to }) {
     const line = { row_0: from.row, column_0: from.column, row_1: to.row, column_1: to.column };
     for (const [name, input] of Object.entries(this.ends)) input.value = line[name];
@@ -152,7 +152,7 @@ class ScanPage {
   }
 }
 
-/** What tells one entry from the others. */
+/** Facts that distinguish an entry. */
 export function nameOf(entry) {
   return [entry.title, moment(entry.taken), entry.kind === "result" ? null : entry.kind].filter(Boolean).join(" · ");
 }

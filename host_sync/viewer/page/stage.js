@@ -1,4 +1,4 @@
-// A relief with what lies over it: tools, legend, scale, reading, the profile's line; and its keys.
+// A relief with its overlays: tools, legend, scale, reading, profile line; and its keys.
 
 import { height as askHeight } from "./api.js";
 import { announce, h, svg } from "./dom.js";
@@ -41,7 +41,7 @@ export class Stage {
     this.surface.dataset.tool = this.tool;
   }
 
-  /** To be called when the element is part of the page. */
+  /** Call when the element is part of the page. */
   start(palettes) {
     this.relief = new Relief(this.canvas, this.facts, palettes, {
       onview: () => this.overlay(),
@@ -248,7 +248,7 @@ export class Stage {
     this.reading.textContent = words;
   }
 
-  /** Draw what lies over the relief anew. */
+  /** Draw the overlays again. */
   overlay() {
     if (!this.relief) return;
     const { eye } = this.relief;
@@ -275,7 +275,7 @@ export class Stage {
     }));
   }
 
-  /** Height of a place above what the view in space turns about, px of the map. */
+  /** Height of a place above the pivot of the 3-D view, px of the map. */
   raised(z_um) {
     const { raise, base } = this.relief.material.uniforms;
     return raise.value * ((z_um ?? base.value) - base.value);
@@ -294,7 +294,7 @@ export class Stage {
     return points;
   }
 
-  /** Mark a point of the profile, by its index; null takes the mark away. */
+  /** Mark a point of the profile, by its index; null removes the mark. */
   markPoint(index) {
     if (index === null || !this.profile || !this.line) this.cursor = null;
     else {

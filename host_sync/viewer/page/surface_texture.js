@@ -1,6 +1,6 @@
-// A height map on the GPU: one texture whose levels are the server's own means, uploaded from coarse to fine.
+// A height map on the GPU: one texture whose levels are the server's means, uploaded from coarse to fine.
 //
-// What is drawn is always the finest level that has come; nothing waits for the last one.
+// The finest level that has arrived is drawn; nothing waits for the last one.
 
 import { ExternalTexture } from "./vendor/three.module.js";
 import { levelRows } from "./api.js";
@@ -9,7 +9,7 @@ const BAND_PIXELS = 2 ** 21;
 const NEAREST_ZOOM = 3;
 
 export class SurfaceTexture {
-  /** facts: what the server says of the entry; onlevel: called when there is something better to draw. */
+  /** facts: the entry's facts from the server; onlevel: called when a finer level has arrived. */
   constructor(renderer, facts, onlevel) {
     this.facts = facts;
     this.count = facts.levels;
@@ -40,7 +40,7 @@ export class SurfaceTexture {
     return texture;
   }
 
-  /** How much sharper the bound texture is when it is seen aslant. */
+  /** Anisotropic filtering of the bound texture. */
   sharpen(times) {
     const { gl } = this;
     const how = gl.getExtension("EXT_texture_filter_anisotropic");
@@ -62,7 +62,7 @@ export class SurfaceTexture {
     return this.facts.padded.map((side) => side >> level);
   }
 
-  /** Finer than this no level is of use: what the GPU's largest texture allows. */
+  /** Finest level that the GPU's largest texture allows. */
   get finestPossible() {
     const most = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
     let level = 0;
@@ -84,7 +84,7 @@ export class SurfaceTexture {
     return way === this.gl.NEAREST;
   }
 
-  /** Ask for levels down to this one; what is missing comes from coarse to fine. */
+  /** Request levels down to this one; missing ones are loaded from coarse to fine. */
   want(level, page = 0) {
     this.wanted = Math.max(this.skipped, Math.min(this.count - 1, level));
     if (page !== this.page) {
@@ -100,7 +100,7 @@ export class SurfaceTexture {
     const stopper = new AbortController();
     this.stopper = stopper;
     try {
-      // A new page takes the old one's place only when its levels are as fine, so that a video does not flicker.
+      // A new page replaces the old one only when its levels are as fine, so that a video does not flicker.
       if (this.fresh && this.finest < this.count) await this.replace(page, stopper.signal);
       else {
         this.fresh = false;

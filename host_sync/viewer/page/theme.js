@@ -1,4 +1,4 @@
-// Light or dark: as the system says, or as was chosen.
+// Light or dark: as the system or as chosen.
 
 const NAMES = ["auto", "light", "dark"];
 const STORE = "retrograph-theme";
@@ -25,7 +25,7 @@ export function setUpTheme(button) {
     try {
       localStorage.setItem(STORE, next);
     } catch {
-      // a browser that keeps nothing forgets the choice, no more
+      // without storage, only the choice is lost
     }
     apply(next, button);
   });

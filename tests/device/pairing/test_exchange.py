@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from device.bundles.record import decode_record
 from device.errors import RecordError
-from device.pairing_exchange import PRIME, DeviceCard, Element, Exchange, HostCard, draw_code
-from device.records import decode_record
+from device.pairing.exchange import PRIME, DeviceCard, Element, Exchange, HostCard, draw_code
 
 KEY = "ssh-ed25519 " + "A" * 68
 HOST = HostCard(name="bench", public_key=KEY)
@@ -46,7 +46,7 @@ def test_no_byte_of_a_card_can_be_changed_and_no_proof_reused() -> None:
 
 @pytest.mark.parametrize("element", ["0", "1", f"{PRIME - 1:x}", f"{PRIME:x}"])
 def test_elements_that_would_give_the_key_away_are_refused(element: str) -> None:
-    with pytest.raises(RecordError, match="no element of the group"):
+    with pytest.raises(RecordError, match="an invalid group element"):
         Exchange("1", "device").meet(Element(element=element))
 
 

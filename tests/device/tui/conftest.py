@@ -5,28 +5,35 @@ from __future__ import annotations
 import asyncio
 import base64
 import os
+import re
 import shutil
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
+from xml.etree import ElementTree
 
 import pytest
 from textual.pilot import Pilot
 
-from device.bundle_store import BundleStore
-from device.pairing.opening import PairingSetup
-from device.session.instrument import Instrument
-from device.tui.app import RetroscanApp
-from device.tui.sheets import ProgramFacts
-from device.tui.terminal import ColourDepth
+from device.instrument.instrument import Instrument
+from device.pairing_service.service import PairingSetup
+from device.store.store import BundleStore
+from device.tui.drawing.cells import ColourDepth
+from device.tui.screens.app import RetroscanApp
+from device.tui.screens.panels import ProgramInfo
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import ButtonPress
-from hal.twin.bench import Bench, build
-from hal.twin.hardware import twin_hardware
+from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.hardware import twin_hardware
 
-PROGRAM = ProgramFacts("0.1.0", Path("/var/lib/retroscan"))
+SVG = "{http://www.w3.org/2000/svg}"
+SVG_COLUMN = 12.2
+"""Width of a cell in an exported picture."""
+
+ROW_OF_RUN = re.compile(r"-line-(\d+)\)$")
+PROGRAM = ProgramInfo("0.1.0", Path("/var/lib/retroscan"))
 
 
 @dataclass
@@ -36,19 +43,19 @@ class Stage:
     app: RetroscanApp
     pilot: Pilot[str]
     instrument: Instrument
-    bench: Bench
+    bench: SimulatedScene
     store: BundleStore
 
     async def live(self, steps: int = 1) -> None:
-        """Let the instrument take some steps (about 17 ms each) and show what became of them."""
+        """Let the instrument take some steps (about 17 ms each) and show the result."""
         for _ in range(steps):
             self.instrument.step()
         await self.show()
 
     async def show(self) -> None:
         """Show the present state."""
-        await self.app.look()
-        self.app.look_live()
+        await self.app.show_state()
+        self.app.show_live()
         await self.settle()
 
     async def settle(self) -> None:
@@ -59,13 +66,13 @@ class Stage:
             await self.pilot.pause()
 
     async def press(self, *keys: str) -> None:
-        """Press keys, and show what became of it."""
+        """Press keys and show the result."""
         await self.pilot.press(*keys)
         await self.settle()
         await self.show()
 
     async def push(self, held_s: float = 0.1) -> None:
-        """Push the instrument's button for so long, and let it be seen."""
+        """Push the instrument's button for `held_s` and show the result."""
         self.bench.schedule_button(ButtonPress(self.bench.clock.monotonic_ns(), held_s))
         self.bench.clock.sleep(held_s + 0.01)
         await self.live(2)
@@ -78,12 +85,18 @@ class Stage:
         await self.live(3)
 
     def lines(self) -> list[str]:
-        """What the screen shows, row by row."""
-        strips = self.app.screen._compositor.render_strips()
-        return ["".join(segment.text for segment in strip).rstrip() for strip in strips]
+        """What the screen shows, row by row, read from the picture that textual exports."""
+        columns, rows = self.app.size
+        shown = [[" "] * columns for _ in range(rows)]
+        for run in ElementTree.fromstring(self.app.export_screenshot()).iter(f"{SVG}text"):  # noqa: S314 (our own)
+            if row := ROW_OF_RUN.search(run.get("clip-path", "")):
+                first = round(float(run.get("x", "0")) / SVG_COLUMN)
+                text = (run.text or "").replace("\N{NO-BREAK SPACE}", " ")
+                shown[int(row[1])][first : first + len(text)] = text
+        return ["".join(row).rstrip() for row in shown]
 
     def text(self) -> str:
-        """The same as one text, runs of blanks shortened."""
+        """The screen as one text with runs of blanks shortened."""
         return " ".join(" ".join(self.lines()).split())
 
 
@@ -91,7 +104,7 @@ Scenario = Callable[[Stage], Awaitable[None]]
 
 
 @pytest.fixture
-def bench(small_twin: BoardProfile) -> Bench:
+def bench(small_twin: BoardProfile) -> SimulatedScene:
     return build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=2_000.0))
 
 
@@ -117,14 +130,14 @@ def host_key(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def no_ambient_colour_wishes() -> Iterator[None]:
-    """Whatever the terminal of the person who tests says about colours."""
+    """No colour settings of the tester's own terminal."""
     kept = {name: value for name, value in os.environ.items() if name not in {"NO_COLOR", "TEXTUAL_COLOR_SYSTEM"}}
     with mock.patch.dict(os.environ, kept, clear=True):
         yield
 
 
 @pytest.fixture
-def play(bench: Bench, no_ambient_colour_wishes: None) -> Callable[..., None]:
+def play(bench: SimulatedScene, no_ambient_colour_wishes: None) -> Callable[..., None]:
     """Plays a scenario on a store: `play(scenario, root, size=(80, 24), depth="full")`."""
 
     def run(
@@ -138,7 +151,7 @@ def play(bench: Bench, no_ambient_colour_wishes: None) -> Callable[..., None]:
             store = BundleStore(root, bench.clock, boot_id="b0075e1f")
             pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
             with Instrument(twin_hardware(bench), store, pairing=pairing) as instrument:
-                app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, looks_per_s=None)
+                app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, updates_per_s=None)
                 async with app.run_test(size=size) as pilot:
                     stage = Stage(app, pilot, instrument, bench, store)
                     await stage.live(5)

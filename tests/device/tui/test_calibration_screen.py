@@ -10,7 +10,7 @@ Stage = Any
 
 
 async def _calibrate(stage: Stage, most_steps: int = 400) -> None:
-    """Take every frame that is asked for; the twin's operator presses where it is told."""
+    """Take every requested frame; the twin's operator presses at the requested places."""
     for _ in range(most_steps):
         guide = stage.instrument.state.guide
         if guide and guide.is_over:
@@ -36,7 +36,7 @@ def test_the_first_presses_by_one_key(play: Callable[..., None], empty_root: Pat
         await stage.press("space")
         await stage.live(2)
         assert "1 of 12" in stage.text()
-        assert "Ball found, contact 3." in stage.text()
+        assert "Ball found, contact diameter 3." in stage.text()
         assert "o" in "".join(stage.lines()[3:15])
 
     play(scenario, empty_root)
@@ -48,7 +48,7 @@ def test_a_passed_calibration_shows_its_numbers_and_scans(play: Callable[..., No
         await stage.press("2", "space")
         await _calibrate(stage)
         shown = stage.text()
-        assert "Calibration passed and is in force." in shown
+        assert "Calibration passed and is active." in shown
         assert "pass balls used" in shown
         assert "FAIL" not in shown
         assert "calibrated just now" in shown
@@ -70,7 +70,7 @@ def test_the_ball_is_chosen_by_a_key(play: Callable[..., None], root: Path) -> N
     play(scenario, root)
 
 
-def test_stopping_leaves_the_calibration_before_in_force(play: Callable[..., None], root: Path) -> None:
+def test_after_stopping_the_previous_calibration_stays_active(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         before = stage.instrument.state.calibration.calibration_id
         await stage.press("2", "space")
@@ -78,7 +78,7 @@ def test_stopping_leaves_the_calibration_before_in_force(play: Callable[..., Non
         assert "stop" in stage.text()
         await stage.press("x")
         await stage.live()
-        assert "! The calibration was stopped; the one before stays in force." in stage.text()
+        assert "! Calibration stopped; the previous one stays active." in stage.text()
         assert stage.instrument.state.calibration.calibration_id == before
 
     play(scenario, root)
@@ -108,10 +108,10 @@ def test_leaving_while_calibrating_asks_first(play: Callable[..., None], root: P
         await stage.press("2", "space")
         await stage.live()
         await stage.press("q")
-        assert "Give up the calibration?" in stage.text()
+        assert "Stop the calibration?" in stage.text()
         await stage.press("n")
         assert stage.app.is_running
-        assert "Give up" not in stage.text()
+        assert "Stop the" not in stage.text()
 
     play(scenario, root)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from device.cli.screens import power_off
 from device.errors import StoreError
-from device.tui.commands import power_off
 
 ROOT = Path(__file__).parents[3]
 
@@ -25,7 +25,7 @@ def test_without_a_terminal_the_way_on_is_said(tmp_path: Path, command: tuple[st
 
 def test_only_the_screens_need_textual() -> None:
     """Scanning without a screen must not wait for it."""
-    program = "import sys, device.__main__; sys.exit('textual' in sys.modules or 'rich' in sys.modules)"
+    program = "import sys, device.cli.main; sys.exit('textual' in sys.modules or 'rich' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False).returncode == 0
 
 

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 from console_font import DRAWN
 
-from device.surface import HeightMap
-from device.tui.cells import OWN
-from device.tui.half_blocks import HATCH
-from device.tui.height_picture import RoomForHeight, height_picture
-from device.tui.legend import length_bar
-from device.tui.profile import ProfileCursor, profile_cells, profile_um, reading
-from device.tui.relief import HeightRange, relief_cells
-from device.tui.resampling import fitted_shape, resampled
-from device.tui.scale import height_text, length_text, round_step, ticks
+from device.surface.fields import HeightMap
+from device.tui.drawing.cells import OWN
+from device.tui.drawing.half_blocks import HATCH
+from device.tui.drawing.height_picture import Room, height_picture
+from device.tui.drawing.legend import height_text, length_bar, length_text, round_step, ticks
+from device.tui.drawing.profile import ProfileCursor, profile_cells, profile_um, reading
+from device.tui.drawing.relief import HeightRange, relief_cells
+from device.tui.drawing.resampling import fitted_shape, resampled
 
 
 def dome(rows: int = 96, columns: int = 128, pitch_um: float = 50.0) -> HeightMap:
@@ -24,7 +23,7 @@ def dome(rows: int = 96, columns: int = 128, pitch_um: float = 50.0) -> HeightMa
 @pytest.mark.parametrize("depth", ["full", "sixteen", "mono"])
 @pytest.mark.parametrize("size", [(1, 1), (2, 9), (5, 23), (6, 24), (17, 40), (24, 80), (70, 200)])
 def test_a_picture_fits_any_room(depth: str, size: tuple[int, int]) -> None:
-    cells = height_picture(dome(), RoomForHeight(*size, depth), ProfileCursor())
+    cells = height_picture(dome(), Room(*size, depth), ProfileCursor())
     assert cells.shape == size
 
 
@@ -47,7 +46,7 @@ def test_what_was_not_measured_is_hatched_and_never_a_height(depth: str) -> None
 
 def test_a_map_without_a_valid_pixel_is_all_hatch() -> None:
     height = HeightMap(np.full((20, 30), np.nan, np.float32), 10.0)
-    assert set("".join(height_picture(height, RoomForHeight(10, 40, "full")).lines()[0][:15])) == {HATCH}
+    assert set("".join(height_picture(height, Room(10, 40, "full")).lines()[0][:15])) == {HATCH}
 
 
 def test_averages_ignore_what_is_invalid() -> None:
@@ -85,12 +84,12 @@ def test_a_plain_console_has_every_glyph(depth: str) -> None:
     height = dome()
     height.z_um[:30, :30] = np.nan
     for cursor in (None, ProfileCursor(), ProfileCursor("column")):
-        lines = height_picture(height, RoomForHeight(24, 60, depth), cursor).lines()
+        lines = height_picture(height, Room(24, 60, depth), cursor).lines()
         assert set("".join(lines)) <= DRAWN
 
 
 def test_the_legend_stands_where_its_heights_are() -> None:
-    lines = height_picture(dome(), RoomForHeight(21, 60, "full")).lines()
+    lines = height_picture(dome(), Room(21, 60, "full")).lines()
     column = lines[0].index("µm") + 2
     figures = {row: line[column:].strip() for row, line in enumerate(lines[:20]) if row and line[column:].strip()}
     assert len(figures) >= 4

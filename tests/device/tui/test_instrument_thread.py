@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from device.scanning.supervision import Supervisor
-from device.session.service_report import ServiceReport
-from device.session.state import CalibrationState
-from device.tui.instrument_thread import InstrumentThread
+from device.acquisition.sd_notify import SdNotify
+from device.cli.screens import InstrumentThread
+from device.cli.service import ServiceReport
+from device.instrument.state import CalibrationState
 from hal.clock import SystemClock
 
 
@@ -36,7 +36,7 @@ class Stepped:
 
 
 def nobody() -> ServiceReport:
-    return ServiceReport(Supervisor(None, None), SystemClock())
+    return ServiceReport(SdNotify(None, None), SystemClock())
 
 
 def test_it_steps_until_it_is_left() -> None:

@@ -14,7 +14,7 @@ from threading import Event
 import pytest
 
 ROOT = Path(__file__).parents[3]
-MOST_LOOKS = 600
+MAX_LOOKS = 600
 LOOK_EVERY_S = 0.1
 
 pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="tmux is not installed (Debian: tmux)")
@@ -37,7 +37,7 @@ class Terminal:
 
     def wait_for(self, pattern: str) -> str:
         """The screen once it shows the pattern; it is looked at every tenth of a second, and not for ever."""
-        for _ in range(MOST_LOOKS):
+        for _ in range(MAX_LOOKS):
             if re.search(pattern, shown := self.text()):
                 return shown
             Event().wait(LOOK_EVERY_S)
@@ -72,7 +72,7 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     for taken in range(12):
         terminal.wait_for(rf"(?:{taken}|1?\d) of 12")
         terminal.keys("Space")
-    terminal.wait_for("Calibration passed and is in force")
+    terminal.wait_for("Calibration passed and is active")
     terminal.keys("1")
     for number in range(1, 4):
         terminal.keys("d")
@@ -84,7 +84,7 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     terminal.keys("g")
     terminal.wait_for(r">\s+4 \w+\s+good")
     terminal.keys("v")
-    terminal.wait_for("This terminal draws no pictures")
+    terminal.wait_for("This terminal has no graphics")
     terminal.keys("q")
     terminal.wait_for("ended with 0")
     assert len(list((tmp_path / "store" / "scans").iterdir())) == 3

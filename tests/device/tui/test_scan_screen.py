@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from device.bundle_store import RESERVE_BYTES
+from device.store.store import RESERVE_BYTES
 
 Stage = Any
 
@@ -91,7 +91,7 @@ def test_without_a_calibration_the_way_is_shown_and_a_press_is_refused(
         assert "Not calibrated: open Calibrate" in stage.text()
         await stage.press("space")
         await stage.live()
-        assert "! Nothing was scanned: no calibration is active" in stage.text()
+        assert "! Not scanned: no calibration is active" in stage.text()
         assert stage.instrument.state.scans_stored == 0
 
     play(scenario, empty_root)
@@ -104,8 +104,8 @@ def test_a_full_disk_refuses_and_says_what_to_do(
         monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(1, 1, RESERVE_BYTES))
         await stage.press("space")
         await stage.live()
-        assert "! Nothing was scanned:" in stage.text()
-        assert "offload scans or free space first" in stage.text()
+        assert "! Not scanned:" in stage.text()
+        assert "offload scans or free space" in stage.text()
 
     play(scenario, root)
 
@@ -123,7 +123,7 @@ def test_a_camera_that_fell_out_is_named_and_comes_back(play: Callable[..., None
     play(scenario, root)
 
 
-def test_a_frame_that_is_not_proven_is_no_scan(play: Callable[..., None], root: Path) -> None:
+def test_a_frame_that_is_not_confirmed_is_no_scan(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         stage.bench.faults.lights_silent = True
         await stage.press("space")

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from device.durable import replace_file
-from device.receipts import RECEIPTS, Receipt, receipt_name
-from device.records import encode_record, sha256_bytes
+from device.bundles.receipt import RECEIPTS, Receipt, receipt_name
+from device.bundles.record import encode_record, sha256_bytes
+from device.io.atomic import replace_file
 
 Stage = Any
 
@@ -37,7 +37,7 @@ def test_scans_are_listed_newest_first_and_chosen_by_keys_touch_and_button(
         await stage.pilot.click("#history", offset=(3, 1))
         await stage.show()
         assert stage.lines()[3].lstrip().startswith("> ")
-        assert "only here" in stage.text()
+        assert "not offloaded" in stage.text()
 
     play(scenario, root)
 
@@ -60,7 +60,7 @@ def test_marks_and_notes_are_kept(play: Callable[..., None], root: Path) -> None
     play(scenario, root)
 
 
-def test_an_offloaded_scan_says_so(play: Callable[..., None], root: Path) -> None:
+def test_an_offloaded_scan_is_labelled(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await _scan(stage, 1)
         (scan,) = stage.store.scans().bundles
@@ -83,7 +83,7 @@ def test_an_offloaded_scan_says_so(play: Callable[..., None], root: Path) -> Non
 def test_no_scans_yet(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await stage.press("3")
-        assert "There are no scans yet." in stage.text()
+        assert "No scans yet." in stage.text()
         await stage.press("g", "n", "p", "down")
         assert stage.app.current_mode == "scans"
 
@@ -141,10 +141,10 @@ def test_the_profile_takes_the_arrow_keys_and_gives_them_back(play: Callable[...
     play(scenario, root)
 
 
-def test_where_no_picture_can_be_drawn_that_is_said(play: Callable[..., None], root: Path) -> None:
+def test_a_terminal_without_graphics_is_reported(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await _scan(stage, 1)
         await stage.press("3", "v")
-        assert "! This terminal draws no pictures" in stage.text()
+        assert "! This terminal has no graphics" in stage.text()
 
     play(scenario, root)

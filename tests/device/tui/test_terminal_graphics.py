@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface import HeightMap
-from device.tui.picture_viewing import INVALID, picture_text, relief_picture
-from device.tui.terminal_graphics import encoded, graphics_of
+from device.surface.fields import HeightMap
+from device.tui.drawing.graphics_protocols import encoded, graphics_of
+from device.tui.screens.picture_viewer import INVALID, picture_text, relief_picture
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from unit_files import settings
 UNIT = settings("retroscan-tui.service")
 ROOT = Path(__file__).parents[3]
 ROWS, COLUMNS = 30, 100
-MOST_LOOKS = 600
+MAX_LOOKS = 600
 LOOK_EVERY_S = 0.1
 
 
@@ -34,7 +34,7 @@ class Panel:
     def __init__(self, folder: Path, board: Path) -> None:
         self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.manager.bind(str(folder / "notify"))
-        self.manager.settimeout(MOST_LOOKS * LOOK_EVERY_S)
+        self.manager.settimeout(MAX_LOOKS * LOOK_EVERY_S)
         self._seen = bytearray()
         self._master, line = pty.openpty()
         fcntl.ioctl(line, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
@@ -48,15 +48,15 @@ class Panel:
         )
         os.close(line)
 
-    def told(self, wanted: str) -> str:
-        """What the service manager is told, once it is this."""
+    def message(self, wanted: str) -> str:
+        """The next message to the service manager that contains this."""
         while wanted not in (said := self.manager.recv(4096).decode()):
             self.read()
         return said
 
     def wait_for(self, text: str) -> str:
         """Everything that was written to the terminal, once the text is in it."""
-        for _ in range(MOST_LOOKS):
+        for _ in range(MAX_LOOKS):
             if text in (seen := self._seen.decode(errors="replace")):
                 return seen
             self.read(LOOK_EVERY_S)
@@ -72,7 +72,7 @@ class Panel:
 
     def ended(self) -> int:
         """With which code, once it has."""
-        for _ in range(MOST_LOOKS):
+        for _ in range(MAX_LOOKS):
             with suppress(subprocess.TimeoutExpired):
                 return self.program.wait(LOOK_EVERY_S)
             self.read()
@@ -94,7 +94,7 @@ def command(folder: Path, board: Path) -> list[str]:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """The unit's alone, as a systemd gives it that was told of another terminal."""
+    """The unit's environment alone, as systemd sets it for another terminal."""
     said = dict(word.split("=", 1) for line in UNIT["Environment"] for word in line.split())
     watchdog_us = str(int(UNIT["WatchdogSec"][0]) * 1_000_000)
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "NUMBA_CACHE_DIR") if name in os.environ}
@@ -115,12 +115,12 @@ def panel(tmp_path: Path, small_board: Path) -> Iterator[Panel]:
 
 
 def test_the_units_program_draws_is_ready_feeds_its_watchdog_and_ends_in_order(panel: Panel) -> None:
-    assert "STATUS=no scans yet: no calibration is active" in panel.told("READY=1")
+    assert "STATUS=no scans yet: no calibration is active" in panel.message("READY=1")
     drawn = panel.wait_for("Not calibrated: open Calibrate")
     assert "Set-up" in drawn
     assert "38;2;" not in drawn, "a plain console has sixteen colours"
-    panel.told("WATCHDOG=1")
+    panel.message("WATCHDOG=1")
     panel.program.send_signal(signal.Signals[UNIT["KillSignal"][0]])
-    panel.told("STOPPING=1")
+    panel.message("STOPPING=1")
     assert panel.ended() in {0, int(UNIT["SuccessExitStatus"][0])}
     panel.wait_for("\x1b[?1049l")

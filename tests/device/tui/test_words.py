@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from device.calibration_checks import Check
-from device.session.state import CalibrationState, GelState, HealthState, InstrumentState
-from device.tui.coverage_text import check_lines, coverage_lines
-from device.tui.state_line import state_text
-from device.tui.terminal import colour_depth
-from device.tui.words import age_text, gauge_text, shortened
+from device.calibration.acceptance import Check
+from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
+from device.tui.drawing.cells import colour_depth
+from device.tui.drawing.text import age_text, check_lines, coverage_lines, gauge_text, shortened
+from device.tui.screens.panels import state_text
 from hal.interfaces import PowerReading
 
 
@@ -66,7 +65,9 @@ def test_a_gauge_shows_what_was_not_measured_as_a_dash() -> None:
 def test_the_state_line_says_first_what_matters_most() -> None:
     warned = HealthState({}, level="doubtful", sentence="light red is 3% weaker")
     text = state_text(state(health=warned, scans_left=12, processing=1, power=PowerReading(battery_share=0.4)), 200)
-    assert text == "! light red is 3% weaker · 12 scans left · 1 in work · battery 40% · calibrated just now · gel gel"
+    assert (
+        text == "! light red is 3% weaker · 12 scans left · 1 processing · battery 40% · calibrated just now · gel gel"
+    )
 
 
 @pytest.mark.parametrize(
@@ -86,7 +87,7 @@ def test_a_low_supply_is_named_and_an_unmeasured_one_is_not() -> None:
     assert "battery" not in state_text(state(), 200)
 
 
-def test_numbers_that_decide_are_told_with_their_limits() -> None:
+def test_acceptance_checks_are_shown_with_their_limits() -> None:
     checks = (
         Check("balls used", 3.0, 4.0, "at least"),
         Check("share of balls rejected", 0.08, 0.35, "at most"),
@@ -101,5 +102,5 @@ def test_before_the_first_ball_nothing_is_covered() -> None:
     assert "■" not in "".join(coverage_lines(None))
 
 
-def test_what_does_not_fit_ends_in_an_ellipsis() -> None:
+def test_text_that_does_not_fit_ends_in_an_ellipsis() -> None:
     assert [shortened("sphere", columns) for columns in (6, 4, 1)] == ["sphere", "sph…", "…"]

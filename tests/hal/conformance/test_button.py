@@ -40,7 +40,7 @@ def test_a_push_that_was_told_is_no_push_while_busy(driver: Hardware) -> None:
         driver.operator.ask(LiftOff())
         assert driver.button.wait_for_push(0.01) is None
         assert driver.button.wait_for_push(10.0) is not None
-        assert driver.button.forget_presses() == 0
+        assert driver.button.clear_presses() == 0
         assert driver.button.wait_for_press(1.0) is None
         driver.operator.ask(LiftOff())
         assert driver.button.wait_for_push(10.0) is not None
@@ -55,10 +55,10 @@ def test_a_short_wait_does_not_swallow_the_press(driver: Hardware) -> None:
 
 def test_presses_while_busy_are_forgotten_and_counted(driver: Hardware) -> None:
     with driver:
-        assert driver.button.forget_presses() == 0
+        assert driver.button.clear_presses() == 0
         driver.operator.ask(LiftOff())
         driver.clock.sleep(5.0)
-        assert driver.button.forget_presses() == 1
+        assert driver.button.clear_presses() == 1
         assert driver.button.wait_for_press(1.0) is None
 
 

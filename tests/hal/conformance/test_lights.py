@@ -1,4 +1,4 @@
-"""Promises of `hal.interfaces.Lights`, for every driver, seen through the camera."""
+"""Promises of `hal.interfaces.Lights`, for every driver, observed by the camera."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_lights_shine_when_on_and_not_when_dark(driver: Hardware) -> None:
         assert abs(brightness(driver)) < 5.0
         driver.lights.switch_on(driver.profile.currents_ma)
         assert brightness(driver) > 100.0
-        driver.lights.dark()
+        driver.lights.off()
         assert abs(brightness(driver)) < 5.0
 
 
@@ -67,11 +67,11 @@ def test_what_is_granted_is_near_what_is_asked_and_within_reach(driver: Hardware
     granted = lights.granted_ma(driver.profile.currents_ma)
     assert tuple(granted) == lights.names
     for name, asked_ma in driver.profile.currents_ma.items():
-        assert abs(granted[name] - asked_ma) <= 0.02 * lights.highest_ma
-        assert 0.0 < granted[name] <= lights.highest_ma
+        assert abs(granted[name] - asked_ma) <= 0.02 * lights.max_ma
+        assert 0.0 < granted[name] <= lights.max_ma
     assert lights.granted_ma(granted) == granted
     with pytest.raises(LightError):
-        lights.granted_ma({lights.names[0]: 1.01 * lights.highest_ma})
+        lights.granted_ma({lights.names[0]: 1.01 * lights.max_ma})
 
 
 def test_light_follows_current(driver: Hardware) -> None:

@@ -9,20 +9,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.ball_finder import BallSearch, find_balls
+from device.acquisition.capture import CaptureSettings, capture
+from device.balls.detector import BallSearch, find_balls
 from device.errors import CalibrationError, CalibrationMismatch, FrameError
-from device.photometry import SATURATED, LinearFrame, blurred_reference, demosaic, divide
-from device.scanning.capture import CapturePlan, capture
+from device.imaging.flat_field import SATURATED, LinearFrame, demosaic, flat_field_correct, make_flat_field
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, PressBall
-from hal.twin.bench import build
-from hal.twin.hardware import twin_hardware
-from hal.twin.scene import Press
-from hal.twin.surfaces import SphereGrid
-from host_sync.calibration.ball_location import GridSpacing, PressFrame
-from host_sync.calibration.full_calibration import calibrate
-from host_sync.calibration.grid_press import sight_grid
+from hal.simulator.bench import build
+from hal.simulator.hardware import twin_hardware
+from hal.simulator.scene import Press
+from hal.simulator.surfaces import SphereGrid
+from host_sync.calibration.balls import GridSpacing, PressFrame
+from host_sync.calibration.calibrate import calibrate
+from host_sync.calibration.grid_press import detect_grid
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0
@@ -31,7 +31,7 @@ GRID_RADIUS_MM, GRID_PITCH_MM, GRID_DEPTH_MM = 1.0, 2.5, 0.45
 
 
 @dataclass(frozen=True)
-class Bench:
+class SimulatedScene:
     """Frames of one board: the skin at rest, and single balls all over it."""
 
     rest: LinearFrame
@@ -50,30 +50,30 @@ class OddGrid:
         return np.where(own_cell, moved, grid)
 
 
-def shoot(profile: BoardProfile, radius_mm: float = RADIUS_MM) -> Bench:
+def shoot(profile: BoardProfile, radius_mm: float = RADIUS_MM) -> SimulatedScene:
     frames = []
     with twin_hardware(build(profile, VirtualClock())) as hardware:
         for request in [LiftOff(), *(PressBall(radius_mm, column, row) for column, row in PLACES)]:
             hardware.operator.ask(request)
             hardware.button.wait_for_press(None)
-            frames.append(demosaic(capture(hardware, CapturePlan.of_board(hardware))))
-    return Bench(frames[0], tuple(frames[1:]))
+            frames.append(demosaic(capture(hardware, CaptureSettings.of_board(hardware))))
+    return SimulatedScene(frames[0], tuple(frames[1:]))
 
 
 def shoot_grid(profile: BoardProfile, surface: SphereGrid | OddGrid) -> LinearFrame:
     bench = build(profile, VirtualClock())
     with twin_hardware(bench) as hardware:
         bench.place(Press(surface, (0.3, -0.2), 0.06, GRID_DEPTH_MM))
-        return demosaic(capture(hardware, CapturePlan.of_board(hardware)))
+        return demosaic(capture(hardware, CaptureSettings.of_board(hardware)))
 
 
 @pytest.fixture(scope="module")
-def usual(small_twin: BoardProfile) -> Bench:
+def usual(small_twin: BoardProfile) -> SimulatedScene:
     return shoot(small_twin)
 
 
 @pytest.fixture(scope="module")
-def turned(small_twin: BoardProfile) -> Bench:
+def turned(small_twin: BoardProfile) -> SimulatedScene:
     """The same gel, its lights turned by 40 degrees."""
     cos, sin = np.cos(np.radians(40.0)), np.sin(np.radians(40.0))
     lights = tuple(
@@ -97,13 +97,13 @@ def grid_press(frame: LinearFrame, pitch_um: float = PITCH_UM) -> PressFrame:
     return PressFrame("grid", frame, GRID_RADIUS_MM * 1e3 / pitch_um, grid=GridSpacing(GRID_PITCH_MM))
 
 
-def test_too_few_balls_are_counted(usual: Bench) -> None:
+def test_too_few_balls_are_counted(usual: SimulatedScene) -> None:
     frames = [*usual.balls[:2], usual.rest]
     with pytest.raises(CalibrationError, match=r"2 usable balls in 3 .*press-02 shows no ball .*and 4 are needed"):
         calibrate(presses(frames), usual.rest, PITCH_UM)
 
 
-def test_a_reference_of_another_gel_is_refused(usual: Bench, small_twin: BoardProfile) -> None:
+def test_a_reference_of_another_gel_is_refused(usual: SimulatedScene, small_twin: BoardProfile) -> None:
     twin = small_twin.twin
     assert twin is not None
     other = msgspec.structs.replace(small_twin, twin=msgspec.structs.replace(twin, skin="flake"))
@@ -112,13 +112,13 @@ def test_a_reference_of_another_gel_is_refused(usual: Bench, small_twin: BoardPr
 
 
 @pytest.mark.parametrize("with_reference", [True, False])
-def test_two_sets_of_lights_are_told_apart(usual: Bench, turned: Bench, with_reference: bool) -> None:
+def test_two_sets_of_lights_are_told_apart(usual: SimulatedScene, turned: SimulatedScene, with_reference: bool) -> None:
     mixed = [*usual.balls[:4], *turned.balls[4:]]
     with pytest.raises(CalibrationMismatch, match=r"mixed: untouched skin of press-04, press-05 is \d\d% off"):
         calibrate(presses(mixed), usual.rest if with_reference else None, PITCH_UM)
 
 
-def test_a_clipped_reference_and_clipped_balls_are_refused(usual: Bench) -> None:
+def test_a_clipped_reference_and_clipped_balls_are_refused(usual: SimulatedScene) -> None:
     with pytest.raises(FrameError, match=r"reference is saturated over \d\d% of its area, at most 10% may be"):
         calibrate(presses([brighter(frame, 2.0) for frame in usual.balls]), brighter(usual.rest, 2.0), PITCH_UM)
     row, column = np.mgrid[: usual.rest.shape[0], : usual.rest.shape[1]]
@@ -130,7 +130,7 @@ def test_a_clipped_reference_and_clipped_balls_are_refused(usual: Bench) -> None
         calibrate(presses(clipped), usual.rest, PITCH_UM)
 
 
-def test_contradictory_radii_are_refused_with_what_they_read(usual: Bench, small_twin: BoardProfile) -> None:
+def test_contradictory_radii_are_refused_with_what_they_read(usual: SimulatedScene, small_twin: BoardProfile) -> None:
     smaller = shoot(small_twin, radius_mm=2.0)
     mixed = [*usual.balls[::2], *smaller.balls[1::2]]
     with pytest.raises(CalibrationError, match=r"radii contradict .* 0\.\d\d \(press-0\d\) to 1\.\d\d \(press-"):
@@ -138,12 +138,14 @@ def test_contradictory_radii_are_refused_with_what_they_read(usual: Bench, small
 
 
 @pytest.mark.parametrize(("pitch_um", "words"), [(3e7, "too small to be seen"), (3e-3, "no useful contact")])
-def test_a_ball_that_no_frame_can_show_is_refused_by_name(usual: Bench, pitch_um: float, words: str) -> None:
+def test_a_ball_that_no_frame_can_show_is_refused_by_name(usual: SimulatedScene, pitch_um: float, words: str) -> None:
     with pytest.raises(CalibrationError, match=f"press-00: .*{words}"):
         calibrate(presses(usual.balls, pitch_um), usual.rest, pitch_um)
 
 
-def test_a_grid_measures_the_pitch_and_a_gross_contradiction_is_refused(usual: Bench, small_twin: BoardProfile) -> None:
+def test_a_grid_measures_the_pitch_and_a_gross_contradiction_is_refused(
+    usual: SimulatedScene, small_twin: BoardProfile
+) -> None:
     frame = shoot_grid(small_twin, SphereGrid(GRID_RADIUS_MM, GRID_PITCH_MM, 2))
     twin = small_twin.twin
     assert twin is not None
@@ -160,12 +162,14 @@ def test_a_grid_measures_the_pitch_and_a_gross_contradiction_is_refused(usual: B
         calibrate([grid_press(frame, 60.0)], usual.rest, 60.0)
 
 
-def test_a_ball_off_the_grid_is_rejected_and_a_missed_one_found(usual: Bench, small_twin: BoardProfile) -> None:
-    image = divide(shoot_grid(small_twin, OddGrid()), blurred_reference(usual.rest))
+def test_a_ball_off_the_grid_is_rejected_and_a_missed_one_found(
+    usual: SimulatedScene, small_twin: BoardProfile
+) -> None:
+    image = flat_field_correct(shoot_grid(small_twin, OddGrid()), make_flat_field(usual.rest))
     radius_px = GRID_RADIUS_MM * 1e3 / PITCH_UM
     seen = find_balls(image, radius_px)
     assert len(seen.found) == 25
-    grid = sight_grid(image, BallSearch(seen.found[1:], ()), radius_px)
+    grid = detect_grid(image, BallSearch(seen.found[1:], ()), radius_px)
     assert len(grid.search.found) == 24
     assert [ball.reason for ball in grid.search.rejected] == [
         reason for reason in (ball.reason for ball in grid.search.rejected) if reason.startswith("off the grid by 1")

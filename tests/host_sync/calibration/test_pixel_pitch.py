@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.ball import Ball
+from device.balls.sphere import Ball
 from device.errors import CalibrationError
-from host_sync.calibration.ball_grid import find_lattice
-from host_sync.calibration.ball_location import GridSpacing
+from host_sync.calibration.balls import GridSpacing
+from host_sync.calibration.lattice import find_lattice
 from host_sync.calibration.pixel_pitch import PitchReading, join_readings, read_pitch
 
 SHAPE = (1000, 1200)

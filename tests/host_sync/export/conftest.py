@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.surface import Float32Array
-from host_sync.__main__ import main
+from device.surface.fields import Float32Array
+from host_sync.cli.main import main
 
 ROWS, COLUMNS, PITCH_UM = 37, 53, 12.0
 Export = Callable[..., Path]

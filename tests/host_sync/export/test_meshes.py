@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from device.surface import Float32Array
-from host_sync.__main__ import main
+from device.surface.fields import Float32Array
+from host_sync.cli.main import main
 
 PITCH_UM, ROWS = 12.0, 37
 UNIT_UM = {"ply": 1e3, "stl": 1e3, "obj": 1e3, "glb": 1e6}

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from device.surface import Float32Array
+from device.surface.fields import Float32Array
 
 PITCH_UM = 12.0
 TOLERANCE_UM = {"gwy": 1e-12, "x3p": 1e-6, "sur": 1e-7, "sdf": 1e-12, "al3d": 1e-6}

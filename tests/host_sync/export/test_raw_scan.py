@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.bundle_store import BundleStore
-from device.raw_file import write_raw
-from device.scan_bundle import ScanBundle, ScanRecord
+from device.bundles.raw_frame import write_raw
+from device.bundles.scan import ScanBundle, ScanRecord
+from device.store.store import BundleStore
 from hal.frame import BAYER_ORDERS, BayerOrder, RawFrame
-from host_sync.__main__ import main
+from host_sync.cli.main import main
 
 
 @pytest.fixture(params=BAYER_ORDERS)

@@ -13,11 +13,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from device.bundle_store import BundleStore
-from device.scan_bundle import ScanBundle
-from device.surface import Float32Array
-from host_sync.__main__ import main
-from host_sync.commands.exporting import ExportFormat
+from device.bundles.scan import ScanBundle
+from device.store.store import BundleStore
+from device.surface.fields import Float32Array
+from host_sync.cli.export import ExportFormat
+from host_sync.cli.main import main
 from host_sync.export.surface_export import file_stem
 
 SURFACE_FORMATS = [form for form in get_args(ExportFormat) if form != "dng"]

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.surface import Float32Array
-from host_sync.__main__ import main
+from device.surface.fields import Float32Array
+from host_sync.cli.main import main
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.tmd import read_tmd, write_tmd
@@ -85,7 +85,7 @@ def head(columns: int, rows: int, across_mm: float = 1.0, down_mm: float = 1.0) 
         (head(2**32 - 1, 2**32 - 1) + b"\0" * 99, "too short"),
         (head(2, 2, 1.0, 3.0) + b"\0" * 16, "square pixels"),
         (head(2, 2, float("nan"), 1.0) + b"\0" * 16, "square pixels"),
-        (head(2, 2, 0.0, 0.0) + b"\0" * 16, "is no length"),
+        (head(2, 2, 0.0, 0.0) + b"\0" * 16, "must be positive"),
         (head(2, 2) + b"\xff" * 16, "no height is valid"),
     ],
 )

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from host_sync.measurement.autocorrelation import Autocorrelation, decay, texture_direction_deg
-from host_sync.measurement.height_parameters import height_parameters
-from host_sync.measurement.hybrid_parameters import hybrid_parameters
-from host_sync.measurement.material_ratio import MaterialRatioCurve, functional_parameters
-from host_sync.measurement.power_spectrum import RadialSpectrum
+from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
+from host_sync.iso25178.autocorrelation import Autocorrelation, decay, texture_direction_deg
+from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_parameters
+from host_sync.iso25178.power_spectrum import RadialSpectrum
 
 PITCH_UM = 5.0
 AMPLITUDE_UM = 3.0

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.bundle_store import BundleStore
-from device.scan_bundle import Annotations, ScanBundle
-from host_sync.__main__ import main
+from device.bundles.scan import Annotations, ScanBundle
+from device.store.store import BundleStore
+from host_sync.cli.main import main
 from host_sync.report import composing
 
 Write = Callable[..., Path]
@@ -89,8 +89,8 @@ def test_what_cannot_be_measured_is_named_and_the_rest_is_done(
     ("facts", "words"),
     [
         ({"schema": "retrograph.result/9"}, "retrograph.result/9"),
-        ({"rows": 7}, "the record says"),
-        ({"pixel_pitch_um": 0.0}, "is no length"),
+        ({"rows": 7}, "expected 240 x 7"),
+        ({"pixel_pitch_um": 0.0}, "pixel_pitch_um: Expected `float` >= 0.001"),
         ({"rows": "many"}, "rows: Expected `int`"),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_record_that_does_not_fit_is_refused(
     ("arguments", "words"),
     [
         (["--form", "cone"], "accepted are none, mean, plane"),
-        (["--region-um", "0", "0", "2", "2"], "holds no two pixels"),
+        (["--region-um", "0", "0", "2", "2"], "fewer than two pixels"),
         (["--s-filter-um", "50", "--l-filter-um", "40"], "s_filter_um"),
         (["--recipe", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],
@@ -123,17 +123,17 @@ def test_a_gage_study_from_a_table(tmp_path: Path, capsys: pytest.CaptureFixture
     rows += [f"p{p},{o},{p + 0.01 * random.standard_normal()}" for p in range(5) for o in "ab" for _ in range(3)]
     table = tmp_path / "study.csv"
     table.write_text("\n".join(rows), encoding="utf-8")
-    assert main(["gage", "--table", str(table), "--tolerance", "0.5", "--json", str(tmp_path / "gage.json")]) == 0
+    assert main(["gage-rr", "--table", str(table), "--tolerance", "0.5", "--json", str(tmp_path / "gage.json")]) == 0
     out = capsys.readouterr().out
     assert "5 parts, 2 operators, 3 repeats" in out
     assert "good (up to 10 % good" in out
     record = json.loads((tmp_path / "gage.json").read_text(encoding="utf-8"))
     assert record["repeatability"]["low"] < 0.01 < record["repeatability"]["high"]
     table.write_text("\n".join(rows[:-1]), encoding="utf-8")
-    assert main(["gage", "--table", str(table)]) == 2
+    assert main(["gage-rr", "--table", str(table)]) == 2
     assert "part p4 was measured 2 times by operator b" in capsys.readouterr().err
     table.write_text("part,value\n1,2", encoding="utf-8")
-    assert main(["gage", "--table", str(table)]) == 2
+    assert main(["gage-rr", "--table", str(table)]) == 2
     assert "has no column operator" in capsys.readouterr().err
 
 
@@ -171,9 +171,9 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     assert said.out.count("Sa ") == 8
     assert f"{first.scan_id}: has no results" in said.err
     shutil.rmtree(first.directory)
-    assert main(["gage", *library]) == 2
+    assert main(["gage-rr", *library]) == 2
     assert "repeats do not differ" in capsys.readouterr().err
-    assert main(["gage", *library, "--number", "surface/Sx"]) == 2
+    assert main(["gage-rr", *library, "--number", "surface/Sx"]) == 2
     assert "accepted are surface/Sa" in capsys.readouterr().err
     out = tmp_path / "reports"
     scans = [path.name for path in sorted((store.root / "scans").iterdir())][-2:]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from host_sync.errors import MeasurementError
-from host_sync.measurement.form import PolynomialForm
+from host_sync.filters.form import PolynomialForm
 from host_sync.measurement.sphere import SphereForm, fit_sphere
 
 SHAPE = (180, 240)

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.surface import HeightMap
+from device.surface.fields import HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.measurement.fine_noise import FineNoise
 from host_sync.measurement.height_draws import HeightDraws, StatedScale
@@ -19,7 +19,7 @@ from host_sync.measurement.measure import measure, measure_result
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty
 from host_sync.measurement.recipe import DistanceTable, ProfileTable, RadiusTable, Recipe, StepTable
-from host_sync.measurement.result_surface import read_result
+from host_sync.results.reader import read_result
 
 Write = Callable[..., Path]
 Draw = Callable[[np.random.Generator, float], np.ndarray]
@@ -146,7 +146,7 @@ def test_a_surface_unlike_the_balls_is_less_sure_by_the_share_that_is_said(
     found = measure_result(folder, Recipe(parameters=("Sq", "Ssk"), scale=StatedScale(unlike_balls_share=0.05)))
     sq = number(found, "Sq")
     assert sq.uncertainty / sq.value == pytest.approx(0.05, rel=1e-3)
-    assert any("5.0% is in, for surfaces unlike the balls" in note for note in found.notes)
+    assert any("5.0% is included, for surfaces unlike the balls" in note for note in found.notes)
 
 
 def test_an_unknown_pitch_leaves_a_length_without_uncertainty(write_result: Write, wave: np.ndarray) -> None:
@@ -169,7 +169,7 @@ def test_noise_finer_than_the_draws_counts_in_the_slopes() -> None:
     assert cells.std() < 0.5 * drawn[:, 100:].std()
 
 
-def test_doubts_are_said(write_result: Write, wave: np.ndarray) -> None:
+def test_warnings_are_stated(write_result: Write, wave: np.ndarray) -> None:
     torn = wave.copy()
     torn[:60, :60] = np.nan
     folder = write_result(torn)
@@ -177,11 +177,11 @@ def test_doubts_are_said(write_result: Write, wave: np.ndarray) -> None:
     beyond[:, 120:] = 255
     cv2.imwrite(str(folder / "extrapolated.png"), beyond)
     found = measure_result(folder, Recipe(l_filter_um=600.0))
-    doubts = " ".join(number(found, "Sa").doubts)
-    assert "within half the L-filter's nesting index" in doubts
-    assert "50.0% of the area has slopes beyond what the calibration's balls taught: left out" in doubts
+    warnings = " ".join(number(found, "Sa").warnings)
+    assert "within half the L-filter's nesting index" in warnings
+    assert "50.0% of the area has slopes beyond those of the calibration balls: left out" in warnings
     assert number(found, "Sa").masked_share == pytest.approx(0.5 + 60 * 60 / torn.size)
-    assert "at most this" in " ".join(number(found, "Str").doubts)
+    assert "upper limit" in " ".join(number(found, "Str").warnings)
 
 
 def test_slopes_beyond_the_calibration_are_left_out_unless_they_are_asked_for(
@@ -196,7 +196,7 @@ def test_slopes_beyond_the_calibration_are_left_out_unless_they_are_asked_for(
     assert number(measure_result(folder, Recipe()), "Sz").value < 10.0
     kept = number(measure_result(folder, Recipe(keep_extrapolated=True)), "Sz")
     assert kept.value > 450.0
-    assert any(doubt.endswith("balls taught: kept") for doubt in kept.doubts)
+    assert any(warning.endswith("calibration balls: kept") for warning in kept.warnings)
 
 
 def test_a_shape_without_an_l_filter_states_no_uncertainty_and_says_why(write_result: Write, wave: np.ndarray) -> None:
@@ -204,8 +204,8 @@ def test_a_shape_without_an_l_filter_states_no_uncertainty_and_says_why(write_re
     plain, filtered = (measure_result(folder, one) for one in (Recipe(), Recipe(l_filter_um=600.0)))
     for name in ("Ssk", "Spk", "Smr1", "Str"):
         assert number(plain, name).uncertainty is None
-        assert any("set l_filter_um" in doubt for doubt in number(plain, name).doubts)
-        assert not any("set l_filter_um" in doubt for doubt in number(filtered, name).doubts)
+        assert any("set l_filter_um" in warning for warning in number(plain, name).warnings)
+        assert not any("set l_filter_um" in warning for warning in number(filtered, name).warnings)
     assert number(filtered, "Ssk").uncertainty is not None
     assert number(plain, "Sa").uncertainty is not None
 
@@ -235,7 +235,7 @@ def test_lines_and_steps_carry_their_own_uncertainty(write_result: Write, wave: 
     assert number(found, "Ra", "line").uncertainty is not None
     assert number(found, "Pt", "raw").value == pytest.approx(12.0, rel=0.6)
     assert found.profiles[0].sigma_um is not None
-    assert "room for 4 of 5 sections" in number(found, "Ra", "line").doubts[0]
+    assert "room for 4 of 5 sections" in number(found, "Ra", "line").warnings[0]
 
 
 def test_a_wholly_masked_region_is_refused(write_result: Write, wave: np.ndarray) -> None:

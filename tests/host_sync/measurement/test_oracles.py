@@ -1,20 +1,14 @@
 """Our numbers against those of surfalize and Gwyddion, both GPL and only called; each skips where it is absent."""
 
-import importlib
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
 
-from host_sync.measurement.form import PolynomialForm
-from host_sync.measurement.gaussian_regression import ALPHA, gaussian_mean
-from host_sync.measurement.profile_line import Profile
-from host_sync.measurement.profile_parameters import profile_parameters
+from host_sync.filters.form import PolynomialForm
+from host_sync.filters.gaussian_regression import ALPHA, gaussian_mean
+from host_sync.profile.profile_line import Profile
+from host_sync.profile.profile_parameters import profile_parameters
+from tests.benchmarks.measurement import compare, gwyddion_oracle, surfaces
 
-FOLDER = Path(__file__).parents[3] / "docs" / "measurement"
 NAMES = ("sine", "tilt and noise", "grooves", "spheres", "fractal")
 
 LOOSE = {
@@ -31,36 +25,23 @@ UNDEFINED = {("sine", "Smr1"), ("sine", "Ssk")}
 
 
 @pytest.fixture(scope="module")
-def scripts() -> Iterator[ModuleType]:
-    """The folder's modules, importable by name as its script imports them."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
-        yield importlib
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(FOLDER)):
-            del sys.modules[name]
-
-
-@pytest.fixture(scope="module")
-def gwyddion(scripts: ModuleType):
+def gwyddion():
     try:
-        return scripts.import_module("gwyddion_oracle").Gwyddion()
+        return gwyddion_oracle.Gwyddion()
     except OSError as error:
         pytest.skip(f"Gwyddion's library is not installed (Debian: libgwyddion2-0): {error}")
 
 
-def levelled(scripts: ModuleType, name: str) -> np.ndarray:
-    z_um = scripts.import_module("surfaces").surfaces()[name].astype(np.float32)
+def levelled(name: str) -> np.ndarray:
+    z_um = surfaces.surfaces()[name].astype(np.float32)
     return PolynomialForm(np.ones(z_um.shape, np.bool_), 1).remove(z_um).astype(np.float64)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.filterwarnings("ignore")
-def test_areal_parameters_are_surfalizes(scripts: ModuleType, name: str) -> None:
+def test_areal_parameters_are_surfalizes(name: str) -> None:
     pytest.importorskip("surfalize", reason="surfalize is not installed")
-    compare = scripts.import_module("compare")
-    z_um = levelled(scripts, name)
+    z_um = levelled(name)
     own = compare.ours(z_um)
     compared = 0
     for parameter, value in compare.by_surfalize(z_um).items():
@@ -74,12 +55,12 @@ def test_areal_parameters_are_surfalizes(scripts: ModuleType, name: str) -> None
 
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("name", NAMES)
-def test_heights_and_slopes_are_gwyddions(scripts: ModuleType, gwyddion, name: str, masked: bool) -> None:
-    z_um = levelled(scripts, name)
+def test_heights_and_slopes_are_gwyddions(gwyddion, name: str, masked: bool) -> None:
+    z_um = levelled(name)
     if masked:
-        z_um = scripts.import_module("surfaces").torn(z_um)
-    own = scripts.import_module("compare").ours(z_um)
-    found = gwyddion.heights(z_um, scripts.import_module("surfaces").PITCH_UM)
+        z_um = surfaces.torn(z_um)
+    own = compare.ours(z_um)
+    found = gwyddion.heights(z_um, surfaces.PITCH_UM)
     for parameter in ("Sa", "Sq", "Ssk", "Sku", "Sz", "Sdq"):
         assert own[parameter] == pytest.approx(found[parameter], rel=1e-3, abs=1e-4), parameter
     if not masked:
@@ -88,15 +69,14 @@ def test_heights_and_slopes_are_gwyddions(scripts: ModuleType, gwyddion, name: s
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_forms_under_a_mask_are_gwyddions(scripts: ModuleType, gwyddion, degree: int) -> None:
-    surfaces = scripts.import_module("surfaces")
+def test_forms_under_a_mask_are_gwyddions(gwyddion, degree: int) -> None:
     z_um = surfaces.torn(surfaces.surfaces()["fractal"])
     own = PolynomialForm(np.isfinite(z_um), degree).remove(z_um.astype(np.float32))
     np.testing.assert_allclose(own, gwyddion.levelled(z_um, degree), atol=2e-4)
 
 
-def test_the_filter_inside_is_gwyddions(scripts: ModuleType, gwyddion) -> None:
-    z_um = scripts.import_module("surfaces").surfaces()["fractal"]
+def test_the_filter_inside_is_gwyddions(gwyddion) -> None:
+    z_um = surfaces.surfaces()["fractal"]
     for cutoff_px in (8.0, 60.0):
         sigma_px = ALPHA * cutoff_px / np.sqrt(2.0 * np.pi)
         own = gaussian_mean(z_um.astype(np.float32), cutoff_px)
@@ -105,8 +85,7 @@ def test_the_filter_inside_is_gwyddions(scripts: ModuleType, gwyddion) -> None:
         np.testing.assert_allclose(own[inner, inner], theirs[inner, inner], atol=2e-3)
 
 
-def test_a_profiles_parameters_are_gwyddions(scripts: ModuleType, gwyddion) -> None:
-    surfaces = scripts.import_module("surfaces")
+def test_a_profiles_parameters_are_gwyddions(gwyddion) -> None:
     for z_um in surfaces.surfaces().values():
         line = z_um[100] - z_um[100].mean()
         own = profile_parameters(Profile(line, surfaces.PITCH_UM))

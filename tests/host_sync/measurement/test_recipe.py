@@ -75,7 +75,7 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ),
         ('[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nedges_um = [3, 4]', ("edges_um", "a step has 1")),
         ("[scale]\npixel_pitch_share = -0.1", ("scale.pixel_pitch_share",)),
-        (2 * '[[distance]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [1, 1]\n', ("'a' is there twice",)),
+        (2 * '[[distance]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [1, 1]\n', ("'a' occurs twice",)),
         ("smr_um = [nan]", ("smr_um",)),
         ("form = ", ("not TOML",)),
     ],
@@ -90,7 +90,7 @@ def test_others_are_refused_by_key(tmp_path: Path, text: str, words: tuple[str, 
 
 
 def test_the_recipe_of_the_documents_is_whole() -> None:
-    recipe = read_recipe(Path(__file__).parents[3] / "docs" / "measurement" / "recipe.toml")
+    recipe = read_recipe(Path(__file__).parents[3] / "tests" / "benchmarks" / "measurement" / "recipe.toml")
     tables = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume)
     assert all(len(table) == 1 for table in tables)
 

@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import IO, Literal
 
 import asyncssh
+import msgspec
 import pytest
 
-from device.bundle_store import BundleStore
+from device.store.store import BundleStore
 from host_sync.offload.paired_devices import PairedDevice
-from host_sync.offload.sftp_link import SftpLink
-from host_sync.offload.ssh_session import Patience
+from host_sync.offload.sftp_link import ReconnectingSftp, Timeouts
 
 SSHD = shutil.which("sshd") or shutil.which("sshd", path="/usr/sbin:/usr/local/sbin")
-BRISK = Patience(keepalive_s=0.5, unanswered=2, give_up_s=5.0, retry_s=0.01)
+BRISK = Timeouts(keepalive_s=0.5, unanswered=2, give_up_s=5.0, retry_s=0.01)
 
 
 @dataclass
@@ -69,8 +69,10 @@ class Server:
             host_key=host_key or self.host_key,
         )
 
-    def link(self, port: int | None = None, patience: Patience = BRISK, host_key: str | None = None) -> SftpLink:
-        return SftpLink(self.device(port, host_key), self.private_key, patience)
+    def link(
+        self, port: int | None = None, timeouts: Timeouts = BRISK, host_key: str | None = None
+    ) -> ReconnectingSftp:
+        return ReconnectingSftp(self.device(port, host_key), self.private_key, timeouts)
 
 
 def drain(stream: IO[bytes]) -> None:
@@ -225,6 +227,7 @@ def publish_large(store: BundleStore, scan_record: Callable[..., object]) -> Cal
         def write(directory: Path) -> None:
             (directory / "raw.tif").write_bytes(os.urandom(size_bytes))
 
-        return store.publish_scan(scan_record(store), write)  # type: ignore[arg-type]
+        record = msgspec.structs.replace(scan_record(store), shape=(3000, 4000))  # type: ignore[type-var]
+        return store.publish_scan(record, write)
 
     return publish

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from device.bundle_store import BundleStore
-from device.receipts import RECEIPTS
+from device.bundles.receipt import RECEIPTS
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.errors import SourceError
-from host_sync.library import Library
+from host_sync.library.library import Library
+from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.pull import pull
-from host_sync.offload.receipting import Vouch
 from host_sync.offload.sftp import SftpSource
 
 RUN = Path("/run")
@@ -51,7 +51,7 @@ def test_the_store_is_all_there_is(server: Any, store: BundleStore, publish_scan
     library = Library(tmp_path / "library")
     with server.link() as link:
         source = SftpSource(link)
-        report = pull(source, library, vouch=Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC)))
+        report = pull(source, library, receipts=ReceiptWriter("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC)))
         assert report.copied == (scan.scan_id,)
         assert [failure.bundle_id for failure in report.failed] == ["way-out"]
         assert source.names("/etc") == []

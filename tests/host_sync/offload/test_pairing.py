@@ -7,7 +7,7 @@ import io
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +15,20 @@ import asyncssh
 import msgspec
 import pytest
 
-from device.bundle_store import BundleStore
 from device.errors import PairingRefused, RecordError
-from device.pairing.authorized_keys import authorize, read_host_key
-from device.pairing.opening import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
-from device.pairing.window import PairingWindow
-from device.pairing_card import leave_device_card, take_host_cards
-from device.pairing_channel import PairingChannel
-from device.pairing_exchange import DeviceCard, Element, Exchange, HostCard
+from device.pairing.card import leave_device_card, take_host_cards
+from device.pairing.channel import PairingChannel
+from device.pairing.exchange import DeviceCard, Element, Exchange, HostCard
+from device.pairing_service.authorized_keys import authorize, read_host_key
+from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
+from device.pairing_service.window import PairingWindow
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
-from host_sync.__main__ import main
+from host_sync.cli.main import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
 from host_sync.offload import pairing
-from host_sync.offload.opening import Address
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
+from host_sync.offload.resolve import Address
 
 
 @pytest.fixture
@@ -104,6 +104,41 @@ def test_three_wrong_codes_close_the_window(devices: PairedDevices, device_card:
     assert devices.all() == []
 
 
+def test_callers_who_say_nothing_keep_nobody_out(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
+        for _ in range(50):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        device = pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+    assert device.device_id == device_card.device_id
+
+
+def test_guesses_side_by_side_are_no_more_than_three(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    """All conversations reach the last step before the first sends its proof; the right code comes fourth."""
+    own = pairing.own_card(devices, "bench")
+    with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
+        wrong = "".join(str(9 - int(digit)) for digit in opened.code)
+        talks = []
+        for code in (wrong, wrong, wrong, opened.code):
+            call = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            channel, exchange = PairingChannel(call, 10.0), Exchange(code, "host")
+            channel.send(exchange.element)
+            exchange.meet(channel.receive(Element))
+            talks.append((channel, exchange))
+        for channel, exchange in talks[:3]:
+            channel.send(exchange.proven(own))
+            with pytest.raises(RecordError):
+                channel.receive(DeviceCard)
+        with suppress(RecordError):
+            talks[3][0].send(talks[3][1].proven(own))
+        with pytest.raises(PairingRefused, match="wrong 3 times"):
+            opened.wait()
+    assert not (tmp_path / "keys").exists()
+
+
 def test_nobody_coming_closes_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     clock = VirtualClock()
     with window(device_card, tmp_path / "keys", clock) as (port, opened):
@@ -156,7 +191,7 @@ def test_a_device_opens_its_window_by_one_call(store: BundleStore, devices: Pair
     (tmp_path / "host.pub").write_text(f"{own.public_key} root@device\n")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         setup = PairingSetup(taken.getsockname()[1], 2222, host_key=tmp_path / "host.pub", keys=tmp_path / "keys")
-        with pytest.raises(PairingRefused, match="cannot be listened on"):
+        with pytest.raises(PairingRefused, match="is not free"):
             open_pairing_window(store, VirtualClock(), setup)
     with open_pairing_window(store, VirtualClock(), setup) as opened:
         told = how_to_call(opened, setup, store)
@@ -219,12 +254,12 @@ def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_ca
     assert device is not None
     pairing.keep(devices, device, replace=False)
     anew = msgspec.structs.replace(device, host_key=own.public_key)
-    with pytest.raises(PairingError, match="another key than when it was paired"):
+    with pytest.raises(PairingError, match="another host key than when it was paired"):
         pairing.keep(devices, anew, replace=False)
     assert devices.all() == [device]
     pairing.keep(devices, anew, replace=True)
     assert devices.find("c0ffee") == anew
-    with pytest.raises(NoSource, match="paired are: rg00c0ffee"):
+    with pytest.raises(NoSource, match="of the paired devices: rg00c0ffee"):
         devices.find("other")
 
 
@@ -235,7 +270,7 @@ def test_a_device_set_up_anew_takes_the_place_of_what_it_was_only_when_asked(
     before = PairedDevice(device_id="rg1", host="bench.local", port=22, user="retrosync", host_key=own.public_key)
     pairing.keep(devices, before, replace=False)
     anew = msgspec.structs.replace(before, device_id="rg2", host_key=device_card.host_key)
-    with pytest.raises(PairingError, match=r"bench\.local: is rg2 and was rg1: if you set it up anew.*--replace"):
+    with pytest.raises(PairingError, match=r"bench\.local: is rg2 and was rg1: if you set it up again.*--replace"):
         pairing.keep(devices, anew, replace=False)
     assert devices.find("bench.local") == before
     pairing.keep(devices, anew, replace=True)
@@ -273,7 +308,7 @@ def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
     said = capsys.readouterr().err
     assert "no code was typed" in said
     assert "99999: is no port" in said
-    assert "names none of the paired devices" in said
+    assert "matches none of the paired devices" in said
 
 
 def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:

@@ -11,18 +11,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
-from device.bundle_publishing import locked_directory
-from device.bundle_store import BundleStore
-from device.calibration_bundle import CalibrationBundle
-from device.records import CHUNK_BYTES, seal_of
-from device.scan_bundle import ScanBundle, ScanRecord
+from device.bundles.calibration import CalibrationBundle
+from device.bundles.record import CHUNK_BYTES, manifest_checksum
+from device.bundles.scan import ScanBundle, ScanRecord
+from device.io.lock import locked_directory
+from device.store.store import BundleStore
 from host_sync.errors import LibraryError, NoSource
-from host_sync.library import Library
+from host_sync.library.library import Library
 from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.pull import PullProgress, pull
-from host_sync.offload.receipting import Vouch
 
 PublishScan = Callable[..., ScanBundle]
 PublishCalibration = Callable[[BundleStore], CalibrationBundle]
@@ -149,23 +150,26 @@ def test_a_pull_that_cannot_fit_is_refused_before_it_begins(
     store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Library, "free_bytes", lambda _: 1000)
-    with pytest.raises(LibraryError, match="are to come and 0 MB are free"):
+    with pytest.raises(LibraryError, match="must be copied and 0 MB are free"):
         pull(DirectorySource(store.root), library)
     assert library.scans().bundles == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "reason"), [("preview.png", "needs 1099512 MB"), ("raw.tif", "too many for 48x32 pixels")]
+)
 def test_one_bundle_of_absurd_size_holds_up_no_other(
-    store: BundleStore, library: Library, scans: list[ScanBundle]
+    store: BundleStore, library: Library, scans: list[ScanBundle], name: str, reason: str
 ) -> None:
     manifest = scans[1].directory / "scan.json"
     record = json.loads(manifest.read_bytes())
-    record["files"]["raw.tif"]["size"] = 1 << 40
+    record["files"][name]["size"] = 1 << 40
     data = json.dumps(record).encode()
     manifest.write_bytes(data)
-    (scans[1].directory / "scan.json.sha256").write_bytes(seal_of("scan.json", data))
+    (scans[1].directory / "scan.json.sha256").write_bytes(manifest_checksum("scan.json", data))
     report = pull(DirectorySource(store.root), library)
     assert [failure.bundle_id for failure in report.failed] == [scans[1].scan_id]
-    assert "needs 1099512 MB" in report.failed[0].reason
+    assert reason in report.failed[0].reason
     assert {bundle.scan_id for bundle in library.scans().bundles} == {scans[0].scan_id, scans[2].scan_id}
 
 
@@ -198,7 +202,7 @@ def test_a_bad_place_of_a_card_costs_one_bundle_and_a_card_that_is_gone_the_rest
         return Failing(descriptor) if bad else genuine(descriptor, mode)
 
     source = DirectorySource(store.root)
-    monkeypatch.setattr("host_sync.offload.directory.os.fdopen", opened)
+    monkeypatch.setattr(os, "fdopen", opened)
     report = pull(source, library)
     if card == "has a bad place":
         assert [failure.bundle_id for failure in report.failed] == [scans[1].scan_id]
@@ -212,25 +216,17 @@ def test_a_bad_place_of_a_card_costs_one_bundle_and_a_card_that_is_gone_the_rest
 def test_a_write_protected_card_gives_everything_and_takes_no_receipt(
     store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path, *_: object, **__: object) -> None:
-        if store.root in path.parents:
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
-
     with monkeypatch.context() as patch:
-        genuine_open, genuine_unlink = Path.open, Path.unlink
+        genuine = os.open
 
-        def opened(path: Path, mode: str = "r", **named: Any) -> Any:
-            if "w" in mode:
-                refuse(path)
-            return genuine_open(path, mode, **named)
+        def opened(path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+            folder = Path(path).parent if dir_fd is None else Path(f"/proc/self/fd/{dir_fd}").resolve()
+            if flags & os.O_CREAT and (folder == store.root or store.root in folder.parents):
+                raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+            return genuine(path, flags, mode, dir_fd=dir_fd)
 
-        def unlinked(path: Path, **named: Any) -> None:
-            refuse(path)
-            genuine_unlink(path, **named)
-
-        patch.setattr(Path, "open", opened)
-        patch.setattr(Path, "unlink", unlinked)
-        report = pull(DirectorySource(store.root), library, vouch=Vouch("bench", lambda: datetime.now(UTC)))
+        patch.setattr(os, "open", opened)
+        report = pull(DirectorySource(store.root), library, receipts=ReceiptWriter("bench", lambda: datetime.now(UTC)))
     assert report.complete
     assert "Read-only file system" in (report.unreceipted or "")
 
@@ -238,10 +234,10 @@ def test_a_write_protected_card_gives_everything_and_takes_no_receipt(
 def test_a_receipt_stands_for_no_bundle_that_the_library_has_lost_part_of(
     store: BundleStore, library: Library, scans: list[ScanBundle]
 ) -> None:
-    vouch = Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
-    assert pull(DirectorySource(store.root), library, vouch=vouch).unreceipted is None
+    vouch = ReceiptWriter("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
+    assert pull(DirectorySource(store.root), library, receipts=vouch).unreceipted is None
     library.find(scans[0].scan_id).path("raw.tif").write_bytes(b"rot")
-    report = pull(DirectorySource(store.root), library, vouch=vouch)
+    report = pull(DirectorySource(store.root), library, receipts=vouch)
     assert [failure.bundle_id for failure in report.failed] == [scans[0].scan_id]
     assert report.here == 3
 
@@ -317,7 +313,7 @@ def test_memory_does_not_grow_with_the_files(
             for _ in range(24):
                 stream.write(os.urandom(CHUNK_BYTES))
 
-    store.publish_scan(scan_record(store), write)
+    store.publish_scan(msgspec.structs.replace(scan_record(store), shape=(3000, 4000)), write)
     tracemalloc.start()
     try:
         assert pull(DirectorySource(store.root), library).complete

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,20 +19,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.bundle_store import BundleStore
-from device.records import sha256_bytes
+from device.bundles.record import sha256_bytes
+from device.store.store import BundleStore
 from hal.clock import VirtualClock
-from host_sync.__main__ import main
-from host_sync.errors import HostError, SourceLost, SourceRefused
-from host_sync.library import Library
+from host_sync.cli.main import main
+from host_sync.errors import HostError, SourceError, SourceLost, SourceRefused
+from host_sync.library.library import Library
+from host_sync.library.verification import verify_library
 from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.ledger import PullReport
+from host_sync.offload.mirror import SftpPlace, mirror_to_sftp
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
-from host_sync.offload.pull import pull
-from host_sync.offload.receipting import Vouch
-from host_sync.offload.sftp import BLOCK_BYTES, SftpSource
-from host_sync.offload.ssh_session import Patience
-from host_sync.offload.sync import sync
+from host_sync.offload.pull import pull, sync
+from host_sync.offload.sftp import BLOCK_BYTES, RateFloor, SftpSource
+from host_sync.offload.sftp_link import Timeouts
 
 HANDSHAKE_BYTES = 16_384
 
@@ -40,8 +43,8 @@ def library(tmp_path: Path) -> Library:
     return Library(tmp_path / "library")
 
 
-def vouch() -> Vouch:
-    return Vouch("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
+def vouch() -> ReceiptWriter:
+    return ReceiptWriter("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC))
 
 
 def contents(root: Path, kind: str) -> dict[str, bytes]:
@@ -57,7 +60,7 @@ def assert_identical(store: BundleStore, library: Library) -> None:
 
 def pull_over(server: Any, library: Library, port: int | None = None, **named: Any) -> PullReport:
     with server.link(port, **named) as link:
-        return pull(SftpSource(link), library, vouch=vouch())
+        return pull(SftpSource(link), library, receipts=vouch())
 
 
 def test_network_and_card_give_the_same(
@@ -156,10 +159,10 @@ def test_silence_ends_in_a_sentence_and_the_next_pull_goes_on(
 ) -> None:
     publish_large(3 << 20)
     proxy.harms.extend([("silence", 2_000_000), *[("silence", 0)] * 50])
-    hasty = Patience(keepalive_s=0.2, unanswered=2, give_up_s=0.8, retry_s=0.01)
-    report = pull_over(server, library, proxy.port, patience=hasty)
+    hasty = Timeouts(keepalive_s=0.2, unanswered=2, give_up_s=0.8, retry_s=0.01)
+    report = pull_over(server, library, proxy.port, timeouts=hasty)
     assert report.lost is not None
-    assert "what came is kept" in report.lost
+    assert "what arrived is kept" in report.lost
     (part,) = (library.root / "scans").glob(".*/raw.tif.part")
     kept = part.stat().st_size
     assert kept > 500_000
@@ -175,7 +178,7 @@ def test_a_line_that_always_breaks_before_a_byte_comes_ends_too(
 ) -> None:
     publish_large(3 << 20)
     proxy.harms.extend([("cut", 300_000), *[("cut", 6_000)] * 500])
-    report = pull_over(server, library, proxy.port, patience=Patience(give_up_s=1.0, retry_s=0.01))
+    report = pull_over(server, library, proxy.port, timeouts=Timeouts(give_up_s=1.0, retry_s=0.01))
     assert report.lost is not None
     assert proxy.connections > 2
 
@@ -243,8 +246,8 @@ def test_silence_is_borne_for_less_than_ten_seconds(
     publish_large(3 << 20)
     proxy.harms.extend([("silence", 1_000_000), *[("silence", 0)] * 100])
     proxy.milestone_bytes = 950_000
-    with server.link(proxy.port, Patience()) as link, ThreadPoolExecutor(1) as pulling:
-        pulled = pulling.submit(pull, SftpSource(link), library, vouch=vouch())
+    with server.link(proxy.port, Timeouts()) as link, ThreadPoolExecutor(1) as pulling:
+        pulled = pulling.submit(pull, SftpSource(link), library, receipts=vouch())
         assert proxy.passed_milestone.wait(60.0)
         assert pulled.result(timeout=10.0).lost
 
@@ -253,7 +256,7 @@ def test_a_slow_line_upwards_is_no_silence(server: Any, proxy: Any, store: Bundl
     content = os.urandom(600_000)
     (tmp_path / "content").write_bytes(content)
     proxy.upward_bytes_per_s = 300_000.0
-    hasty = Patience(keepalive_s=5.0, unanswered=2, give_up_s=1.2, retry_s=0.01)
+    hasty = Timeouts(keepalive_s=5.0, unanswered=2, give_up_s=1.2, retry_s=0.01)
     with server.link(proxy.port, hasty) as link:
         SftpSource(link).write("inbox/content", tmp_path / "content")
     assert (store.root / "inbox" / "content").read_bytes() == content
@@ -287,7 +290,7 @@ def test_threads_that_share_a_link_find_it_mended_by_one_of_them(server: Any, pr
 
 def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, library: Library) -> None:
     foreign = server.host_key[:-6] + ("AAAAAA" if not server.host_key.endswith("AAAAAA") else "BBBBBB")
-    with pytest.raises(SourceRefused, match=r"another key than the one it was paired with.*pair it again"):
+    with pytest.raises(SourceRefused, match=r"presents another host key.*pair it again"):
         pull_over(server, library, host_key=foreign)
     (server.folder / "authorized_keys").write_text("")
     with pytest.raises(SourceRefused, match="does not accept this workstation's key"):
@@ -296,9 +299,9 @@ def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, 
 
 def test_nobody_there_is_told(server: Any, library: Library) -> None:
     server.kill()
-    hasty = Patience(give_up_s=0.2, retry_s=0.01)
+    hasty = Timeouts(give_up_s=0.2, retry_s=0.01)
     with pytest.raises(SourceLost, match=r"cannot be reached at 127\.0\.0\.1"):
-        pull_over(server, library, patience=hasty)
+        pull_over(server, library, timeouts=hasty)
 
 
 def test_the_devices_clock_is_compared(server: Any) -> None:
@@ -336,7 +339,7 @@ def test_sync_status_and_push_by_the_devices_name(
     assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 0
     assert main(["push-calibration", "c0ffee", calibration.calibration_id, *library]) == 3
     assert "in its inbox already" in capsys.readouterr().err
-    assert [delivery.refusal for delivery in store.take_inbox()] == [None]
+    assert [delivery.refusal for delivery in store.import_inbox()] == [None]
     assert store.activate(calibration.calibration_id).record == calibration.record
 
 
@@ -364,3 +367,61 @@ def test_several_devices_fill_one_library_side_by_side(
     assert len(library.scans().bundles) == 2
     assert settings.sync_state("rg1") is not None
     assert settings.sync_state("rg1").clock_offset_s is None  # type: ignore[union-attr]
+
+
+def test_a_name_that_is_not_utf_8_and_receipts_that_are_a_file_stop_nothing(
+    server: Any, library: Library, publish_large: Callable[[int], Any]
+) -> None:
+    scan = publish_large(100_000)
+    os.mkdir(os.fsencode(server.root / "scans") + b"/caf\xe9")  # noqa: PTH102
+    shutil.rmtree(server.root / "receipts")
+    (server.root / "receipts").touch()
+    (server.root / "scans" / "pipe-1").mkdir()
+    os.mkfifo(server.root / "scans" / "pipe-1" / "scan.json")
+    report = pull_over(server, library)
+    assert report.copied == (scan.scan_id,)
+    assert sorted(failure.bundle_id for failure in report.failed) == sorted(["caf\udce9", "pipe-1", "receipts"])
+
+
+def test_a_mirror_over_sftp_is_read_back_and_copies_only_what_is_missing(
+    server: Any, library: Library, publish_large: Callable[[int], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans = [publish_large(50_000) for _ in range(2)]
+    assert pull_over(server, library).complete
+    home = tmp_path / "home"
+    (home / ".ssh").mkdir(parents=True)
+    shutil.copy(server.private_key, home / ".ssh" / "id_ed25519")
+    (home / ".ssh" / "known_hosts").write_text(f"[127.0.0.1]:{server.port} {server.host_key}\n")
+    monkeypatch.setenv("HOME", str(home))
+    place = SftpPlace(getpass.getuser(), "127.0.0.1", server.port, str(tmp_path / "mirror"))
+    first = mirror_to_sftp(library, place, lambda _: None)
+    assert set(first.copied) == {scan.scan_id for scan in scans}
+    again = mirror_to_sftp(library, place, lambda _: None)
+    assert (again.copied, len(again.already_there), again.failed) == ((), 2, ())
+    assert verify_library(Library(tmp_path / "mirror")).sound == 2
+    rotten = tmp_path / "mirror" / "scans" / scans[0].scan_id / "raw.tif"
+    rotten.write_bytes(bytes(50_000))
+    assert mirror_to_sftp(library, place, lambda _: None).failed == ()
+    found = mirror_to_sftp(library, place, lambda _: None, verify=True)
+    assert [failure.bundle_id for failure in found.failed] == [scans[0].scan_id]
+    with pytest.raises(SourceError, match="check address and key"):
+        mirror_to_sftp(library, SftpPlace(None, "127.0.0.1", 9, "/x"), lambda _: None)
+
+
+def test_a_server_that_drips_is_given_up() -> None:
+    now = [0.0]
+    floor = RateFloor("device/scans/x/raw.tif", lambda: now[0])
+    for second in range(59):
+        now[0] = float(second)
+        floor.count(1)
+    now[0] = 61.0
+    with pytest.raises(SourceLost, match="less than 1024 bytes/s"):
+        floor.count(1)
+    slow = RateFloor("device", lambda: now[0])
+    for _ in range(600):
+        now[0] += 1.0
+        slow.count(2000)
+    paused = RateFloor("device", lambda: now[0])
+    now[0] += 1000.0
+    paused.pause(1000.0)
+    paused.count(1)

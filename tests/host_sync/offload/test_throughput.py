@@ -22,14 +22,14 @@ from host_sync.offload.sftp import SftpSource
 
 FILES = 12
 FILE_BYTES = 24 << 20
-MOST_RSS_KB = 150_000
-LEAST_SHARE = 0.8
+MAX_RSS_KB = 150_000
+MIN_SHARE = 0.8
 TURNS = 5
 
 PULL_AND_SAY_RSS = """
 import re, sys, time
 from pathlib import Path
-from host_sync.__main__ import main
+from host_sync.cli.main import main
 import host_sync.offload.sftp
 begun = time.monotonic()
 code = main(["pull", "rg00c0ffee", "--library", sys.argv[1]])
@@ -91,6 +91,6 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
             f"streamed {' '.join(f'{share:.2f}' for share in streamed)}, "
             f"pulled {' '.join(f'{share:.2f}' for share in pulled)}\n"
         )
-    assert most_rss_kb <= MOST_RSS_KB
-    assert max(streamed) >= LEAST_SHARE
-    assert max(pulled) >= LEAST_SHARE
+    assert most_rss_kb <= MAX_RSS_KB
+    assert max(streamed) >= MIN_SHARE
+    assert max(pulled) >= MIN_SHARE

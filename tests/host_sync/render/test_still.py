@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from device.surface import HeightMap
+from device.surface.fields import HeightMap
 from host_sync.errors import RenderError
 from host_sync.render.contact_sheet import CELL_PX, contact_sheet
-from host_sync.render.occlusion import light_share, sky_share
+from host_sync.render.occlusion import ambient_occlusion, shadow_mask
 from host_sync.render.shading import shade
 from host_sync.render.still import Still, render
 from host_sync.render.turntable import turning_pictures
@@ -73,7 +73,7 @@ def test_invalid_pixels_are_holes() -> None:
 def test_a_wall_throws_a_shadow_as_long_as_its_height_over_the_tangent() -> None:
     z = np.zeros((40, 200), np.float32)
     z[:, 95:100] = 200.0
-    share = light_share(HeightMap(z, 10.0), 1.0, azimuth_deg=180.0, elevation_deg=30.0)
+    share = shadow_mask(HeightMap(z, 10.0), 1.0, azimuth_deg=180.0, elevation_deg=30.0)
     dark = np.flatnonzero(share[20] < 0.5)
     assert dark.min() == 100
     assert (dark.max() - 99) * 10.0 == pytest.approx(200.0 / np.tan(np.radians(30.0)), abs=40.0)
@@ -82,9 +82,9 @@ def test_a_wall_throws_a_shadow_as_long_as_its_height_over_the_tangent() -> None
 
 def test_a_plane_sees_the_whole_sky_and_a_pit_less() -> None:
     z = np.zeros((80, 80), np.float32)
-    assert sky_share(HeightMap(z, 10.0), 1.0).min() == pytest.approx(1.0)
+    assert ambient_occlusion(HeightMap(z, 10.0), 1.0).min() == pytest.approx(1.0)
     z[30:50, 30:50] = -200.0
-    share = sky_share(HeightMap(z, 10.0), 1.0)
+    share = ambient_occlusion(HeightMap(z, 10.0), 1.0)
     assert share[40, 40] < 0.6 < share[5, 5]
 
 
@@ -147,5 +147,5 @@ def test_a_tilted_plane_is_not_in_its_own_shadow_before_the_light_grazes_it(azim
     turn = np.radians(azimuth_deg)
     towards = column * np.cos(turn) - row * np.sin(turn)
     height = HeightMap((np.tan(np.radians(34.0)) * 10.0 * towards).astype(np.float32), 10.0)
-    np.testing.assert_array_equal(light_share(height, 1.0, azimuth_deg, 40.0), 1.0)
-    assert (light_share(height, 1.0, azimuth_deg, 28.0)[15:25, 20:30] == 0.0).all()
+    np.testing.assert_array_equal(shadow_mask(height, 1.0, azimuth_deg, 40.0), 1.0)
+    assert (shadow_mask(height, 1.0, azimuth_deg, 28.0)[15:25, 20:30] == 0.0).all()

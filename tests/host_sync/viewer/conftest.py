@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.bundle_store import BundleStore
-from device.scan_bundle import Annotations, ScanBundle, ScanRecord, VerdictRecord
-from device.surface import Float32Array
-from host_sync.reconstruction.height_stack import HeightStack
-from host_sync.reconstruction.results import write_field
+from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictRecord
+from device.store.store import BundleStore
+from device.surface.fields import Float32Array
+from host_sync.results.field_file import write_field
+from host_sync.video.height_stack import HeightStack
 from host_sync.viewer.access import Access
 from host_sync.viewer.app import make_app
 from host_sync.viewer.catalogue import Catalogue
-from host_sync.viewer.desk import Desk
-from host_sync.viewer.serving import listening, make_server
+from host_sync.viewer.service import ViewerService
+from host_sync.viewer.serving import ConnectionLimits, listening, make_server
 
 SHAPE = (210, 280)
 PITCH_UM = 12.0
@@ -111,13 +111,14 @@ class Served:
 
     @property
     def origin(self) -> str:
-        return f"http://127.0.0.1:{self.access.port}"
+        return self.access.origin
 
     def ask(self, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
         """Status, headers and body, sent as they are."""
         connection = http.client.HTTPConnection("127.0.0.1", self.access.port, timeout=30)
         try:
-            connection.putrequest(method, path, skip_host="Host" in headers)
+            connection.putrequest(method, path, skip_host=True)
+            headers = {"Host": self.origin.removeprefix("http://")} | headers
             for name, value in headers.items():
                 connection.putheader(name.replace("_", "-"), value)
             connection.endheaders()
@@ -148,13 +149,13 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Path],
     """Starts a viewer of a folder; all end with the tests."""
     running = []
 
-    def start(root: Path) -> Served:
-        desk = Desk(Catalogue(root), tmp_path_factory.mktemp("cache"))
+    def start(root: Path, limits: ConnectionLimits | None = None) -> Served:
+        service = ViewerService(Catalogue(root), tmp_path_factory.mktemp("cache"))
         listener = listening("127.0.0.1", 0)
-        sock = listener.__enter__()
-        access = Access("127.0.0.1", sock.getsockname()[1])
-        server = make_server(make_app(desk, access))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]})
+        listeners = listener.__enter__()
+        access = Access("127.0.0.1", listeners[0].getsockname()[1])
+        server = make_server(make_app(service, access), limits)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": listeners})
         thread.start()
         running.append((server, thread, listener))
         return Served(access)
@@ -170,6 +171,61 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Path],
 def served(serve: Callable[[Path], Served], results: Path) -> Served:
     """The viewer of the folder of results."""
     return serve(results)
+
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+VIEW = {"width": 860, "height": 560}
+TIMEOUT_MS = 60_000
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("chromium is not installed (make test-deps)")
+    with playwright.sync_playwright() as running:
+        opened = running.chromium.launch(executable_path=program, args=ARGUMENTS)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def context(browser: Any) -> Iterator[Any]:
+    """A desktop's window; its cache spares each test the reading of three.js."""
+    opened = browser.new_context(viewport=VIEW, reduced_motion="reduce")
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def visit(browser: Any, context: Any) -> Iterator[Callable[..., Any]]:
+    """Opens a served viewer; afterwards nothing was asked of another host and nothing was said on the console."""
+    opened, problems, asked = [], [], []
+
+    def open_page(served: Any, begin: str | None = None, **options: Any) -> Any:
+        window = browser.new_context(viewport=VIEW, reduced_motion="reduce", **options) if options else context
+        page = window.new_page()
+        opened.append(window if options else page)
+        page.set_default_timeout(TIMEOUT_MS)
+        page.on("console", lambda said: problems.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on("request", lambda request: asked.append((served.origin, request.url)))
+        page.goto(begin or served.access.new_link())
+        return page
+
+    open_page.problems = problems  # type: ignore[attr-defined]
+    yield open_page
+    for one in opened:
+        one.close()
+    assert problems == []
+    assert [url for origin, url in asked if not url.startswith((origin, "blob:", "data:", "file:"))] == []
 
 
 @pytest.fixture
@@ -192,7 +248,7 @@ def library(
 
         def write(directory: Path) -> None:
             (directory / "raw.tif").write_bytes(b"raw")
-            tifffile.imwrite(directory / "quick-look-um.tif", surface()[::4, ::4])
+            tifffile.imwrite(directory / "quick-look-um.tif", surface()[::8, ::8])
 
         scans.append(store.publish_scan(record, write))
     root = tmp_path / "library"

@@ -13,15 +13,18 @@ import tifffile
 from host_sync.viewer.access import Access
 
 
-def test_the_token_opens_the_page_once_and_leaves_the_address(served: Any) -> None:
-    status, headers, _ = served.ask(f"/?token={served.access.token}")
+def test_a_link_opens_the_page_once_and_its_code_leaves_the_address(served: Any) -> None:
+    path = served.access.new_link().removeprefix(served.origin)
+    status, headers, _ = served.ask(path)
     assert (status, headers["location"]) == (303, "/")
+    assert served.access.token not in path
+    assert served.ask(path)[0] == 403
     assert "HttpOnly" in headers["set-cookie"]
     assert "SameSite=strict" in headers["set-cookie"]
     assert served.get("/")[0] == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/page/main.js", "/api/list", "/api/scan/x", "/?token=wrong", "/?token=%ff"])
+@pytest.mark.parametrize("path", ["/", "/page/main.js", "/api/list", "/api/scan/x", "/?code=wrong", "/?code=%ff"])
 def test_without_the_token_nothing_is_answered(served: Any, path: str) -> None:
     status, headers, body = served.ask(path)
     assert status == 403
@@ -30,7 +33,18 @@ def test_without_the_token_nothing_is_answered(served: Any, path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "", "localhost.evil.example:{port}"]
+    "host",
+    [
+        "evil.example:{port}",
+        "127.0.0.1:1",
+        "127.0.0.1",
+        "",
+        "localhost.evil.example:{port}",
+        "127.0.0.1:{port}",
+        "localhost:{port}",
+        "[::1]:{port}",
+        "other.localhost:{port}",
+    ],
 )
 def test_another_host_is_refused_even_with_the_token(served: Any, host: str) -> None:
     asked = host.format(port=served.access.port)
@@ -163,14 +177,17 @@ def test_a_page_of_a_video_is_its_own(served: Any) -> None:
 @pytest.mark.parametrize(
     ("host", "header", "known"),
     [
-        ("127.0.0.1", "localhost:80", True),
-        ("127.0.0.1", "[::1]:80", True),
+        ("127.0.0.1", "abc.localhost:80", True),
+        ("127.0.0.1", "localhost:80", False),
+        ("127.0.0.1", "[::1]:80", False),
         ("127.0.0.1", "192.168.1.4:80", False),
         ("0.0.0.0", "192.168.1.4:80", True),  # noqa: S104
         ("0.0.0.0", "scanner.example:80", False),  # noqa: S104
         ("scanner.local", "scanner.local:80", True),
-        ("127.0.0.1", "127.0.0.1", True),
+        ("127.0.0.1", "ABC.localhost", True),
     ],
 )
-def test_beyond_loopback_only_plain_addresses_and_the_named_host_are_known(host: str, header: str, known: bool) -> None:
-    assert Access(host, 80).knows_host(header) is known
+def test_on_loopback_only_the_random_name_is_known_and_else_addresses_and_the_named_host(
+    host: str, header: str, known: bool
+) -> None:
+    assert Access(host, 80, random_name="abc").knows_host(header) is known

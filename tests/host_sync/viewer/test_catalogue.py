@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from device.scan_bundle import ScanBundle
-from host_sync.errors import ViewError
+from device.bundles.scan import ScanBundle
+from host_sync.errors import UnreadableResult, ViewError
 from host_sync.viewer.cache import Cache
-from host_sync.viewer.catalogue import Catalogue, Wanted
+from host_sync.viewer.catalogue import Catalogue, ListFilter
 from host_sync.viewer.entry import result_entry
 from host_sync.viewer.heights import KEPT, Heights
 
 
 def test_a_library_shows_results_and_else_quick_looks(library: tuple[Path, list[ScanBundle]]) -> None:
     root, scans = library
-    entries = Catalogue(root).list(Wanted()).entries
+    entries = Catalogue(root).list(ListFilter()).entries
     assert [entry.kind for entry in entries] == ["quick look", "result", "result"]
     assert {entry.hit.scan_id for entry in entries if entry.hit} == {scan.scan_id for scan in scans}
     assert entries[0].pitch_um == pytest.approx(12.0 * 48 / entries[0].shape[1])
@@ -54,7 +54,7 @@ def test_what_cannot_be_shown_is_named_and_hides_nothing(world: Any, results: Pa
     shutil.copytree(results, root)
     (root / "hill" / "result.json").write_text("{")
     (root / "moved" / "height_um.tif").unlink()
-    listing = Catalogue(root).list(Wanted())
+    listing = Catalogue(root).list(ListFilter())
     assert {entry.title for entry in listing.entries} == {world.HOSTILE, "a film"}
     assert len(listing.complaints) == 2
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_shown_is_named_and_hides_nothing(world: Any, results: Pa
 @pytest.mark.parametrize("content", ["[]", "{}", '{"schema": "retrograph.result/1"}', '{"schema": "else"}', "\udcff"])
 def test_a_damaged_record_is_one_sentence(tmp_path: Path, content: str) -> None:
     (tmp_path / "result.json").write_bytes(content.encode(errors="surrogateescape"))
-    with pytest.raises(ViewError, match="reconstruct the scan again"):
+    with pytest.raises(UnreadableResult, match="reconstruct the scan again"):
         result_entry(tmp_path)
 
 
@@ -83,7 +83,7 @@ def test_damaged_heights_are_refused(world: Any, tmp_path: Path, damage: str) ->
         shutil.copy(world.write_result(tmp_path / "two", world.surface()[:50], "two") / "height_um.tif", path)
     else:
         path.write_bytes(b"nonsense")
-    with pytest.raises(ViewError, match="reconstruct the scan again"):
+    with pytest.raises(UnreadableResult, match="reconstruct the scan again"):
         Heights().read(result_entry(folder))
 
 
@@ -100,7 +100,7 @@ def test_the_cache_may_vanish_at_any_time_and_forgets_the_oldest(world: Any, tmp
     theirs.mkdir(parents=True)
     (theirs / "one.jpg").write_bytes(bytes(400_000))
     os.utime(theirs, (0, 0))
-    cache = Cache(tmp_path / "cache", Heights(), most_bytes=300_000)
+    cache = Cache(tmp_path / "cache", Heights(), max_bytes=300_000)
     levels = [cache.level(entry, 0, 1, 0, 20) for entry in entries]
     kept = [entry for entry in entries if cache.folder(entry.stamp()).is_dir()]
     assert entries[-1] in kept
@@ -161,5 +161,5 @@ def test_sizes_that_cannot_be_are_refused_before_anything_is_read(
     folder = world.write_result(tmp_path / "r", world.surface(), "r")
     record = json.loads((folder / "result.json").read_text())
     (folder / "result.json").write_text(json.dumps(record | {name: value}))
-    with pytest.raises(ViewError):
+    with pytest.raises(UnreadableResult):
         result_entry(folder)

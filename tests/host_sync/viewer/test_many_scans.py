@@ -18,13 +18,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from host_sync.reconstruction.results import write_field
+from host_sync.results.field_file import write_field
 
 SHAPE = (3000, 4000)
 SCANS = 50
 DIFFERENT = 3
-MOST_MB = 900
-MOST_FIRST_S = 2.0
+MAX_MB = 900
+MAX_FIRST_S = 2.0
 
 
 def write_scans(root: Path) -> None:
@@ -106,6 +106,6 @@ def test_memory_is_bounded_and_the_first_picture_soon(viewer: Viewer, capsys: py
             f"\n50 scans of 12 MP: first picture {max(first):.2f} s at worst, {max(again):.2f} s once cached; "
             f"peak of memory {after_ten_mb:.0f} MB after all were touched, {peak_mb:.0f} MB at the end\n"
         )
-    assert peak_mb < MOST_MB
-    assert min(first) < MOST_FIRST_S
-    assert min(again) < MOST_FIRST_S
+    assert peak_mb < MAX_MB
+    assert min(first) < MAX_FIRST_S
+    assert min(again) < MAX_FIRST_S

@@ -3,8 +3,7 @@
 import csv
 import io
 import re
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,65 +12,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.scan_bundle import ScanBundle
-from device.surface import HeightMap
+from device.bundles.scan import ScanBundle
+from device.surface.fields import HeightMap
 from host_sync.render.shading import shade
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
-
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
-VIEW = {"width": 860, "height": 560}
-TIMEOUT_MS = 60_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("chromium is not installed (make test-deps)")
-    with playwright.sync_playwright() as running:
-        opened = running.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield opened
-        opened.close()
-
-
-@pytest.fixture(scope="module")
-def context(browser: Any) -> Iterator[Any]:
-    """A desktop's window; its cache spares each test the reading of three.js."""
-    opened = browser.new_context(viewport=VIEW, reduced_motion="reduce")
-    yield opened
-    opened.close()
-
-
-@pytest.fixture
-def visit(browser: Any, context: Any) -> Iterator[Callable[..., Any]]:
-    """Opens a served viewer; afterwards nothing was asked of another host and nothing was said on the console."""
-    opened, problems, asked = [], [], []
-
-    def open_page(served: Any, **options: Any) -> Any:
-        window = browser.new_context(viewport=VIEW, reduced_motion="reduce", **options) if options else context
-        page = window.new_page()
-        opened.append(window if options else page)
-        page.set_default_timeout(TIMEOUT_MS)
-        page.on("console", lambda said: problems.append(said.text) if said.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.on("request", lambda request: asked.append((served.origin, request.url)))
-        page.goto(served.access.address)
-        return page
-
-    open_page.problems = problems  # type: ignore[attr-defined]
-    yield open_page
-    for one in opened:
-        one.close()
-    assert problems == []
-    assert [url for origin, url in asked if not url.startswith((origin, "blob:", "data:"))] == []
 
 
 def open_scan(page: Any, title: str) -> None:
@@ -97,7 +43,7 @@ def settle(page: Any) -> None:
 def test_the_list_opens_and_is_searched(served: Any, visit: Callable[..., Any]) -> None:
     page = visit(served)
     page.wait_for_selector(".card")
-    assert "token" not in page.url
+    assert "code" not in page.url
     assert page.locator(".card").count() == 4
     page.fill("input[type=search]", "moved")
     page.wait_for_selector(".count:text-is('1 scan')")

@@ -2,10 +2,9 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface import HeightMap
+from device.surface.fields import HeightMap
 from host_sync.errors import ViewError
-from host_sync.viewer.difference import LEAST_AGREEMENT
-from host_sync.viewer.registration import difference
+from host_sync.viewer.registration import MIN_AGREEMENT, difference
 
 SHAPE = (300, 400)
 PITCH_UM = 12.0
@@ -92,7 +91,7 @@ def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
         others = [HeightMap(20.0 * z_um / z_um.std(), PITCH_UM) for z_um in rough]
         for first, second in ((seen(), others[0]), (others[0], others[1])):
             found = difference(first, second)
-            assert found.agreement < LEAST_AGREEMENT, size_px
+            assert found.agreement < MIN_AGREEMENT, size_px
             assert "may show different things" in found.doubt
 
 

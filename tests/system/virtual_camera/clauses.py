@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from picamera2 import Picamera2
 
-from hal.camera_picamera2 import PicameraCamera
+from hal.drivers.camera_picamera2 import PicameraCamera
 from hal.errors import CameraError
 from hal.hardware import Hardware
 

@@ -14,16 +14,15 @@ import pytest
 from picamera2 import Picamera2
 from picamera2.allocators import LibcameraAllocator
 
-from hal.board_parts import LibcameraFacts
-from hal.board_profile import load_board_profile
-from hal.camera_picamera2 import PicameraCamera
-from hal.camera_pipeline import CameraPipeline
+from hal.board_profile import LibcameraConfig, load_board_profile
 from hal.clock import SystemClock
+from hal.drivers.camera_picamera2 import PicameraCamera
+from hal.drivers.camera_pipeline import CameraPipeline
 from hal.errors import CameraError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
-from hal.twin.bench import build
-from hal.twin.hardware import twin_hardware
+from hal.simulator.bench import build
+from hal.simulator.hardware import twin_hardware
 
 CAMERA_ID = "Virtual0"
 SIZE = (640, 480)
@@ -83,8 +82,8 @@ class PicturePipeline(CameraPipeline):
         return picture
 
 
-def facts(camera_id: str) -> LibcameraFacts:
-    return LibcameraFacts(
+def facts(camera_id: str) -> LibcameraConfig:
+    return LibcameraConfig(
         camera_id=camera_id,
         raw_bits=12,
         sensor_bits=12,

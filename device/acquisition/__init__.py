@@ -1,0 +1,1 @@
+"""From hardware to a proven frame, a scan, a calibration."""

@@ -1,0 +1,117 @@
+"""Exposure and light currents, set so that ball presses use the sensor's range without saturation.
+
+Near light varies several-fold over the field, and slopes that face a light are brighter than flat skin: a flat level of
+half of full scale would clip. Hence the brightest level of ball presses near each light decides, and the flat level
+follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from device.acquisition.calibrate import prompt_and_wait
+from device.acquisition.capture import CaptureSettings, capture
+from device.acquisition.selftest import check_light_visible
+from device.errors import CalibrationError
+from device.imaging.exposure import BRIGHTEST_PERCENTILE, Levels, channel_levels
+from hal.board_profile import LightConfig, SensorConfig
+from hal.frame import CameraSettings
+from hal.hardware import Hardware
+from hal.interfaces import PressBall
+
+AIMED_LEVEL: Final = 0.84
+"""Target for the brightest level; leaves room for filter crosstalk and for a light's coarsest current step."""
+
+SATURATED_LEVEL: Final = 0.95
+MAX_HALVINGS: Final = 4
+MIN_STEPS: Final = 50
+"""Minimum exposure in sensor steps: shorter ones are too coarse, as one step would be more than 2 %."""
+
+MAX_CURRENT: Final = 0.9
+MIN_CURRENT: Final = 0.05
+"""Fractions of a light's maximum current: below, the driver's steps are coarse; above, LEDs get hot."""
+
+BORDER_MARGIN: Final = (1 / 8, 1 / 6)
+"""Minimum distance of a press from the borders, as fractions of columns and rows, like the calibration's presses."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureBalance:
+    """The capture settings found, and the brightest level that ball presses are predicted to reach with them."""
+
+    plan: CaptureSettings
+    predicted: Levels
+
+
+def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], None]) -> ExposureBalance:
+    """Exposure and currents for this gel and these lights, from one ball press near each light.
+
+    Raises
+    ------
+    CalibrationError
+        A light is too weak, or the frame saturates even with the weakest currents.
+    HalError, FrameNotConfirmed
+        The hardware failed.
+    """
+    plan = CaptureSettings.of_board(hardware)
+    responses = []
+    for light in hardware.profile.lights:
+        tell(f"Exposure: press the ball as close to light {light.name} as possible, hold it, push the button.")
+        prompt_and_wait(hardware, PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
+        check_light_visible(hardware, plan, light)
+        responses.append(_response(hardware, plan))
+    highest = [max(values) for values in zip(*responses, strict=True)]
+    found = _plan_for(hardware, plan.settings, highest)
+    red, green, blue = (
+        response * current * found.settings.exposure_us
+        for response, current in zip(highest, found.currents_ma.values(), strict=True)
+    )
+    return ExposureBalance(found, (red, green, blue))
+
+
+def _nearest_place(sensor: SensorConfig, light: LightConfig) -> tuple[float, float]:
+    """The field's point nearest to a light, as fractions of columns and rows."""
+    fractions = [
+        0.5 + position_mm / (size * sensor.pixel_pitch_um * 1e-3)
+        for position_mm, size in zip(light.position_mm[:2], (sensor.columns, sensor.rows), strict=True)
+    ]
+    column, row = (min(max(f, margin), 1.0 - margin) for f, margin in zip(fractions, BORDER_MARGIN, strict=True))
+    return column, row
+
+
+def _response(hardware: Hardware, plan: CaptureSettings) -> list[float]:
+    """Brightest level of each channel per mA and µs; the currents are halved until nothing saturates."""
+    for halving in range(MAX_HALVINGS + 1):
+        asked = {name: current / 2**halving for name, current in plan.currents_ma.items()}
+        currents_ma = hardware.lights.granted_ma(asked)
+        frame = capture(hardware, CaptureSettings(plan.settings, currents_ma))
+        levels = channel_levels(frame, BRIGHTEST_PERCENTILE)
+        if max(levels) >= SATURATED_LEVEL:
+            continue
+        exposed_us = frame.granted.exposure_us
+        return [level / (c * exposed_us) for level, c in zip(levels, currents_ma.values(), strict=True)]
+    raise CalibrationError(
+        f"the frame saturates even with the currents divided by {2**MAX_HALVINGS}: shield the gel from daylight, or "
+        "shorten camera.exposure_us"
+    )
+
+
+def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> CaptureSettings:
+    """Settings that bring every channel to the target level, with the board's exposure unless a current is limited."""
+    lights = hardware.lights
+    doses = [AIMED_LEVEL / response for response in responses]
+    longest_us = hardware.profile.libcamera.frame_period_us if hardware.profile.libcamera else 1e6
+    enough_us = max(doses) / (MAX_CURRENT * lights.max_ma)
+    fine_us = min(doses) / (MIN_CURRENT * lights.max_ma)
+    shortest_us = min(MIN_STEPS * hardware.profile.sensor.exposure_step_us, longest_us)
+    exposure_us = max(min(settings.exposure_us, fine_us), enough_us, shortest_us)
+    if exposure_us > longest_us:
+        weakest = lights.names[doses.index(max(doses))]
+        raise CalibrationError(
+            f"light {weakest} is too weak: it needs {exposure_us:.0f} µs and at most {longest_us:.0f} µs are possible; "
+            "raise the gain or mount the light closer"
+        )
+    asked = {name: dose / exposure_us for name, dose in zip(lights.names, doses, strict=True)}
+    return CaptureSettings(CameraSettings(exposure_us, settings.analogue_gain), lights.granted_ma(asked))

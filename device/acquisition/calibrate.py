@@ -1,0 +1,191 @@
+"""Guided calibration: frames by button alone, fit, and the published bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from device.acquisition.capture import CaptureSettings, capture
+from device.acquisition.guided_calibration import AcceptedPress, GuidedCalibration
+from device.acquisition.selftest import check_light_visible
+from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
+from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.bundles.raw_frame import write_raw
+from device.calibration.fit import InverseFit, dropped_ball
+from device.imaging.exposure import Brightness
+from device.inverse_map.npz import MODEL_FILE, write_model
+from device.store.store import BundleStore
+from hal.errors import ButtonError
+from hal.frame import RawFrame
+from hal.hardware import Hardware
+from hal.interfaces import OperatorRequest
+
+BUTTON_TIMEOUT_S: Final = 300.0
+REFERENCE_FILE: Final = "reference.tif"
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationOutcome:
+    """The published calibration and its fit."""
+
+    bundle: CalibrationBundle
+    fit: InverseFit
+
+
+def calibrate(
+    hardware: Hardware,
+    store: BundleStore,
+    ball_radius_mm: float,
+    tell: Callable[[str], None],
+    plan: CaptureSettings | None = None,
+) -> CalibrationOutcome:
+    """Guide through a calibration, publish it and make it active.
+
+    tell : shows one line to the operator
+    plan : exposure and currents, for example from `auto_exposure`; None: the board profile's
+
+    Every press must show exactly the exposure and gain that the reference was granted.
+
+    Raises
+    ------
+    CalibrationError
+        A light is not visible, there are too few balls, or held-out balls disagree; the previous calibration stays
+        active.
+    HalError, FrameNotConfirmed, StoreError
+        The hardware or the disk failed.
+    """
+    plan = plan or CaptureSettings.of_board(hardware)
+    guide = GuidedCalibration(hardware.profile, ball_radius_mm)
+    while guide.progress.phase in {"reference", "press"}:
+        tell(guide.progress.instruction)
+        prompt_and_wait(hardware, guide.request)
+        if guide.progress.phase == "reference":
+            frame, plan = take_reference(hardware, plan, tell)
+        else:
+            frame = capture(hardware, plan)
+        guide.add_frame(frame)
+        if guide.progress.complaint:
+            tell(f"  {guide.progress.complaint}.")
+    tell(guide.progress.instruction)
+    return finish(hardware, store, plan, guide)
+
+
+def take_reference(
+    hardware: Hardware, plan: CaptureSettings, tell: Callable[[str], None]
+) -> tuple[RawFrame, CaptureSettings]:
+    """The reference after a check of every light, and the plan that holds presses to the reference's settings.
+
+    Raises
+    ------
+    CalibrationError
+        A light is not visible.
+    HalError, FrameNotConfirmed
+        The hardware failed.
+    """
+    for light in hardware.profile.lights:
+        if flags := check_light_visible(hardware, plan, light):
+            tell(f"Note: the driver reports {flags} at light {light.name}, which is visible: run `retroscan selftest`.")
+    reference = capture(hardware, plan)
+    return reference, replace(plan, granted=reference.granted)
+
+
+def finish(
+    hardware: Hardware, store: BundleStore, plan: CaptureSettings, guide: GuidedCalibration
+) -> CalibrationOutcome:
+    """Fit, publish and activate what a guide has collected. Errors as for `calibrate`."""
+    fit = guide.fit()
+    bundle = publish(hardware, store, plan, guide.reference, guide.presses, fit, guide.ball_radius_mm)
+    store.activate(bundle.calibration_id)
+    guide.succeed(bundle.calibration_id, Brightness.of_figures(bundle.record.figures))
+    return CalibrationOutcome(bundle, fit)
+
+
+def prompt_and_wait(hardware: Hardware, request: OperatorRequest) -> None:
+    """Prompt the operator and block until button-down; the release is ignored.
+
+    Raises
+    ------
+    ButtonError
+        The button was not pushed within `BUTTON_TIMEOUT_S`, or it cannot be read.
+    """
+    hardware.operator.ask(request)
+    if hardware.button.wait_for_push(BUTTON_TIMEOUT_S) is None:
+        raise ButtonError(f"the button was not pushed within {BUTTON_TIMEOUT_S:.0f} s: start again")
+    hardware.button.clear_presses()
+
+
+def publish(
+    hardware: Hardware,
+    store: BundleStore,
+    plan: CaptureSettings,
+    reference: RawFrame,
+    presses: Sequence[AcceptedPress],
+    fit: InverseFit,
+    ball_radius_mm: float,
+) -> CalibrationBundle:
+    """Publish a calibration without activating it.
+
+    Raises
+    ------
+    StoreError
+        The disk is full; nothing is left behind.
+    """
+    profile = hardware.profile
+    names = [f"press-{number:02d}.tif" for number in range(len(presses))]
+    record = CalibrationRecord(
+        identity=store.next_identity("calibrations"),
+        created=store.wall_time(),
+        board=profile.name,
+        gel_id=profile.gel.id,
+        pixel_pitch_um=profile.sensor.pixel_pitch_um,
+        shape=reference.shape,
+        fingerprint=Fingerprint.of(profile, reference.granted, plan.currents_ma),
+        asked=SettingsRecord.of(plan.settings),
+        reference_file=REFERENCE_FILE,
+        presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
+        model_files=(MODEL_FILE,),
+        figures=report_figures(fit) | Brightness.of_frames(reference, [press.frame for press in presses]).figures(),
+    )
+
+    def write(directory: Path) -> None:
+        write_raw(directory / REFERENCE_FILE, reference)
+        for name, press in zip(names, presses, strict=True):
+            write_raw(directory / name, press.frame)
+        write_model(directory / MODEL_FILE, fit.map)
+
+    return store.publish_calibration(record, write)
+
+
+def _press_records(
+    names: Sequence[str], presses: Sequence[AcceptedPress], fit: InverseFit, ball_radius_mm: float
+) -> list[PressRecord]:
+    """A record per press: kept balls at their refined centres, rejected ones with the reason."""
+    records = []
+    first = 0
+    for name, press in zip(names, presses, strict=True):
+        span = range(first, first + len(press.balls))
+        first += len(press.balls)
+        kept = tuple(BallRecord.of(fit.balls[i]) for i in span if fit.kept[i])
+        dropped = tuple(dropped_ball(fit, i) for i in span if not fit.kept[i])
+        rejected = tuple(
+            RejectedRecord(column=ball.column, row=ball.row, reason=ball.reason) for ball in dropped + press.rejected
+        )
+        records.append(PressRecord(file=name, ball_radius_mm=ball_radius_mm, balls=kept, rejected=rejected))
+    return records
+
+
+def report_figures(fit: InverseFit) -> dict[str, float | None]:
+    """The figures of a calibration's report, angles in degrees."""
+    figures: dict[str, float | None] = {
+        "held_out_error_deg": fit.held_out_deg,
+        "steepest_deg": float(np.degrees(np.arctan(fit.map.steepest))),
+        "balls_used": float(fit.kept.sum()),
+        "balls_rejected": float((~fit.kept).sum()),
+        "degree_in_position": float(fit.map.curve.position_degree),
+    }
+    bands = {f"error_from_{band.from_deg:.0f}_deg": band.error_deg for band in fit.bands}
+    return figures | bands

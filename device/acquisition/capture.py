@@ -1,0 +1,183 @@
+"""Confirmed frames: exposure, gain and light were as requested before the exposure began."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.errors import FrameError, FrameNotConfirmed
+from hal.board_profile import SensorConfig
+from hal.errors import FrameTimeout, LightError
+from hal.frame import CameraSettings, RawFrame
+from hal.hardware import Hardware
+from hal.interfaces import Camera, LightFault, Lights
+
+SETTLE_S: Final = 0.005
+"""Lights are steady this long after switching."""
+
+FRAME_TIMEOUT_S: Final = 2.0
+MAX_FRAMES: Final = 16
+"""Camera controls take effect some frames late; after this many frames without effect the capture fails."""
+
+MAX_RESTARTS: Final = 2
+"""How often a camera that delivers nothing is reopened before the capture fails."""
+
+RELATIVE_TOLERANCE: Final = 0.02
+"""Relative tolerance between requested and granted exposure and gain, which the sensor quantizes."""
+
+SAME_GAIN: Final = 1e-3
+MIN_TOLERANCE_US: Final = 1.0
+"""Tolerances when the same settings are granted again: relative gain, and the whole µs that libcamera reports."""
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureSettings:
+    """How to take a frame.
+
+    settings : requested from the camera
+    currents_ma : of each light as its driver grants it, mA
+    granted : settings that a frame must show, for example the calibration's; None: close to the requested ones
+    """
+
+    settings: CameraSettings
+    currents_ma: Mapping[str, float]
+    granted: CameraSettings | None = None
+
+    @classmethod
+    def of_board(cls, hardware: Hardware) -> CaptureSettings:
+        """The settings in the board profile."""
+        return cls(hardware.profile.camera.settings, hardware.lights.granted_ma(hardware.profile.currents_ma))
+
+    @classmethod
+    def of_calibration(
+        cls, hardware: Hardware, fingerprint: Fingerprint, asked: SettingsRecord | None = None
+    ) -> CaptureSettings:
+        """The settings of a calibration, whose exposure, gain and currents may come from `auto_exposure`.
+
+        The granted exposure is not requested again: sensors truncate it to whole steps, and could lose one more.
+        Without a record of the requested exposure, half a step is added, which is truncated to the same value.
+        """
+        currents_ma = {light.name: light.current_ma for light in fingerprint.lights}
+        granted = CameraSettings(fingerprint.exposure_us, fingerprint.analogue_gain)
+        half_step_us = 0.5 * hardware.profile.sensor.exposure_step_us
+        again = CameraSettings(granted.exposure_us + half_step_us, granted.analogue_gain)
+        return cls(asked.settings if asked else again, hardware.lights.granted_ma(currents_ma), granted)
+
+    def matches(self, granted: CameraSettings, step_us: float) -> bool:
+        """Whether settings that a frame shows are these; exposures come in steps of `step_us`."""
+        if self.granted is not None:
+            near_us = max(0.5 * step_us, MIN_TOLERANCE_US)
+            wanted, near_gain = self.granted, SAME_GAIN * self.granted.analogue_gain
+        else:
+            near_us = max(RELATIVE_TOLERANCE * self.settings.exposure_us, step_us + MIN_TOLERANCE_US)
+            wanted, near_gain = self.settings, RELATIVE_TOLERANCE * self.settings.analogue_gain
+        return (
+            abs(granted.exposure_us - wanted.exposure_us) <= near_us
+            and abs(granted.analogue_gain - wanted.analogue_gain) <= near_gain
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """A confirmed frame, and the light driver's faults during its exposure (None: could not be read)."""
+
+    frame: RawFrame
+    light_faults: tuple[LightFault, ...] | None
+
+
+def capture(hardware: Hardware, plan: CaptureSettings) -> RawFrame:
+    """A confirmed frame without the light driver's faults. Errors as for `capture_with_faults`."""
+    return capture_with_faults(hardware, plan).frame
+
+
+def capture_with_faults(hardware: Hardware, plan: CaptureSettings) -> Capture:
+    """The first frame whose metadata matches the plan; the lights are off again afterwards.
+
+    Raises
+    ------
+    FrameNotConfirmed
+        No frame showed the requested exposure and gain after the lights had settled.
+    FrameError
+        Size, Bayer order or scale differ from the board profile.
+    FrameTimeout
+        The camera delivers nothing, even after `MAX_RESTARTS` restarts.
+    CameraError, LightError
+        The hardware did not answer.
+    """
+    return retry_with_restart(hardware.camera, lambda: _capture(hardware, plan))
+
+
+def retry_with_restart(camera: Camera, act: Callable[[], Result]) -> Result:
+    """The result of `act`, retried when the camera delivers nothing; the camera reopens itself on the next call.
+
+    Raises
+    ------
+    FrameTimeout
+        It still delivers nothing after `MAX_RESTARTS` restarts.
+    """
+    for _ in range(MAX_RESTARTS):
+        with suppress(FrameTimeout):
+            return act()
+    try:
+        return act()
+    except FrameTimeout as error:
+        raise FrameTimeout(
+            f"camera {camera.camera_id} delivers no frame, even after {MAX_RESTARTS} restarts: check its "
+            "ribbon cable at both ends and its supply"
+        ) from error
+
+
+def _capture(hardware: Hardware, plan: CaptureSettings) -> Capture:
+    # A stalled camera is reopened by `apply`, before any light is on.
+    camera, lights, clock = hardware.camera, hardware.lights, hardware.clock
+    step_us = hardware.profile.sensor.exposure_step_us
+    camera.apply(plan.settings)
+    try:
+        lights.switch_on(plan.currents_ma)
+        steady_ns = clock.monotonic_ns() + round(SETTLE_S * 1e9)
+        for _ in range(MAX_FRAMES):
+            frame = camera.next_frame(FRAME_TIMEOUT_S)
+            check_frame(frame, hardware.profile.sensor, camera.camera_id)
+            if frame.sensor_timestamp_ns >= steady_ns and plan.matches(frame.granted, step_us):
+                return Capture(frame, _faults(lights))
+    finally:
+        lights.off()
+    wanted = plan.granted or plan.settings
+    raise FrameNotConfirmed(
+        f"none of {MAX_FRAMES} frames of camera {camera.camera_id} showed exposure {wanted.exposure_us:g} µs "
+        f"and gain {wanted.analogue_gain:g} under steady light (last: {frame.granted.exposure_us:g} µs, "
+        f"{frame.granted.analogue_gain:g}): press again; if it happens again, check the camera"
+    )
+
+
+def check_frame(frame: RawFrame, sensor: SensorConfig, camera_id: str) -> None:
+    """Check a frame against the sensor in the board profile.
+
+    Raises
+    ------
+    FrameError
+        They differ; the message names the camera, the difference and the profile's key.
+    """
+    for key, found, stated in (
+        ("rows, sensor.columns", frame.shape, (sensor.rows, sensor.columns)),
+        ("bayer_order", frame.bayer_order, sensor.bayer_order),
+        ("white_level_dn", frame.white_level_dn, sensor.white_level_dn),
+    ):
+        if found != stated:
+            raise FrameError(
+                f"camera {camera_id} delivers {found} but the board profile says {stated}: check that it is the "
+                f"right camera, and check sensor.{key}"
+            )
+
+
+def _faults(lights: Lights) -> tuple[LightFault, ...] | None:
+    """The driver's faults; a driver that cannot be read does not cost a confirmed frame."""
+    try:
+        return lights.faults()
+    except LightError:
+        return None

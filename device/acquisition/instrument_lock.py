@@ -1,0 +1,84 @@
+"""One program at a time on the instrument: a lock that the kernel releases when its process ends, however it ends.
+
+libcamera keeps a second program off the camera, but only after that program has switched the first one's lights off;
+so the lock is taken before any hardware. Simulated boards need none: each process has its own.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import Final
+
+from device.errors import InstrumentBusy
+from hal.board_profile import BoardProfile
+from hal.factory import open_hardware
+from hal.hardware import Hardware
+from hal.interfaces import Clock
+
+SERVICE_FOLDER: Final = Path("/run/retroscan")
+LOCK_FILE: Final = "instrument.lock"
+
+
+@contextmanager
+def open_exclusive(profile: BoardProfile, clock: Clock | None = None) -> Iterator[Hardware]:
+    """The hardware of a profile, opened with no other program on it.
+
+    Raises
+    ------
+    InstrumentBusy
+        Another program uses it.
+    HalError
+        It cannot be opened.
+    """
+    with exclusive_instrument(profile), open_hardware(profile, clock) as hardware:
+        yield hardware
+
+
+def exclusive_instrument(profile: BoardProfile) -> AbstractContextManager[None]:
+    """Context that keeps other programs off a real board; nothing for a simulated one."""
+    return nullcontext() if profile.driver == "twin" else instrument_lock(lock_path(os.environ))
+
+
+def lock_path(environment: Mapping[str, str], service_folder: Path = SERVICE_FOLDER) -> Path:
+    """Path of the lock file: in the service's folder if it exists, else in the user's runtime folder."""
+    if service_folder.is_dir():
+        return service_folder / LOCK_FILE
+    own = environment.get("XDG_RUNTIME_DIR", "")
+    folder = Path(own) if Path(own).is_dir() and own else Path(tempfile.gettempdir())
+    return folder / f"retroscan-{os.getuid()}.lock"
+
+
+@contextmanager
+def instrument_lock(path: Path) -> Iterator[None]:
+    """Context that holds the lock.
+
+    Raises
+    ------
+    InstrumentBusy
+        Another process holds it, or the file cannot be created.
+    """
+    try:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
+    except OSError as error:
+        raise InstrumentBusy(
+            f"{path}: the instrument cannot be locked ({error.strerror}): run this as its own user, sudo -u retroscan"
+        ) from error
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = os.pread(file, 20, 0).decode(errors="replace").strip() or "unknown"
+            raise InstrumentBusy(
+                f"the instrument is in use by process {owner}: end it first "
+                "(`sudo systemctl stop retroscan retroscan-tui` if it is the service)"
+            ) from error
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(file)

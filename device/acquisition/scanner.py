@@ -1,0 +1,216 @@
+"""The scanner: a button press becomes a published scan with a verdict and a quick look."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from device.acquisition.capture import Capture, CaptureSettings, capture_with_faults
+from device.acquisition.scan_health import ScanHealth
+from device.bundles.calibration import CalibrationBundle
+from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.bundles.raw_frame import write_raw
+from device.bundles.scan import Annotations, LightFaultRecord, PowerRecord, ScanBundle, ScanRecord, VerdictRecord
+from device.errors import CalibrationMismatch, DeviceError, StoreError
+from device.imaging.flat_field import bin_bayer
+from device.inverse_map.npz import read_model
+from device.quality.verdict import judge
+from device.quick_look.files import write_quick_look
+from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
+from device.store.store import BundleStore
+from hal.hardware import Hardware
+from hal.interfaces import PowerReading
+
+BYTES_PER_PIXEL: Final = 2.2
+"""Upper bound for a scan's size on disk per pixel, quick look included."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanOutcome:
+    """A published scan and its quick look; without one, `quick_look_fault` says why."""
+
+    bundle: ScanBundle
+    quick_look: QuickLook | None
+    quick_look_fault: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawCapture:
+    """A captured press that is not published yet.
+
+    capture : its confirmed frame
+    power : supply and battery right after it
+    motion : of the contact during the exposure, in intensity; None if not measured
+    """
+
+    capture: Capture
+    power: PowerReading
+    motion: float | None = None
+
+
+class Scanner:
+    """Scans with the active calibration of a store.
+
+    Raises
+    ------
+    NoCalibration
+        No calibration is active.
+    CalibrationMismatch
+        The active one was made with another board, gel, sensor or light position.
+    """
+
+    def __init__(self, hardware: Hardware, store: BundleStore) -> None:
+        self._hardware = hardware
+        self._store = store
+        self._calibration = store.active_calibration()
+        record = self._calibration.record
+        self._plan = CaptureSettings.of_calibration(hardware, record.fingerprint, record.asked)
+        _check_matches(self._calibration, hardware, self._plan)
+        inverse_map = read_model(self._calibration.path(record.model_files[0]))
+        reference = self._calibration.reference()
+        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um)
+        self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
+
+    @property
+    def calibration(self) -> CalibrationBundle:
+        """The calibration that scans use."""
+        return self._calibration
+
+    @property
+    def plan(self) -> CaptureSettings:
+        """Exposure and currents of every scan."""
+        return self._plan
+
+    @property
+    def model(self) -> QuickLookModel:
+        """The calibration at quick-look size."""
+        return self._model
+
+    def scans_left(self) -> int:
+        """Number of scans that still fit on the disk.
+
+        Raises
+        ------
+        StoreError
+            The free space cannot be read.
+        """
+        return self._store.scans_left(self._bytes_per_scan)
+
+    def check_room(self) -> int:
+        """Number of scans that still fit; if none, acknowledged scans are deleted, oldest first.
+
+        Raises
+        ------
+        StoreError
+            Not one more fits: the press is refused before the exposure.
+        """
+        left = self.scans_left()
+        if left < 1 and self._store.make_room(self._bytes_per_scan):
+            left = self.scans_left()
+        if left < 1:
+            raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space")
+        return left
+
+    @property
+    def _bytes_per_scan(self) -> int:
+        rows, columns = self._hardware.camera.shape
+        return int(BYTES_PER_PIXEL * rows * columns)
+
+    def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
+        """Capture, judge and publish; `may_lift` is called as soon as the frame is in memory.
+
+        Raises
+        ------
+        StoreError, FrameNotConfirmed, HalError
+            As for `capture` and `publish`.
+        """
+        return self.publish(self.capture(may_lift), annotations)
+
+    def capture(self, may_lift: Callable[[], None] = lambda: None) -> RawCapture:
+        """Capture one press into memory; nothing is stored before `publish`.
+
+        Raises
+        ------
+        StoreError
+            There is no room for it.
+        FrameNotConfirmed, HalError
+            No frame could be taken.
+        """
+        self.check_room()
+        captured = capture_with_faults(self._hardware, self._plan)
+        may_lift()
+        return RawCapture(captured, self._hardware.power.read())
+
+    def publish(self, press: RawCapture, annotations: Annotations) -> ScanOutcome:
+        """Judge a press, compute its quick look and publish it.
+
+        Raises
+        ------
+        StoreError
+            The disk is full; nothing is left behind.
+        """
+        frame = press.capture.frame
+        binned = bin_bayer(frame, self._model.binning)
+        look, fault = None, ""
+        try:
+            look = quick_look(binned, self._model)
+        except DeviceError as error:
+            fault = str(error)
+        intensity = look.intensity if look else None
+        flags = {fault.light: fault.kind for fault in press.capture.light_faults or ()}
+        known = self.health.context_of_scan(intensity, look, press.motion)
+        verdict = judge(binned, intensity, self._hardware.lights.names, flags, known)
+        record = self._record(press, annotations, verdict)
+
+        def write(directory: Path) -> None:
+            write_raw(directory / record.raw_file, frame)
+            if look:
+                write_quick_look(directory, look.height)
+
+        return ScanOutcome(self._store.publish_scan(record, write), look, fault)
+
+    def _record(self, press: RawCapture, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+        profile, frame, faults = self._hardware.profile, press.capture.frame, press.capture.light_faults
+        currents_ma = dict(self._plan.currents_ma)
+        return ScanRecord(
+            identity=self._store.next_identity("scans"),
+            wall_time=self._store.wall_time(),
+            board=profile.name,
+            pixel_pitch_um=profile.sensor.pixel_pitch_um,
+            shape=frame.shape,
+            gel_id=profile.gel.id,
+            asked=SettingsRecord.of(self._plan.settings),
+            granted=SettingsRecord.of(frame.granted),
+            currents_ma=currents_ma,
+            fingerprint=Fingerprint.of(profile, frame.granted, currents_ma),
+            calibration_id=self._calibration.calibration_id,
+            verdict=verdict,
+            annotations=annotations,
+            # Read again after the quick look, the heaviest work of a scan, during which a weak supply sags.
+            power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),
+            light_faults=None
+            if faults is None
+            else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
+        )
+
+
+def _check_matches(calibration: CalibrationBundle, hardware: Hardware, plan: CaptureSettings) -> None:
+    """Refuse a calibration of another board, gel or frame size, or with a light at another position."""
+    record, profile = calibration.record, hardware.profile
+    differences = [
+        f"{what} ({mine}, not {theirs})"
+        for what, mine, theirs in (
+            ("board", record.board, profile.name),
+            ("gel", record.gel_id, profile.gel.id),
+            ("frame size", record.shape, hardware.camera.shape),
+        )
+        if mine != theirs
+    ]
+    present = Fingerprint.of(profile, plan.granted or plan.settings, plan.currents_ma)
+    sentence = f"different {'; '.join(differences)}" if differences else record.fingerprint.mismatch(present)
+    if sentence:
+        raise CalibrationMismatch(
+            f"calibration {record.calibration_id} does not match this instrument: {sentence}; run `retroscan calibrate`"
+        )

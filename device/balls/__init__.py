@@ -1,0 +1,1 @@
+"""Detection of calibration spheres and of their contact."""

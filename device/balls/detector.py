@@ -1,0 +1,165 @@
+"""The calibration balls of a press, found without help.
+
+Candidates come from ramps in two directions (`candidates`), centres and contacts from rings (`refinement`); what
+cannot teach is handed back with the reason, so that the person who pressed knows what to change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.balls.candidates import find_candidates, reduce_intensity
+from device.balls.contact import CONTACT_RINGS, find_contact, find_contact_radius, ramp_profile
+from device.balls.refinement import RadialProfiles, find_apex, find_circle, join_centres, sample_radial_profiles
+from device.balls.sphere import Ball
+from device.errors import CalibrationError
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float64Array
+
+CANDIDATE_RADIUS_PX: Final = 14.0
+REFINE_RADIUS_PX: Final = 28.0
+"""A ball's radius in the reduced images in which candidates and centres are sought."""
+
+MAX_CONTACT: Final = 0.8
+"""However deep a press, the skin lifts off the sphere near 0.85 of its radius."""
+
+MIN_CONTACT: Final = 0.33
+"""A contact under this share of the radius shows slopes of 20 degrees at most and teaches too little."""
+
+IMPOSSIBLE_CONTACT: Final = 1.08
+"""No skin follows a sphere beyond its own radius; the skin around it lets a contact seem a little wider."""
+
+MIN_RADIUS_PX: Final = 4.0
+"""The slopes of a smaller ball change too much from pixel to pixel."""
+
+SYMMETRIC: Final = 0.15
+"""Share of the shading's energy that may break the rotational symmetry inside the contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class RejectedBall:
+    """A place that looks like a ball and cannot teach; position in pixels."""
+
+    column: float
+    row: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class BallSearch:
+    """The balls of one press, and what was refused."""
+
+    found: tuple[Ball, ...]
+    rejected: tuple[RejectedBall, ...]
+
+
+def check_radius(radius_px: float, shape: tuple[int, int], name: str) -> None:
+    """Refuse a ball that no frame of `shape` (H, W) could show.
+
+    Raises
+    ------
+    CalibrationError
+        Names `name` and the radius.
+    """
+    if radius_px < MIN_RADIUS_PX:
+        raise CalibrationError(
+            f"{name}: a ball of radius {radius_px:.3g} px is too small to be seen, {MIN_RADIUS_PX:g} px are needed: "
+            "check the ball's radius and the pixel pitch"
+        )
+    if not fits(radius_px, shape):
+        raise CalibrationError(
+            f"{name}: no useful contact of a ball of radius {radius_px:.3g} px fits into {shape[1]}x{shape[0]} pixels: "
+            "check the ball's radius and the pixel pitch"
+        )
+
+
+def fits(radius_px: float, shape: tuple[int, int]) -> bool:
+    """Whether the least contact that is sought fits into a frame of `shape` (H, W): a lens may be too wide for it."""
+    return 2.0 * MIN_CONTACT * radius_px <= min(shape)
+
+
+def find_balls(
+    image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]] = (), name: str = "the press"
+) -> BallSearch:
+    """Balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too.
+
+    expected : (column, row) of places to look at, whether a ball is suspected there or not
+    name : of the press, for errors
+
+    Raises
+    ------
+    CalibrationError
+        No frame of this size could show a ball of that radius.
+    """
+    check_radius(radius_px, image.shape, name)
+    sightings = _look(image, radius_px, expected)
+    reasons = [_fault(sighting, image.shape, radius_px) for sighting in sightings]
+    kept = [sighting for sighting, reason in zip(sightings, reasons, strict=True) if not reason]
+    rejected = [RejectedBall(s.column, s.row, reason) for s, reason in zip(sightings, reasons, strict=True) if reason]
+    found = []
+    for s, lift_off in zip(kept, find_contact_radius([ramp_profile(s.rings) for s in kept]), strict=True):
+        if lift_off < MAX_CONTACT:
+            reason = f"contact too small ({lift_off:.2f} of the radius, less than the frame's other balls)"
+            rejected.append(RejectedBall(s.column, s.row, reason))
+        else:
+            found.append(Ball(s.column, s.row, min(s.contact, MAX_CONTACT) * radius_px, radius_px))
+    return BallSearch(tuple(found), tuple(rejected))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sighting:
+    """A refined candidate: position in pixels, contact as a share of the radius, and its rings."""
+
+    column: float
+    row: float
+    contact: float
+    rings: RadialProfiles
+
+
+def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]]) -> list[_Sighting]:
+    """Every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
+    coarse = reduce_intensity(image, radius_px / CANDIDATE_RADIUS_PX)
+    fine = reduce_intensity(image, radius_px / REFINE_RADIUS_PX)
+    reduced_radius = radius_px / fine.columns_per_pixel
+    circles: list[Float64Array] = []
+    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel)
+    for place in [(candidate.column, candidate.row) for candidate in candidates] + list(expected):
+        circle = find_circle(fine, *fine.from_full(*place), reduced_radius)
+        if not any(np.hypot(*(circle - other)) < reduced_radius for other in circles):
+            circles.append(circle)
+    apexes = [find_apex(fine, circle, reduced_radius) for circle in circles]
+    sightings = []
+    for centre in join_centres(fine, np.array(circles), np.array(apexes), reduced_radius):
+        rings = sample_radial_profiles(fine, centre, reduced_radius, np.asarray(CONTACT_RINGS))
+        column, row = (float(place) for place in fine.to_full(*centre))
+        sightings.append(_Sighting(column, row, float(find_contact(rings)), rings))
+    return sightings
+
+
+def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float) -> str:
+    """Why a sighting cannot teach, empty when it can."""
+    rows, columns = shape
+    margin = min(sighting.column + 0.5, sighting.row + 0.5, columns - 0.5 - sighting.column, rows - 0.5 - sighting.row)
+    contact = min(sighting.contact, MAX_CONTACT)
+    if margin < contact * radius_px:
+        return "cut by the frame's border"
+    if contact < MIN_CONTACT:
+        return f"contact too small ({contact:.2f} of the radius)"
+    if (uneven := _asymmetry(sighting.rings, contact)) > SYMMETRIC:
+        return f"does not follow the sphere ({uneven:.0%} of its shading is uneven)"
+    if sighting.contact > IMPOSSIBLE_CONTACT:
+        return "wider than a ball of this radius can press: check the ball's radius and the pixel pitch"
+    return ""
+
+
+def _asymmetry(rings: RadialProfiles, contact: float) -> float:
+    """Share of the shading's energy inside the contact that is neither mean nor first harmonic."""
+    inside = (rings.distance <= contact) & (rings.seen > 0.3)
+    weight = (rings.distance * rings.seen)[inside, None]
+    uneven = (weight * (2.0 * np.abs(rings.second[inside]) ** 2 + rings.rest[inside])).sum()
+    even = (weight * 2.0 * np.abs(rings.first[inside]) ** 2).sum()
+    return float(uneven / max(uneven + even, 1e-12))

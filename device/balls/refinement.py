@@ -1,0 +1,190 @@
+"""Centre of one ball, read from rings around it.
+
+Two readings of the centre share no assumption. The *circle*: around its true centre the pressed skin is rotationally
+symmetric, so that intensity along a ring has a mean and a first harmonic; an offset shows as a second harmonic where
+the shading leaves the straight ramp, chiefly at the rim. Shadows, perspective and lights close by bias it by some
+hundredths of the radius. The *apex*: there the skin is flat, so that intensity returns to 1 but for a common
+brightening. It has no such bias, but an uneven reference moves it. So the evenness of the frame's flat skin decides
+how far the apex is followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.balls.candidates import ReducedIntensity
+from device.surface.fields import Float64Array
+
+RING_INNER: Final = 0.2
+RING_OUTER: Final = 1.4
+"""Rings that show the circle, shares of the ball's radius."""
+
+APEX_PATCH: Final = 0.45
+"""Radius of the patch in which intensity is interpolated to the apex, share of the ball's radius."""
+
+COMMON_DOUBT: Final = 0.028
+"""Doubt of the apex, share of the radius, at which the balls' common way to it is gone half."""
+
+OWN_DOUBT: Final = 0.01
+"""Doubt of the apex, share of the radius, at which each ball's own way to it is gone half."""
+
+NORMAL_QUARTILE: Final = 0.319
+"""Lower quartile of a standard normal variable's magnitude."""
+
+STEPS: Final = 16
+LONGEST_STEP: Final = 0.15
+AT_REST: Final = 5e-4
+"""A centre is sought in at most so many steps, each held to a share of the radius, until they are this short."""
+
+ANGLES: Final = 48
+MAX_SHIFT: Final = 0.7
+"""A centre this many radii from where the ramps are is another thing's centre."""
+
+INVALID_WEIGHT: Final = 0.3
+"""Weight of an invalid pixel beside a valid one: where one channel clips, the others still tell."""
+
+SEEN_SHARE: Final = 0.7
+"""A ring counts when this share of it is inside the frame."""
+
+_CUBIC: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadialProfiles:
+    """Harmonics of intensity along concentric rings.
+
+    distance : float64 array of shape (K,), shares of the ball's radius
+    first, second : complex128 arrays of shape (K, 3), amplitudes of exp(1j angle) and exp(2j angle)
+    rest : float64 array of shape (K, 3), mean square that harmonics up to the third leave
+    seen : float64 array of shape (K,), share of each ring inside the frame
+    """
+
+    distance: Float64Array
+    first: NDArray[np.complex128]
+    second: NDArray[np.complex128]
+    rest: Float64Array
+    seen: Float64Array
+
+
+def sample_radial_profiles(
+    reduced: ReducedIntensity, centre: Float64Array, radius_px: float, distance: Float64Array
+) -> RadialProfiles:
+    """Harmonics along rings around a centre (column, row); position and radius in reduced pixels."""
+    angle = np.arange(ANGLES) * (2.0 * np.pi / ANGLES)
+    at_column = (centre[0] + radius_px * distance[:, None] * np.cos(angle)).astype(np.float32)
+    at_row = (centre[1] + radius_px * distance[:, None] * np.sin(angle)).astype(np.float32)
+    values = cv2.remap(reduced.deviation, at_column, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.remap(reduced.weight, at_column, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rows, columns = reduced.weight.shape
+    inside = (at_column > -0.5) & (at_column < columns - 0.5) & (at_row > -0.5) & (at_row < rows - 0.5)
+    weight = inside * (INVALID_WEIGHT + (1.0 - INVALID_WEIGHT) * seen.astype(np.float64))
+    waves = [np.ones_like(angle)] + [wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)]
+    design = np.stack(waves, axis=-1)
+    gram = np.einsum("ka,am,an->kmn", weight, design, design) + 1e-3 * np.eye(7)
+    moments = np.einsum("ka,am,kac->kmc", weight, design, values)
+    found = np.linalg.solve(gram, moments)
+    left = values - np.einsum("am,kmc->kac", design, found)
+    rest = (weight[..., None] * left**2).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-6)[:, None]
+    first, second = found[:, 1] - 1j * found[:, 2], found[:, 3] - 1j * found[:, 4]
+    return RadialProfiles(distance, 0.5 * first, 0.5 * second, rest, inside.mean(axis=1))
+
+
+def find_circle(reduced: ReducedIntensity, column: float, row: float, radius_px: float) -> Float64Array:
+    """Centre of rotational symmetry near (column, row), no further than a radius away; in reduced pixels."""
+    start = np.array([column, row])
+    found = _follow(lambda at: _circle_step(reduced, at, radius_px), start, radius_px)
+    return found if float(np.hypot(*(found - start))) < MAX_SHIFT * radius_px else start
+
+
+def find_apex(reduced: ReducedIntensity, circle: Float64Array, radius_px: float) -> Float64Array:
+    """Where the skin is flat near the centre of symmetry, no further than a radius away; in reduced pixels."""
+    found = _follow(lambda at: _apex_step(reduced, at, radius_px), circle, radius_px)
+    return found if float(np.hypot(*(found - circle))) < MAX_SHIFT * radius_px else circle
+
+
+def join_centres(
+    reduced: ReducedIntensity, circles: Float64Array, apexes: Float64Array, radius_px: float
+) -> Float64Array:
+    """Centres of a frame's balls from both readings, float64 array of shape (number of balls, 2), in reduced pixels.
+
+    The way from circles to apexes is split into the part common to all balls and each ball's own, because one uneven
+    spot under a ball spoils its own apex long before it spoils the common one.
+    """
+    if not len(circles):
+        return np.zeros((0, 2))
+    rows, columns = reduced.weight.shape
+    margin = np.minimum(circles, np.array([columns, rows]) - 1.0 - circles).min(axis=1)
+    whole = margin > radius_px if (margin > radius_px).any() else np.ones(len(circles), np.bool_)
+    doubt = _apex_doubt(reduced, circles[whole], radius_px)
+    way = apexes - circles
+    common = np.median(way[whole], axis=0)
+    return np.asarray(circles + _trust(doubt, COMMON_DOUBT) * common + _trust(doubt, OWN_DOUBT) * (way - common))
+
+
+def _trust(doubt: float, limit: float) -> float:
+    """Weight of a reading that may be off by `doubt`: near 1 well under the limit, near 0 well above."""
+    return 1.0 / (1.0 + (doubt / limit) ** 8)
+
+
+def _apex_doubt(reduced: ReducedIntensity, circles: Float64Array, radius_px: float) -> float:
+    """How far an apex may be off, share of the radius: unevenness of the frame's flat skin over the balls' ramp.
+
+    Unevenness is a lower quartile of colour, averaged over patches: what is common to the channels is a light's drift.
+    """
+    colour = reduced.deviation - reduced.deviation.mean(axis=-1, keepdims=True)
+    patch = 2 * int(APEX_PATCH * radius_px) + 1
+    uneven = float(np.quantile(np.abs(cv2.blur(colour, (patch, patch))), 0.25)) / NORMAL_QUARTILE
+    near = np.arange(0.1, APEX_PATCH, 0.1)
+    rings = [sample_radial_profiles(reduced, circle, radius_px, near) for circle in circles]
+    ramps = [np.median(2.0 * np.sqrt((np.abs(r.first) ** 2).sum(axis=1)) / near) for r in rings]
+    return float(np.sqrt(2.0) * uneven / max(np.median(ramps), 1e-9))
+
+
+def _follow(step: Callable[[Float64Array], Float64Array], start: Float64Array, radius_px: float) -> Float64Array:
+    """Where repeated steps come to rest, each held to a share of the radius."""
+    at = start.astype(np.float64)
+    for _ in range(STEPS):
+        move = step(at)
+        length = float(np.hypot(*move))
+        at = at + move * min(1.0, LONGEST_STEP * radius_px / max(length, 1e-9))
+        if length < AT_REST * radius_px:
+            break
+    return at
+
+
+def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
+    """Shift that cancels the second harmonic over all rings: moving the origin adds (f' - f / distance) / 2 to it."""
+    distance = np.arange(RING_INNER, RING_OUTER, 1.0 / 14.0)
+    rings = sample_radial_profiles(reduced, at, radius_px, distance)
+    bend = np.gradient(rings.first, distance, axis=0) - rings.first / distance[:, None]
+    weight = (distance * rings.seen * (rings.seen > SEEN_SHARE))[:, None]
+    power = float((weight * np.abs(bend) ** 2).sum())
+    shift = -2.0 * complex((weight * np.conj(bend) * rings.second).sum()) / max(power, 1e-12)
+    return np.array([shift.real, -shift.imag]) * radius_px
+
+
+def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
+    """Shift to where the patch's cubic fit reads 1 in every channel, but for a common brightening."""
+    reach = int(np.ceil(APEX_PATCH * radius_px + 1.0))
+    rows, columns = reduced.weight.shape
+    top, bottom = (min(max(round(at[1]) + side, 0), rows) for side in (-reach, reach + 1))
+    left, right = (min(max(round(at[0]) + side, 0), columns) for side in (-reach, reach + 1))
+    window = np.s_[top:bottom, left:right]
+    row, column = (axis.astype(np.float64) for axis in np.mgrid[window])
+    across, down = (column - at[0]) / radius_px, (row - at[1]) / radius_px
+    soft = np.clip((APEX_PATCH - np.hypot(across, down)) * radius_px + 0.5, 0.0, 1.0)
+    weight = soft * reduced.weight[window]
+    design = np.stack([across**i * down**j for i, j in _CUBIC], axis=-1)
+    weighted = design * weight[..., None]
+    gram = np.einsum("yxk,yxl->kl", weighted, design) + 1e-6 * np.eye(len(_CUBIC))
+    fit = np.linalg.solve(gram, np.einsum("yxk,yxc->kc", weighted, reduced.deviation[window]))
+    system = np.zeros((4, 3))
+    system[:3, :2], system[:3, 2], system[3, 2] = fit[1:3].T, -1.0, 1.0
+    move = np.linalg.lstsq(system, np.append(-fit[0], 0.0), rcond=None)[0]
+    return np.asarray(move[:2] * radius_px)

@@ -1,0 +1,109 @@
+"""A ball pressed into the skin, and the pixels that it teaches.
+
+Inside its contact the skin is the sphere, so that every pixel there has a known slope (paper, section 5.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.errors import CalibrationError
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """One ball in one frame, in pixels.
+
+    column, row : centre
+    contact_radius_px : the skin is trusted to follow the sphere inside this radius
+    radius_px : radius of the sphere itself
+    """
+
+    column: float
+    row: float
+    contact_radius_px: float
+    radius_px: float
+
+    @property
+    def steepest(self) -> float:
+        """Slope of the sphere at the border of the contact."""
+        return float(self.contact_radius_px / np.sqrt(self.radius_px**2 - self.contact_radius_px**2))
+
+    def enlarged(self, factor: float) -> Ball:
+        """The same ball in a frame with `factor` times as many pixels in each direction."""
+        column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))
+        return Ball(column, row, factor * self.contact_radius_px, factor * self.radius_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BallSamples:
+    """Pixels inside the contacts of balls; all arrays share their first axis (N).
+
+    intensity : float32 array of shape (N, 3)
+    p, q : float32 arrays of shape (N,), slope of the sphere
+    column, row : float32 arrays of shape (N,), pixel position
+    ball : int array of shape (N,), index of the ball that a pixel belongs to
+    """
+
+    intensity: Float32Array
+    p: Float32Array
+    q: Float32Array
+    column: Float32Array
+    row: Float32Array
+    ball: NDArray[np.intp]
+
+    def enlarged(self, factor: float) -> BallSamples:
+        """The same samples at their places in a frame with `factor` times as many pixels in each direction."""
+        column, row = (np.asarray(factor * (place + 0.5) - 0.5, np.float32) for place in (self.column, self.row))
+        return replace(self, column=column, row=row)
+
+
+def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Slopes (p, q) of the sphere at pixel positions inside it, arrays of the shape of `column`."""
+    across, down = column - np.float32(ball.column), row - np.float32(ball.row)
+    height = np.sqrt(np.maximum(ball.radius_px**2 - across**2 - down**2, 1e-6))
+    return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
+
+
+def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]]) -> BallSamples:
+    """Samples of every faithful pixel inside the contact of every ball of every press, in order.
+
+    Raises
+    ------
+    CalibrationError
+        No press shows a ball.
+    """
+    parts: list[tuple[NDArray[np.float32], ...]] = []
+    owners: list[NDArray[np.intp]] = []
+    number = 0
+    for image, balls in presses:
+        for ball in balls:
+            row, column = pixels_inside(ball, image.shape)
+            faithful = image.faithful[row, column]
+            row, column = row[faithful], column[faithful]
+            slopes = sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32))
+            parts.append((image.values[row, column], *slopes, column.astype(np.float32), row.astype(np.float32)))
+            owners.append(np.full(column.size, number))
+            number += 1
+    if not parts:
+        raise CalibrationError("no ball was found in any calibration press: press a ball of known radius and try again")
+    intensity, p, q, columns, rows = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners))
+
+
+def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the pixels inside a ball's contact that a frame of `shape` (H, W) holds."""
+    rows, columns = shape
+    reach = int(np.ceil(ball.contact_radius_px)) + 1
+    top, left = max(int(ball.row) - reach, 0), max(int(ball.column) - reach, 0)
+    row, column = np.mgrid[
+        top : min(int(ball.row) + reach + 1, rows), left : min(int(ball.column) + reach + 1, columns)
+    ]
+    inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 <= ball.contact_radius_px**2
+    return row[inside], column[inside]

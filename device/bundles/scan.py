@@ -1,0 +1,163 @@
+"""The scan bundle: one press of the button, one directory, immutable once published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from device.bundles.bundle import Bundle, check_files, read_record
+from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.bundles.record import (
+    BundleId,
+    Figure,
+    Figures,
+    FileName,
+    Files,
+    Identity,
+    Positive,
+    Record,
+    ShortText,
+    Size,
+    Text,
+    Time,
+    decode_record,
+)
+from hal.frame import RawFrame
+from hal.interfaces import PowerReading
+
+SCAN_SCHEMA: Final = "retrograph.scan/1"
+SCAN_MANIFEST: Final = "scan.json"
+
+VerdictLevel = Literal["good", "doubtful", "retake"]
+
+
+class VerdictRecord(Record, frozen=True):
+    """The quick look's verdict: a level, one sentence, and the figures behind it (None: not measured)."""
+
+    level: VerdictLevel
+    reason: Text
+    figures: Figures = msgspec.field(default_factory=dict)
+
+
+class PowerRecord(Record, frozen=True):
+    """Supply and battery at the press; None means not measured.
+
+    under_voltage : the supply was too low at the press
+    was_under_voltage : it was too low at some time since boot
+    throttled : the processor was throttled
+    battery_mv, battery_share : cell voltage (mV) and charge (0 to 1)
+    """
+
+    under_voltage: bool | None = None
+    was_under_voltage: bool | None = None
+    throttled: bool | None = None
+    battery_mv: Figure | None = None
+    battery_share: Figure | None = None
+
+    @classmethod
+    def of(cls, reading: PowerReading) -> PowerRecord:
+        """The reading as a record."""
+        return cls(**{name: getattr(reading, name) for name in cls.__struct_fields__})
+
+
+class LightFaultRecord(Record, frozen=True):
+    """A fault that the light driver reported for one light while it was on, such as "open"; advisory."""
+
+    light: ShortText
+    kind: ShortText
+
+
+class Annotations(Record, frozen=True):
+    """What people wrote about a scan; no part of its identity."""
+
+    job: Text | None = None
+    part: Text | None = None
+    operator: Text | None = None
+    note: Text | None = None
+
+
+class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
+    """The manifest of a scan bundle.
+
+    wall_time : by the device's clock; an annotation
+    shape : (H, W) of the raw frame, sensor pixels
+    asked, granted : requested camera settings, and those in the frame's own metadata
+    currents_ma : granted current of each light, mA
+    calibration_id : the calibration that was active, or None
+    light_faults : reported by the light driver while the lights were on; None when it cannot report
+    files : hash and size of every file beside the manifest; filled in by the store
+    """
+
+    identity: Identity
+    wall_time: Time
+    board: ShortText
+    pixel_pitch_um: Positive
+    shape: tuple[Size, Size]
+    gel_id: ShortText
+    asked: SettingsRecord
+    granted: SettingsRecord
+    currents_ma: Annotated[dict[ShortText, Positive], msgspec.Meta(max_length=100)]
+    fingerprint: Fingerprint
+    calibration_id: BundleId | None
+    verdict: VerdictRecord
+    annotations: Annotations = Annotations()
+    power: PowerRecord = PowerRecord()
+    light_faults: Annotated[tuple[LightFaultRecord, ...], msgspec.Meta(max_length=100)] | None = None
+    raw_file: FileName = "raw.tif"
+    files: Files = msgspec.field(default_factory=dict)
+
+    @property
+    def scan_id(self) -> str:
+        """The scan's id, also the name of its directory."""
+        return self.identity.id
+
+    @property
+    def raw_files(self) -> tuple[str, ...]:
+        """Names of the raw frames."""
+        return (self.raw_file,)
+
+    @property
+    def named_files(self) -> tuple[str, ...]:
+        """Every file that the record refers to."""
+        return self.raw_files
+
+
+@dataclass(frozen=True, slots=True)
+class ScanBundle(Bundle[ScanRecord]):
+    """A published scan."""
+
+    @property
+    def scan_id(self) -> str:
+        """The scan's id."""
+        return self.bundle_id
+
+    def raw_frame(self) -> RawFrame:
+        """The raw frame, read from disk. Errors as for `read_bundle_frame`."""
+        return self._frame(self.record.raw_file)
+
+
+def decode_scan(data: bytes, source: str | Path) -> ScanRecord:
+    """The scan record in a manifest's bytes; `source` names it in errors.
+
+    Raises
+    ------
+    RecordError
+        Unknown version, damaged, or a file that it refers to is not listed.
+    """
+    record = decode_record(data, ScanRecord, source)
+    check_files(record, source)
+    return record
+
+
+def read_scan(directory: Path) -> ScanBundle:
+    """The scan bundle in a directory; its manifest is checked, its other files are not read.
+
+    Raises
+    ------
+    RecordError
+        No scan there, an unknown version, a damaged manifest, or a folder not named by the scan's id.
+    """
+    return ScanBundle(directory, read_record(directory, SCAN_MANIFEST, decode_scan))

@@ -1,0 +1,1 @@
+"""Fits the inverse map to balls and judges the fit."""

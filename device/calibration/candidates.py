@@ -1,0 +1,259 @@
+"""A curve of the inverse map while it is being learned: its form, its penalty, and what it reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from device.balls.sphere import BallSamples
+from device.calibration.cross_validation import GroupedRidgeCV
+from device.inverse_map.branches import Reading
+from device.inverse_map.feature_scaling import FeatureScaler
+from device.inverse_map.fourier_features import RandomFourierFeatures
+from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.leverage import Leverage
+from device.inverse_map.near_light import NearLightModel
+from device.inverse_map.polynomial_features import colour_exponents, field_position, position_exponents
+from device.inverse_map.regressor import FeatureRegressor, design_matrix
+from device.inverse_map.rest_reading import flat_at_rest, seen_at_rest
+from device.inverse_map.root_intensity import RootIntensity
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface.stereographic import slope_from_stereographic
+
+PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
+
+
+@dataclass(frozen=True, slots=True)
+class RegressorForm:
+    """Which terms a curve has, and how dear they are.
+
+    colour_degree, position_degree : its degrees
+    place_penalty : how many times as dear a term is for every power of position
+    waves : its waves of colour, none of them for a polynomial
+    anchored : whether a curve of near lights' slopes takes gentle ones as they are
+    """
+
+    colour_degree: int
+    position_degree: int
+    place_penalty: float = 1.0
+    waves: RandomFourierFeatures = field(default_factory=RandomFourierFeatures.none)
+    anchored: bool = False
+
+    def term_scale(self) -> Float64Array:
+        """What features are multiplied by so that one penalty serves all: float64 array of shape (M K,)."""
+        powers = np.array([i + j for i, j in position_exponents(self.position_degree)])
+        scale = self.place_penalty ** (-0.5 * powers)
+        return np.tile(scale, len(colour_exponents(self.colour_degree)) + self.waves.count)
+
+
+PLAIN_FORMS: Final = tuple(RegressorForm(4, degree) for degree in (0, 1, 2))
+NEAR_FORMS: Final = (RegressorForm(4, 2), RegressorForm(5, 2), RegressorForm(5, 2, 10.0))
+"""Forms of a curve that reads the slopes of a matt skin: what is left to do there bends more, and less over place."""
+
+ANCHORED_FORMS: Final = tuple(replace(form, anchored=True) for form in NEAR_FORMS if form.colour_degree > 4)
+"""Those that have bends enough to be anchored at gentle slopes and still follow steep ones."""
+
+LIGHT_FORMS: Final = (*PLAIN_FORMS, RegressorForm(5, 2), RegressorForm(5, 2, 10.0))
+"""Forms of a curve that reads light, where there are balls enough for many terms."""
+
+ROOT_FORM: Final = RegressorForm(5, 2, 10.0)
+"""Form of a curve that reads the root of intensity: more bends over colour, fewer over place."""
+
+ANCHORS: Final = 4000
+ANCHOR_SLOPE: Final = 0.1
+ANCHOR_SHARE: Final = 100.0
+"""Gentle slopes up to the second, as many as the first, weigh so many times as much as all samples in a curve that is
+anchored: near lights tell them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
+
+ANCHOR_COST: Final = 0.93
+"""Share of an anchored curve's held-out error that one without anchors must reach: balls show little that is
+gentle, so that most of what anchors cost is seen and little of what they gain."""
+
+WAVY_GAIN: Final = 0.95
+"""Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
+
+MIN_FOR_MANY_TERMS: Final = 8
+"""Balls from which a curve may have waves or read near lights' slopes: what few balls say of so much is chance."""
+
+
+def fourier_form() -> RegressorForm:
+    """The form for a skin with metal flakes, which bends more over colour than over place."""
+    return RegressorForm(2, 2, 10.0, RandomFourierFeatures.drawn())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegressorFit:
+    """A curve that is to be learned.
+
+    colours : the variables that it is a polynomial in
+    form : its terms
+    reading : what makes its colours of intensity and place, None where it reads intensity itself
+    penalty : of the ridge
+    ridge : its features, less those at rest where it is `flat`, at the pixels of balls
+    flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
+    """
+
+    colours: FeatureScaler
+    form: RegressorForm
+    reading: Reading | None
+    penalty: float
+    ridge: GroupedRidgeCV
+    flat: bool = True
+
+    def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
+        """The leverage of its features among those of the living balls, 0 at rest; arguments as for the ridge.
+
+        For a learner that does not read light.
+        """
+        root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
+        found = Leverage.of(root, self.ridge.design[alive[self.ridge.ball]])
+        scaled = found.root * self.form.term_scale()[:, None]
+        if self.flat:
+            scaled = flat_at_rest(self._bare, scaled, self.reading)
+        return replace(found, root=scaled.astype(np.float32))
+
+    def of_samples(self, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> RegressorFit:
+        """The same form and penalty for other samples of the same balls, whose true slopes are given."""
+        reading = NearLightModel.of(samples, slope, shape) if isinstance(self.reading, NearLightModel) else self.reading
+        return fit_regressor(samples, shape, self.form, self.penalty, reading, flat=self.flat)
+
+    def curve(self, solution: Float64Array) -> FeatureRegressor:
+        """The curve with the coefficients that `ridge` found, array of shape (F, 2)."""
+        unscaled = solution * self.form.term_scale()[:, None]
+        if self.flat and not isinstance(self.reading, IlluminationMap):
+            unscaled = flat_at_rest(self._bare, unscaled, self.reading)
+        return replace(self._bare, coefficients=unscaled.reshape(self._bare.coefficients.shape).astype(np.float32))
+
+    @property
+    def _bare(self) -> FeatureRegressor:
+        """A curve of its form that reads 0 everywhere."""
+        form = self.form
+        terms = len(colour_exponents(form.colour_degree)) + form.waves.count
+        nothing = np.zeros((terms, len(position_exponents(form.position_degree)), 2), np.float32)
+        return FeatureRegressor(self.colours, form.colour_degree, form.position_degree, nothing, form.waves)
+
+
+def fit_regressor(
+    samples: BallSamples,
+    shape: tuple[int, int],
+    form: RegressorForm,
+    penalty: float,
+    reading: Reading | None = None,
+    *,
+    flat: bool = True,
+) -> RegressorFit:
+    """The learner of this form and penalty, for a full-size field of `shape` (H, W)."""
+    place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
+    seen = _seen(samples.intensity, place, reading)
+    colours = FeatureScaler.observed(seen, linear=reading is not None)
+
+    def features(colour: Float32Array, where: Float64Array) -> Float64Array:
+        return design_matrix(colours, form.colour_degree, form.position_degree, colour, where, form.waves)
+
+    design = features(seen, place)
+    if flat:
+        design -= features(seen_at_rest(place, reading), place)
+    design *= form.term_scale()
+    if not isinstance(reading, NearLightModel):
+        return RegressorFit(colours, form, reading, penalty, GroupedRidgeCV(design, samples.ball), flat)
+    gentle, anywhere = _gentle_skin(ANCHORS)
+    known = (features(gentle, anywhere) - features(seen_at_rest(anywhere, reading), anywhere)) * form.term_scale()
+    anchor = known.T @ known * (ANCHOR_SHARE * len(design) / ANCHORS) if flat and form.anchored else None
+    ridge = GroupedRidgeCV(design, samples.ball, _matt_prior(colours, form), anchor)
+    return RegressorFit(colours, form, reading, penalty, ridge, flat)
+
+
+def _gentle_skin(count: int) -> tuple[Float32Array, Float64Array]:
+    """Colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2) anywhere."""
+    rng = np.random.default_rng(0)
+    slope = rng.uniform(-ANCHOR_SLOPE, ANCHOR_SLOPE, (count, 2))
+    brightness = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True))
+    return np.concatenate([slope, brightness], axis=1).astype(np.float32), rng.uniform(-1.0, 1.0, (count, 2))
+
+
+def _matt_prior(colours: FeatureScaler, form: RegressorForm) -> Float64Array:
+    """Coefficients (F, 2) of a curve that takes the slopes of a matt skin as they are, its first two colours.
+
+    A penalty that draws towards them leaves gentle slopes their gain; one that draws to 0 reads them too flat.
+    """
+    places = len(position_exponents(form.position_degree))
+    exponents = colour_exponents(form.colour_degree)
+    prior = np.zeros((len(exponents) + form.waves.count, places, 2))
+    for axis, linear in enumerate(((1, 0, 0), (0, 1, 0))):
+        prior[exponents.index(linear), 0, axis] = colours.scale[axis]
+        prior[exponents.index((0, 0, 0)), 0, axis] = colours.centre[axis]
+    return prior.reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """What learners are chosen by: samples of balls whose true slopes are known.
+
+    slope : float64 array of shape (N, 2), true slopes of the samples
+    count : of balls
+    shape : (H, W) of the full-size field
+    flat : as `RegressorFit` has it
+    """
+
+    samples: BallSamples
+    slope: Float64Array
+    count: int
+    shape: tuple[int, int]
+    flat: bool = True
+
+    def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:
+        """The learner with the form and the penalty of least held-out error, and that error, in slope.
+
+        Balls' centres do not count in the error.
+
+        light : for a curve that reads light
+        """
+        many = self.count >= MIN_FOR_MANY_TERMS
+        forms = LIGHT_FORMS if light is not None and many else PLAIN_FORMS
+        best = min((self._at_best_penalty(form, light) for form in forms), key=_error)
+        if not many:
+            return best
+        wavy = self._at_best_penalty(fourier_form(), light)
+        return wavy if wavy[1] < WAVY_GAIN * best[1] else best
+
+    def fit_near_light(self) -> tuple[RegressorFit, float]:
+        """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
+        near = NearLightModel.of(self.samples, self.slope, self.shape)
+        anchored, free = (
+            min((self._at_best_penalty(form, near) for form in forms), key=_error)
+            for forms in (ANCHORED_FORMS, NEAR_FORMS)
+        )
+        return free if free[1] < ANCHOR_COST * anchored[1] else anchored
+
+    def root_learner(self) -> tuple[RegressorFit, float]:
+        """The learner that reads the root of intensity, and its held-out error."""
+        return self._at_best_penalty(ROOT_FORM, RootIntensity())
+
+    def _at_best_penalty(self, form: RegressorForm, reading: Reading | None) -> tuple[RegressorFit, float]:
+        """The learner of this form with the penalty of least held-out error, and that error."""
+        learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat)
+        everyone = np.ones(self.count, bool)
+        held_out = learner.ridge.held_out(PENALTIES, self.slope, np.ones(len(self.samples.p)), everyone)
+        errors = [_balanced_error(self.samples, slope_from_stereographic(u), self.slope) for u in held_out]
+        least = int(np.argmin(errors))
+        return replace(learner, penalty=PENALTIES[least]), errors[least]
+
+
+def _error(found: tuple[RegressorFit, float]) -> float:
+    """What learners are chosen by, one at a time: their features take a hundred megabytes."""
+    return found[1]
+
+
+def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:
+    return intensity if reading is None else reading.seen(intensity, place)
+
+
+def _balanced_error(samples: BallSamples, slope: Float64Array, truth: Float64Array) -> float:
+    """Mean absolute slope error after each ball's own median is taken out, so that centre errors do not count."""
+    error = slope - truth
+    for ball in np.unique(samples.ball):
+        rows = samples.ball == ball
+        error[rows] -= np.median(error[rows], axis=0)
+    return float(np.abs(error).mean())

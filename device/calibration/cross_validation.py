@@ -1,0 +1,116 @@
+"""Ridge regression of slope whose every judgement comes from balls that it did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.surface.fields import Float64Array, MaskArray
+from device.surface.stereographic import stereographic_from_slope
+
+FOLDS: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupedRidgeCV:
+    """The features of one polynomial at the pixels of balls.
+
+    design : float64 array of shape (N, F), features
+    ball : int array of shape (N,), the ball that each row belongs to
+    prior : float64 array of shape (F, 2), coefficients that the penalty draws towards; None for 0
+    anchor : float64 array of shape (F, F), Gram matrix of pixels, as much as all samples, that show what the prior
+        says; None for none
+    """
+
+    design: Float64Array
+    ball: NDArray[np.intp]
+    prior: Float64Array | None = None
+    anchor: Float64Array | None = None
+
+    def solve(self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Float64Array:
+        """Coefficients of shape (F, 2) learned from the living balls.
+
+        slope : float64 array of shape (N, 2), true slopes
+        weight : float64 array of shape (N,)
+        """
+        gram, moment = self._normal_equations(alive[self.ball], slope, weight)
+        return self._solutions(gram, moment, [penalty])[0]
+
+    def leverage_root(
+        self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray
+    ) -> Float64Array:
+        """Float64 array B of shape (F, F) with B Bᵀ the inverse of the penalised Gram matrix of the living balls."""
+        gram, _ = self._normal_equations(alive[self.ball], slope, weight)
+        values, vectors = np.linalg.eigh(gram)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, 0.0) + self._scale * penalty))
+
+    def held_out(
+        self,
+        penalties: Sequence[float],
+        slope: Float64Array,
+        weight: Float64Array,
+        alive: MaskArray,
+        fold_of_ball: NDArray[np.intp] | None = None,
+    ) -> list[Float64Array]:
+        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds.
+
+        fold_of_ball : int array of shape (balls,), from 0 on; by default balls are dealt out to `FOLDS` in turn
+        """
+        fold = self._fold_of_row(alive) if fold_of_ball is None else fold_of_ball[self.ball]
+        count = int(fold.max()) + 1
+        parts = [self._normal_equations(alive[self.ball] & (fold == number), slope, weight) for number in range(count)]
+        gram, moment = (np.sum([part[i] for part in parts], axis=0) for i in (0, 1))
+        predictions = [np.zeros((len(self.ball), 2)) for _ in penalties]
+        for number, (own_gram, own_moment) in enumerate(parts):
+            rows = fold == number
+            taught = self._solutions(gram - own_gram, moment - own_moment, penalties)
+            for solution, prediction in zip(taught, predictions, strict=True):
+                prediction[rows] = self.design[rows] @ solution
+        return predictions
+
+    def _fold_of_row(self, alive: MaskArray) -> NDArray[np.intp]:
+        return (np.arange(len(alive)) % min(FOLDS, len(alive)))[self.ball]
+
+    def _normal_equations(
+        self, rows: MaskArray, slope: Float64Array, weight: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        design = self.design[rows]
+        weighted = design * weight[rows, None]
+        target = stereographic_from_slope(slope[rows, 0], slope[rows, 1])
+        gram, moment = weighted.T @ design, weighted.T @ target
+        if self.prior is not None:
+            moment -= gram @ self.prior
+        return gram if self.anchor is None else gram + rows.mean() * self.anchor, moment
+
+    def _solutions(self, gram: Float64Array, moment: Float64Array, penalties: Sequence[float]) -> list[Float64Array]:
+        """Ridge solutions of shape (F, 2), one a penalty, from one decomposition."""
+        values, vectors = np.linalg.eigh(gram)
+        turned = vectors.T @ moment
+        drawn_to = 0.0 if self.prior is None else self.prior
+        return [
+            drawn_to + vectors @ (turned / (np.maximum(values, 0.0) + self._scale * penalty)[:, None])
+            for penalty in penalties
+        ]
+
+    @property
+    def _scale(self) -> float:
+        """What a penalty is multiplied by, so that it does not depend on the number of samples."""
+        return len(self.ball) / 100.0
+
+
+def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:
+    """Angle between the normals of slopes of shape (N, 2), degrees, shape (N,)."""
+    dot = (slope * truth).sum(axis=-1) + 1.0
+    norms = np.sqrt((1.0 + (slope**2).sum(axis=-1)) * (1.0 + (truth**2).sum(axis=-1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(dot / norms, -1.0, 1.0))))
+
+
+def robust_weight(slope: Float64Array, truth: Float64Array) -> Float64Array:
+    """Weights of shape (N,), mean 1, that turn the next least-squares pass towards least absolute error."""
+    residual = np.linalg.norm(stereographic_from_slope(*slope.T) - stereographic_from_slope(*truth.T), axis=1)
+    weight = 1.0 / np.maximum(residual, max(0.5 * float(np.median(residual)), 1e-6))
+    return np.asarray(weight / weight.mean())

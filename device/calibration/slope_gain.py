@@ -1,0 +1,73 @@
+"""By what factor slopes are read too steep or too flat, estimated on the true slope, band by band.
+
+The gain of a band is the slope of the line through (true, read) of its pixels. Noise of the reading does not flatten a
+line on the truth, but an error of the truth would: so each ball's true slopes are first moved by the mean by which its
+own readings differ, which is what its centre is off. The standard uncertainty is the jackknife's over balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from device.calibration.held_out_readings import HeldOutReadings
+from device.surface.fields import Float64Array
+
+BAND_EDGES_DEG: Final = (0.0, 3.0, 8.0, 15.0, 30.0)
+MIN_PIXELS: Final = 50
+"""In a band, for its gain to be given."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlopeGain:
+    """Gain of the slopes whose surface is tilted between two angles, 1 where they are read right.
+
+    sigma : its standard uncertainty, None where one ball alone shows the band
+    """
+
+    from_deg: float
+    to_deg: float
+    gain: float
+    sigma: float | None
+    pixels: int
+
+
+def slope_gains(readings: HeldOutReadings) -> tuple[SlopeGain, ...]:
+    """The gain of every band that enough pixels show."""
+    centred = _centred(readings)
+    tilt = centred.tilt_deg
+    bands = [(low, high, (tilt >= low) & (tilt < high)) for low, high in pairwise(BAND_EDGES_DEG)]
+    return tuple(_gain(low, high, centred.select(rows)) for low, high, rows in bands if rows.sum() >= MIN_PIXELS)
+
+
+def _centred(readings: HeldOutReadings) -> HeldOutReadings:
+    """The readings with every ball's truth where its own readings put its centre."""
+    count = np.maximum(np.bincount(readings.ball), 1)
+    off = [np.bincount(readings.ball, part) / count for part in (readings.slope - readings.truth).T]
+    return replace(readings, truth=readings.truth + np.stack(off, axis=-1)[readings.ball])
+
+
+def _gain(low: float, high: float, readings: HeldOutReadings) -> SlopeGain:
+    """Ratio of sums over balls of Σ read · true and Σ true · true, both less the ball's means."""
+    sums = np.array([_sums(readings, number) for number in np.unique(readings.ball)])
+    total = sums.sum(axis=0)
+    sigma = None
+    if len(sums) > 1:
+        left_out = _ratios(total - part for part in sums)
+        spread = float(((left_out - left_out.mean()) ** 2).sum())
+        sigma = float(np.sqrt((len(sums) - 1) / len(sums) * spread))
+    return SlopeGain(low, high, float(total[0] / total[1]), sigma, len(readings.ball))
+
+
+def _sums(readings: HeldOutReadings, number: int) -> tuple[float, float]:
+    own = readings.ball == number
+    true = readings.truth[own] - readings.truth[own].mean(axis=0)
+    return float((readings.slope[own] * true).sum()), float((true * true).sum())
+
+
+def _ratios(sums: Iterable[Float64Array]) -> Float64Array:
+    return np.array([part[0] / max(part[1], 1e-12) for part in sums])

@@ -1,0 +1,1 @@
+"""The commands of `retroscan`, one module per family."""

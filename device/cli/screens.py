@@ -1,0 +1,146 @@
+"""`retroscan` and `retroscan tui`: the screens on this terminal. Only this command needs textual."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import signal
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Event as Flag
+from typing import TYPE_CHECKING, Final, Self
+
+from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
+from device.acquisition.sd_notify import SdNotify
+from device.cli.console import Commands, open_store, store_folder
+from device.cli.service import ServiceReport
+from device.errors import StoreError, TerminalMissing
+from device.instrument.instrument import Instrument
+from device.tui.drawing.cells import colour_depth
+from device.tui.screens.panels import ProgramInfo
+from hal.board_profile import load_board_profile
+from hal.clock import SystemClock
+from hal.errors import DriverMissing
+from hal.factory import open_hardware
+
+if TYPE_CHECKING:
+    from device.tui.screens.app import RetroscanApp
+
+POWER_OFF_FILE: Final = "poweroff"
+"""File in the service's folder that asks the system to switch the machine off; a systemd path unit watches for it."""
+
+
+class InstrumentThread:
+    """Steps an instrument on its own thread, beside the screens. Leaving waits for the turn in progress.
+
+    Parameters
+    ----------
+    instrument : not entered; the thread enters and leaves it
+    report : receives the state after every turn
+    """
+
+    def __init__(self, instrument: Instrument, report: ServiceReport) -> None:
+        self._instrument = instrument
+        self._report = report
+        self._stop = Flag()
+        self._executor = ThreadPoolExecutor(1, "instrument")
+        self._running: Future[None] | None = None
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the loop ended without being stopped; leaving the context then raises its error."""
+        return self._running is not None and self._running.done()
+
+    def __enter__(self) -> Self:
+        self._running = self._executor.submit(self._run)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._stop.set()
+        self._executor.shutdown(wait=True)
+        if self._running and exc[0] is None:
+            self._running.result()
+
+    def _run(self) -> None:
+        with self._instrument as instrument:
+            while not self._stop.is_set():
+                instrument.step()
+                self._report.turn(instrument.state)
+            self._report.ended()
+
+
+def add_screen_command(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `tui` to `retroscan`."""
+    screens = commands.add_parser("tui", help="show the screens on this terminal (the default command)")
+    screens.set_defaults(command=run_screens)
+
+
+def run_screens(options: argparse.Namespace) -> int:
+    """Show the screens until the operator quits; returns the exit code.
+
+    Raises
+    ------
+    TerminalMissing
+        Standard input or error is not a terminal.
+    DriverMissing
+        textual is not installed.
+    DeviceError, HalError
+        The store or the board profile cannot be used; later failures appear on the screens.
+    """
+    profile = load_board_profile(options.board)
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise TerminalMissing("the screens need a terminal for input and error output: use `retroscan run` instead")
+    if find_spec("textual") is None:
+        raise DriverMissing("textual is not installed: install retrograph[device], or use `retroscan run`")
+    from device.tui.screens.app import RetroscanApp
+
+    depth = colour_depth(os.environ)
+    if depth == "mono":
+        os.environ["NO_COLOR"] = "1"
+    # libcamera would write its log lines across the screens; "syslog" goes to the journal where there is one.
+    os.environ.setdefault("LIBCAMERA_LOG_FILE", "syslog")
+    with exclusive_instrument(profile):
+        hardware = open_hardware(profile, SystemClock())
+        instrument = Instrument(hardware, open_store(options, hardware.clock))
+        report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
+        with InstrumentThread(instrument, report) as thread:
+            is_twin = profile.driver == "twin"
+            program = ProgramInfo(version("retrograph"), store_folder(options))
+            app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended)
+            outcome = asyncio.run(_shown(app))
+    if outcome == "off":
+        power_off(SERVICE_FOLDER)
+    return app.return_code or 0
+
+
+async def _shown(app: RetroscanApp) -> str | None:
+    """Run the app and return its result; termination and hang-up signals make it quit in order."""
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        loop.add_signal_handler(number, app.exit)
+    try:
+        return await app.run_async()
+    finally:
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+            loop.remove_signal_handler(number)
+
+
+def power_off(service_folder: Path) -> None:
+    """Ask the system to switch the machine off.
+
+    Raises
+    ------
+    StoreError
+        The machine was not installed as a handheld, so that no service handles the request.
+    """
+    try:
+        (service_folder / POWER_OFF_FILE).touch()
+    except OSError as error:
+        raise StoreError(
+            f"{service_folder}: cannot ask this machine to switch off ({error.strerror}); all scans are stored and the "
+            "lights are off: switch it off by hand"
+        ) from error

@@ -1,0 +1,144 @@
+"""What system services use: `retroscan identity`, `retroscan guard-battery`, and reports to the service manager."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from typing import Final
+
+from device.acquisition.sd_notify import SdNotify
+from device.cli.console import Commands, open_store, print_error, print_line
+from device.errors import DeviceError
+from device.instrument.state import InstrumentState
+from hal.board_profile import BoardProfile, load_board_profile
+from hal.clock import SystemClock
+from hal.errors import PowerError
+from hal.factory import open_hardware
+from hal.interfaces import Clock, Power, PowerReading
+
+PATIENCE_S: Final = 10.0
+"""Time for a bus or camera that comes up later than the program."""
+
+BROKEN: Final = "out of order"
+
+EMPTY_FRACTION: Final = 0.05
+EMPTY_MV: Final = 3300.0
+"""A lithium cell below this voltage drops fast; the gauge's charge may be wrong, its voltage is not."""
+
+LOW_IN_A_ROW: Final = 3
+EVERY_S: Final = 10.0
+"""The battery is empty after LOW_IN_A_ROW low readings, one every EVERY_S."""
+
+
+class ServiceReport:
+    """Reports one instrument's state to the service manager: ready, alive, status line.
+
+    Why ready in spite of a broken part, after `PATIENCE_S` and with a status that begins "out of order": a failed start
+    would be restarted again and again with a dark screen, whereas a started instrument shows the fault on screen and
+    indicator and still hands over its scans. An update that starts so is not kept (`board/retrograph-slot confirm`).
+
+    Parameters
+    ----------
+    notify : connection to the service manager
+    clock : the instrument's
+    """
+
+    def __init__(self, notify: SdNotify, clock: Clock) -> None:
+        self._notify = notify
+        self._clock = clock
+        self._began_ns = clock.monotonic_ns()
+        self._is_ready = False
+        self._reported = ""
+
+    def turn(self, state: InstrumentState) -> None:
+        """Report the state after one turn of the work loop."""
+        now = status_line(state)
+        if not self._is_ready and (state.activity != BROKEN or self._waited_s() >= PATIENCE_S):
+            self._is_ready = True
+            self._notify.ready(now)
+        elif now != self._reported:
+            self._notify.status(now)
+        self._reported = now
+        self._notify.alive()
+
+    def ended(self) -> None:
+        """Report that the work loop has ended."""
+        self._notify.stopping()
+
+    def _waited_s(self) -> float:
+        return (self._clock.monotonic_ns() - self._began_ns) * 1e-9
+
+
+def status_line(state: InstrumentState) -> str:
+    """One line on the instrument's state; a reason why it cannot scan comes first."""
+    if state.activity == BROKEN:
+        return f"{BROKEN}: {state.sentence}"
+    if state.calibration.fault:
+        return f"no scans yet: {state.calibration.fault}"
+    return "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
+
+
+def add_service_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `identity` and `guard-battery` to `retroscan`."""
+    identity = commands.add_parser("identity", help="print this device's id, created on first use")
+    identity.set_defaults(command=_identity)
+
+    guard = commands.add_parser("guard-battery", help="power the device off once the battery is nearly empty")
+    guard.add_argument("--check", action="store_true", help="only check whether this board measures a battery")
+    guard.set_defaults(command=_guard_battery)
+
+
+def _identity(options: argparse.Namespace) -> int:
+    print_line(open_store(options).device_id)
+    return 0
+
+
+def _guard_battery(options: argparse.Namespace) -> int:
+    profile = load_board_profile(options.board)
+    _check_gauge(profile)
+    if options.check:
+        return 0
+    clock = SystemClock()
+    with open_hardware(profile, clock).power as power:
+        reading = wait_until_low(power, clock, print_error)
+    charge = "unknown" if reading.battery_share is None else f"{reading.battery_share:.0%}"
+    print_line(f"The battery is nearly empty (charge {charge}): powering off.")
+    if not SdNotify.from_environment(os.environ).power_off():
+        print_error("no service can power this device off: switch it off now, or charge it")
+        return 3
+    return 0
+
+
+def _check_gauge(profile: BoardProfile) -> None:
+    if "battery" not in profile.capabilities:
+        raise NoBattery(f"board {profile.name!r} has no battery gauge: no battery to monitor")
+
+
+class NoBattery(DeviceError, LookupError):
+    """The board measures no battery. Disable the battery guard, or wire a gauge and add it to the board profile."""
+
+
+def is_low(reading: PowerReading) -> bool:
+    """Whether a reading shows an empty battery; unmeasured values are ignored."""
+    low_charge = reading.battery_share is not None and reading.battery_share <= EMPTY_FRACTION
+    low_voltage = reading.battery_mv is not None and reading.battery_mv <= EMPTY_MV
+    return low_charge or low_voltage
+
+
+def wait_until_low(power: Power, clock: Clock, print_error: Callable[[object], None]) -> PowerReading:
+    """Block until the battery was low in `LOW_IN_A_ROW` consecutive readings; returns the last one.
+
+    A failed reading is printed and skipped.
+    """
+    low = 0
+    while True:
+        try:
+            reading = power.read()
+        except PowerError as error:
+            print_error(error)
+        else:
+            low = low + 1 if is_low(reading) else 0
+            if low >= LOW_IN_A_ROW:
+                return reading
+        clock.sleep(EVERY_S)

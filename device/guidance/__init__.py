@@ -1,0 +1,1 @@
+"""Live guidance of a press."""

@@ -1,0 +1,150 @@
+"""The press guide: one reading per live frame, from intensities, the tabulated inverse map and a small integration."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.guidance.downsample import ReducedFrame, downsample_step
+from device.guidance.reading import GuideReading, advise
+from device.imaging.contact import SHADED
+from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
+from device.inverse_map.tabulated import TabulatedInverseMap
+from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, TILT_CONTACT
+from device.surface.fields import Float32Array, MaskArray
+from device.surface.poisson_dct import integrate_dct
+from hal.frame import RawFrame
+
+_SIDES: Final = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
+_BASE_PERCENTILE: Final = 10.0
+_TOP_PERCENTILE: Final = 99.5
+_UPPER_FRACTION: Final = 0.4
+"""Tilt is read where the skin is higher than this fraction of its maximum: on the face, not on the flanks around it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GuideModel:
+    """What the press guide needs of the instrument.
+
+    flat_field : float32 array of shape (h, w, 3), untouched skin at the small image's size
+    slopes : the inverse map at that size; None without a calibration
+    pitch_um : pixel pitch of the small image on the skin, µm
+    slab_um : thickness of the gel's slab, µm
+    """
+
+    flat_field: Float32Array
+    slopes: TabulatedInverseMap | None
+    pitch_um: float
+    slab_um: float
+
+    @classmethod
+    def prepare(
+        cls, reference: RawFrame, slopes: TabulatedInverseMap | None, pitch_um: float, slab_um: float
+    ) -> GuideModel:
+        """The model for live frames of the reference frame's size; `pitch_um` is the sensor's."""
+        step = downsample_step(reference.shape)
+        flat_field = np.maximum(bin_bayer(reference, step).rgb, np.float32(DARK_FLOOR))
+        resized = slopes.resized(reference.shape, step) if slopes else None
+        return cls(np.ascontiguousarray(flat_field), resized, pitch_um * step, slab_um)
+
+
+class PressGuide:
+    """Reads a live stream; keeps the previous frame and the time since which the contact is still.
+
+    Parameters
+    ----------
+    model : None without a reference: then only exposure and motion are measured
+    """
+
+    def __init__(self, model: GuideModel | None) -> None:
+        self._model = model
+        self._flat_field = model.flat_field if model else None
+        self._previous: Float32Array | None = None
+        self._still_since_ns: int | None = None
+
+    def set_light_levels(self, levels: tuple[float, float, float]) -> None:
+        """Correct for light levels that changed since the reference: R, G, B relative to it."""
+        if self._model:
+            self._flat_field = self._model.flat_field * np.array(levels, np.float32)
+
+    def motion(self, frame: ReducedFrame) -> float | None:
+        """Change in intensity since the last frame read; None before the first."""
+        return None if self._previous is None else change(self._previous, self._smooth(frame))
+
+    def read(self, frame: ReducedFrame) -> GuideReading:
+        """The reading of the next live frame."""
+        began_s = time.thread_time()
+        model = self._model
+        smooth = self._smooth(frame)
+        motion = None if self._previous is None else change(self._previous, smooth)
+        self._previous = smooth
+        contact, depth_um, lean = (None, None, None) if model is None else _contact(smooth, model)
+        fraction = None if contact is None else float(contact.mean())
+        is_tilt_valid = lean is not None and fraction is not None and fraction >= TILT_CONTACT
+        exposure = float(np.percentile(frame.rgb, 99))
+        reading = GuideReading(
+            contact_fraction=fraction,
+            tilt_deg=_lean_deg(lean) if is_tilt_valid and lean else None,
+            tilt_towards=_lean_side(lean) if is_tilt_valid and lean else "",
+            motion=motion,
+            still_s=self._still_s(frame.at_ns, motion, fraction),
+            clipped_fraction=frame.clipped_fraction,
+            exposure=exposure,
+            depth_um=depth_um,
+            depth_fraction=None if depth_um is None or model is None else depth_um / (MAX_DEPTH * model.slab_um),
+            in_air=fraction is not None and fraction < MIN_CONTACT,
+            advice="press",
+            sentence="",
+            cpu_ms=0.0,
+        )
+        return advise(reading, 1e3 * (time.thread_time() - began_s))
+
+    def _smooth(self, frame: ReducedFrame) -> Float32Array:
+        return box_smoothed(frame.rgb if self._flat_field is None else frame.rgb / self._flat_field)
+
+    def _still_s(self, at_ns: int, motion: float | None, fraction: float | None) -> float:
+        if motion is None or motion > MOVING or fraction is None or fraction < MIN_CONTACT:
+            self._still_since_ns = None
+            return 0.0
+        if self._still_since_ns is None:
+            self._still_since_ns = at_ns
+        return (at_ns - self._still_since_ns) * 1e-9
+
+
+def box_smoothed(values: Float32Array) -> Float32Array:
+    """Mean over 3x3 pixels with borders repeated: float32 array of shape (h, w, 3)."""
+    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) * np.float32(1.0 / 9.0), np.float32)
+
+
+def change(before: Float32Array, now: Float32Array) -> float:
+    """Change in intensity, 99th percentile over the field."""
+    return float(np.percentile(np.abs(now - before).max(axis=-1), 99))
+
+
+def _contact(smooth: Float32Array, model: GuideModel) -> tuple[MaskArray, float | None, tuple[float, float] | None]:
+    """Mask of touched skin, its maximum height (µm), and the median slope of its upper part."""
+    shaded: MaskArray = np.asarray(np.abs(smooth - 1.0).max(axis=-1) > SHADED)
+    if model.slopes is None:
+        return shaded, None, None
+    every = np.ones(shaded.shape, np.bool_)
+    field = model.slopes.gradients(NormalizedImage(smooth, every, ~every))
+    p, q = field.p * field.valid, field.q * field.valid
+    z_um = integrate_dct(p, q, model.pitch_um)
+    base_um, top_um = np.percentile(z_um, (_BASE_PERCENTILE, _TOP_PERCENTILE))
+    touched: MaskArray = shaded | (z_um - base_um > RAISED * model.slab_um)
+    upper = z_um - base_um > _UPPER_FRACTION * (top_um - base_um)
+    return touched, float(top_um - base_um), (float(np.median(p[upper])), float(np.median(q[upper])))
+
+
+def _lean_deg(lean: tuple[float, float]) -> float:
+    return float(np.degrees(np.arctan(np.hypot(*lean))))
+
+
+def _lean_side(lean: tuple[float, float]) -> str:
+    """The side that is pressed deeper, where the skin is higher."""
+    return _SIDES[round(np.arctan2(lean[1], lean[0]) / (np.pi / 4.0)) % 8]

@@ -1,0 +1,54 @@
+"""Detects swapped colour channels: untouched skin matches the reference only after a permutation."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import Final
+
+import numpy as np
+
+from device.errors import CalibrationMismatch
+from device.imaging.flat_field import DARK_FLOOR, LinearFrame
+from device.surface.fields import Float32Array
+
+CLEAR_FACTOR: Final = 0.5
+"""A permutation must reduce the disagreement to this fraction before the frame is refused."""
+
+CLEAR_DISAGREEMENT: Final = 0.06
+"""Disagreement (median of |log intensity|) below which the given order is accepted without a test."""
+
+
+def check_channel_order(frame: LinearFrame, flat_field: Float32Array, name: str) -> None:
+    """Refuse a frame whose channels are in another order than its reference's.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Names the frame and the order that its channels seem to have.
+    """
+    step = order_step(frame.shape)
+    check_channel_order_sample(frame.rgb[::step, ::step], flat_field[::step, ::step], name)
+
+
+def order_step(shape: tuple[int, int]) -> int:
+    """Stride, in rows and columns, of the sample that is tested for a frame of shape (H, W)."""
+    return max(1, shape[0] // 128)
+
+
+def check_channel_order_sample(frame: Float32Array, flat_field: Float32Array, name: str) -> None:
+    """The same for samples of a frame's linear light and its reference's, float32 arrays of shape (h, w, 3)."""
+    light = np.log(np.maximum(frame, DARK_FLOOR))
+    rest = np.log(np.maximum(flat_field, DARK_FLOOR))
+    as_given = _disagreement(light, rest)
+    if as_given <= CLEAR_DISAGREEMENT:
+        return
+    disagreement = {order: _disagreement(light[..., order], rest) for order in permutations(range(3))}
+    best = min(disagreement, key=lambda order: disagreement[order])
+    if disagreement[best] < CLEAR_FACTOR * as_given:
+        seen = ", ".join("RGB"[best.index(channel)] for channel in range(3))
+        raise CalibrationMismatch(f"{name}: the channels are in the order {seen}, not R, G, B: convert the file")
+
+
+def _disagreement(light: Float32Array, rest: Float32Array) -> float:
+    """Median distance of log light from the reference's, averaged over colours."""
+    return float(np.median(np.abs(light - rest), axis=(0, 1)).mean())

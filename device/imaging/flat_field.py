@@ -1,0 +1,224 @@
+"""From raw counts to intensity: linear light without black level, flat-field corrected by the reference frame.
+
+Device and workstation share these functions, so that a calibration means the same on both.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.errors import CalibrationMismatch, FrameError
+from device.surface.fields import Float32Array, MaskArray
+from hal.frame import BayerOrder, RawFrame
+
+REFERENCE_BLUR_PX: Final = 3.0
+"""Standard deviation of the reference's Gaussian blur, which keeps its pixel noise out of every intensity."""
+
+DARK_FLOOR: Final = 0.002
+"""Fraction of full scale below which the reference is too dark to divide by."""
+
+SATURATED: Final = 0.98
+"""Fraction of full scale from which a pixel counts as clipped."""
+
+BAND_ROWS: Final = 96
+"""Rows of bins computed at a time, so that intermediate results stay in the second-level cache."""
+
+BLACK_FRAME: Final = 0.01
+"""A frame whose 99th percentile is below this fraction of full scale is black."""
+
+EXPOSURE_STEP: Final = 8
+"""Stride, in rows and columns, of the sample that tests exposure."""
+
+_DEMOSAIC: Final[dict[BayerOrder, int]] = {
+    # OpenCV names the pattern by the second and third pixel of the second row: its BG is RGGB.
+    "RGGB": cv2.COLOR_BAYER_BG2RGB,
+    "BGGR": cv2.COLOR_BAYER_RG2RGB,
+    "GRBG": cv2.COLOR_BAYER_GB2RGB,
+    "GBRG": cv2.COLOR_BAYER_GR2RGB,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFrame:
+    """One exposure as linear light.
+
+    rgb : float32 array of shape (H, W, 3), fraction of full scale above black, R, G, B
+    clipped : bool array of shape (H, W), True where a channel is saturated
+    """
+
+    rgb: Float32Array
+    clipped: MaskArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        rows, columns, _ = self.rgb.shape
+        return rows, columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalizedImage:
+    """A flat-field-corrected frame: flat, untouched skin reads 1 in every channel.
+
+    values : float32 array of shape (H, W, 3)
+    valid : bool array of shape (H, W), False where the reference is too dark to divide by
+    clipped : bool array of shape (H, W), True where a channel is saturated: its colour only bounds the slope
+    """
+
+    values: Float32Array
+    valid: MaskArray
+    clipped: MaskArray
+
+    @property
+    def faithful(self) -> MaskArray:
+        """True where the intensity is valid and not clipped, usable for calibration."""
+        return self.valid & ~self.clipped
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        rows, columns = self.valid.shape
+        return rows, columns
+
+
+def demosaic(frame: RawFrame) -> LinearFrame:
+    """Full-size linear frame from a Bayer mosaic; missing colours are interpolated bilinearly."""
+    scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
+    counts = cv2.cvtColor(frame.mosaic, _DEMOSAIC[frame.bayer_order])
+    rgb = (counts.astype(np.float32) - np.float32(frame.black_level_dn)) * scale
+    return LinearFrame(rgb, _clipped_neighbourhood(frame))
+
+
+def _clipped_neighbourhood(frame: RawFrame) -> MaskArray:
+    """True where a pixel's own count, or one that demosaicing mixes into it, is saturated."""
+    limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
+    clipped = (frame.mosaic >= limit).astype(np.uint8)
+    return cv2.dilate(clipped, np.ones((3, 3), np.uint8)).astype(bool)
+
+
+def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
+    """Linear frame of shape (H / factor, W / factor), each channel the mean of its own pixels; factor is even.
+
+    Incomplete bins at the end are left out.
+    """
+    if factor < 2 or factor % 2:
+        raise ValueError(f"binning factor {factor} is not a positive even number")
+    rows, columns = (size // factor * factor for size in frame.shape)
+    planes = np.empty((3, rows // factor, columns // factor), np.float32)
+    clipped = np.empty(planes.shape[1:], np.bool_)
+    for first in range(0, rows // factor, BAND_ROWS):
+        band = slice(first, first + BAND_ROWS)
+        mosaic = frame.mosaic[first * factor : min((first + BAND_ROWS) * factor, rows), :columns]
+        _bin_band(frame, mosaic, factor, planes[:, band], clipped[band])
+    return LinearFrame(np.moveaxis(planes, 0, -1), clipped)
+
+
+def _bin_band(
+    frame: RawFrame, mosaic: NDArray[np.uint16], factor: int, planes: Float32Array, clipped: MaskArray
+) -> None:
+    """Compute planes and clipping of some rows of bins from their part of the mosaic."""
+    brightest = _combined(np.maximum, [mosaic[i::factor] for i in range(factor)], np.uint16)
+    side = factor // 2
+    fits = int(brightest.max(initial=0)) * side * side <= np.iinfo(np.uint16).max
+    sums = [_summed_columns(mosaic[parity:], factor, np.uint16 if fits else np.uint32) for parity in (0, 1)]
+    scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
+    for plane, colour in zip(planes, "RGB", strict=True):
+        sites = [divmod(i, 2) for i, letter in enumerate(frame.bayer_order) if letter == colour]
+        total = _combined(np.add, [sums[row][column] for row, column in sites], np.float32)
+        np.multiply(total, scale / (len(sites) * side * side), out=plane)
+        plane -= np.float32(frame.black_level_dn * scale)
+    limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
+    saturated = (brightest >= math.ceil(limit)).view(np.uint16)
+    np.not_equal(_combined(np.bitwise_or, [saturated[:, i::side] for i in range(side)], np.uint16), 0, out=clipped)
+
+
+def _summed_columns(
+    mosaic: NDArray[np.uint16], factor: int, lane: type[np.uint16 | np.uint32]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Sums over bins of every second row from the first, of even and of odd columns: arrays (H / factor, W / factor).
+
+    Whole rows are added first, at memory speed. Then a pair of columns is viewed as one integer of twice the bits, so
+    that both are added at once; `lane` is wide enough that no sum overflows into its neighbour.
+    """
+    down = _combined(np.add, [mosaic[i::factor] for i in range(0, factor, 2)], lane)
+    pair, signed, bits = (np.uint32, np.int32, 16) if lane is np.uint16 else (np.uint64, np.int64, 32)
+    pairs = down.view(pair)
+    both = _combined(np.add, [pairs[:, i :: factor // 2] for i in range(factor // 2)], pair)
+    first, second = both & pair((1 << bits) - 1), both >> pair(bits)
+    if sys.byteorder == "big":
+        first, second = second, first
+    return first.view(signed), second.view(signed)
+
+
+def _combined(operation: np.ufunc, parts: Sequence[NDArray[Any]], dtype: type[np.generic]) -> NDArray[Any]:
+    """Elementwise sum or maximum of arrays of one shape, as a contiguous array of `dtype`."""
+    if len(parts) == 1:
+        return parts[0].astype(dtype)
+    total: NDArray[Any] = operation(parts[0], parts[1], dtype=dtype)
+    for part in parts[2:]:
+        operation(total, part, out=total)
+    return total
+
+
+def check_exposed(frame: LinearFrame, name: str) -> None:
+    """Refuse a black frame, or one that is saturated over most of its area.
+
+    Raises
+    ------
+    FrameError
+        Names the frame and what to check.
+    """
+    check_exposed_sample(frame.rgb[::EXPOSURE_STEP, ::EXPOSURE_STEP], float(frame.clipped.mean()), name)
+
+
+def check_exposed_sample(sample: Float32Array, clipped_fraction: float, name: str) -> None:
+    """The same for every `EXPOSURE_STEP`-th row and column of a frame and its fraction of clipped pixels."""
+    if float(np.percentile(sample, 99)) < BLACK_FRAME:
+        raise FrameError(f"{name} is black: check that the lights are on and the lens is open, then take it again")
+    if clipped_fraction > 0.5:
+        raise FrameError(
+            f"{name} is saturated over {clipped_fraction:.0%} of its area: lower the exposure and take it again"
+        )
+
+
+def make_flat_field(reference: LinearFrame) -> Float32Array:
+    """The blurred reference: float32 array of shape (H, W, 3), fraction of full scale."""
+    blurred = cv2.GaussianBlur(reference.rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float32)
+
+
+def flat_field_correct(frame: LinearFrame, flat_field: Float32Array) -> NormalizedImage:
+    """Divide a frame by a flat field (`make_flat_field` or `estimate_flat_field`).
+
+    Raises
+    ------
+    CalibrationMismatch
+        The frame's size differs from the reference's.
+    """
+    check_same_size(frame.shape, flat_field)
+    lit = np.asarray((flat_field > DARK_FLOOR).all(axis=-1), np.bool_)
+    values: Float32Array = np.divide(frame.rgb, np.maximum(flat_field, np.float32(DARK_FLOOR)), dtype=np.float32)
+    return NormalizedImage(values, lit, frame.clipped)
+
+
+def check_same_size(shape: tuple[int, ...], flat_field: Float32Array) -> None:
+    """Refuse a frame of shape (H, W) with a flat field of another size.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Names both sizes.
+    """
+    if shape != flat_field.shape[:2]:
+        sizes = [f"{size[1]}x{size[0]}" for size in (shape, flat_field.shape)]
+        turned = shape[0] == flat_field.shape[1] and shape[1] == flat_field.shape[0]
+        advice = "turned by 90 degrees: turn it back" if turned else "use frames of one camera mode"
+        raise CalibrationMismatch(f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: {advice}")

@@ -1,0 +1,1 @@
+"""The instrument without a user interface: state, events, commands, worker."""

@@ -1,0 +1,245 @@
+"""The active setup: the mounted gel, its calibration with its scanner, their health, and all three in the state."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from device.acquisition.capture import CaptureSettings
+from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.scan_health import ZeroCheck
+from device.acquisition.scanner import Scanner
+from device.bundles.calibration import CalibrationBundle
+from device.errors import DeviceError
+from device.guidance.guide import GuideModel
+from device.imaging.exposure import Brightness
+from device.instrument.events import Failed, Info, ZeroChecked, show
+from device.instrument.health import BaselineScheduler, health_state, zero_sentence
+from device.instrument.live import LiveFrame, LiveLoop
+from device.instrument.state import CalibrationState, GelState, HealthState, StateStore
+from device.quality.thresholds import FLAT_RESIDUAL_UM
+from device.store.active import ACTIVE_FILE
+from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
+from device.store.registry import CalibrationRegistry
+from device.store.store import BundleStore
+from hal.errors import HalError
+from hal.hardware import Hardware
+
+Selection = tuple[str, float, bytes]
+"""Mounted gel, its slab in mm, and the content of the store's active-calibration file."""
+
+
+class ActiveSetup:
+    """The scanner for presses, or the reason why there is none."""
+
+    def __init__(
+        self, hardware: Hardware, store: BundleStore, states: StateStore, live: LiveLoop, executor: Executor
+    ) -> None:
+        self._hardware = hardware
+        self._store = store
+        self._states = states
+        self._live = live
+        self._executor = executor
+        self._scanner: Scanner | None = None
+        self._fault: DeviceError | HalError | None = None
+        self._baseline: BaselineScheduler | None = None
+        self._zero: ZeroCheck | None = None
+        self._selection: Selection | None = None
+
+    def fitted(self) -> Hardware:
+        """The hardware with the mounted gel. Errors as for `with_active_gel`."""
+        return with_active_gel(self._hardware, self._store.root)
+
+    def scanner(self) -> Scanner:
+        """The active scanner.
+
+        Raises
+        ------
+        DeviceError, HalError
+            Why there is none.
+        """
+        if self._scanner is None:
+            raise self._fault or DeviceError("the instrument is not ready yet: wait a moment")
+        return self._scanner
+
+    def scans_left(self) -> int | None:
+        """Number of scans that still fit; None if unknown."""
+        try:
+            return self.scanner().scans_left()
+        except (DeviceError, HalError):
+            return None
+
+    def scanner_for_press(self) -> Scanner:
+        """The scanner for a press that begins now, after changes by other programs. Errors as for `scanner`."""
+        self.follow()
+        return self.scanner()
+
+    def follow(self) -> None:
+        """Activate what another program, for example `retroscan gel`, has mounted or activated in this store."""
+        if self._selection is None or self._selection == active_selection(self._store, self._hardware):
+            return
+        self.prepare()
+        state = self._states.state
+        changed = f"Changed by another program: calibration {state.calibration.calibration_id}, gel {state.gel.gel_id}."
+        self._states.publish(Failed(state.calibration.fault) if state.calibration.fault else Info(changed))
+
+    def report_age(self) -> None:
+        """Update the active calibration's age in the state."""
+        if self._scanner:
+            age_s = calibration_age_s(self._scanner.calibration, self._store)
+            self._states.update(calibration=replace(self._states.state.calibration, age_s=age_s))
+
+    def prepare(self) -> None:
+        """Load the store's active calibration for the mounted gel, or record why that fails."""
+        self._scanner = self._baseline = self._zero = None
+        self._selection = active_selection(self._store, self._hardware)
+        self._states.update(gel=gel_state(self._store.root, self._hardware))
+        try:
+            fitted = self.fitted()
+            scanner = Scanner(fitted, self._store)
+            state = calibration_state(
+                scanner.calibration, CalibrationRegistry(self._store, fitted.profile), self._store
+            )
+        except (DeviceError, HalError) as error:
+            self._fault = error
+            self._live.begin(CaptureSettings.of_board(self._hardware), None)
+            unmeasured = HealthState(dict.fromkeys(self._hardware.profile.currents_ma))
+            self._states.update(calibration=CalibrationState(fault=str(error)), health=unmeasured)
+            return
+        self._scanner, self._fault = scanner, None
+        self._baseline = BaselineScheduler(scanner.health, self._executor)
+        self._live.begin(scanner.plan, _guide_model(scanner, fitted.profile.gel.slab_thickness_mm))
+        self._states.update(calibration=state)
+        self.report_health()
+
+    def check_baseline(self, live: LiveFrame) -> None:
+        """Check untouched skin in a live frame if a check is due."""
+        if self._baseline and self._baseline.step(live):
+            self.report_health()
+
+    def request_baseline(self) -> None:
+        """Request a baseline check soon, after a press."""
+        if self._baseline:
+            self._baseline.request()
+
+    def report_health(self) -> None:
+        """Update health and gel in the state."""
+        if self._scanner is None:
+            return
+        health = self._scanner.health
+        red, green, blue = (1.0 + (change or 0.0) for change in health.light_change.values())
+        self._live.set_light_levels((red, green, blue))
+        gel = gel_state(self._store.root, self._hardware)
+        self._states.update(gel=gel, health=health_state(health, gel, self._zero))
+
+    def check_zero(self) -> None:
+        """Take a frame of untouched skin and report how flat it reads."""
+        try:
+            scanner = self.scanner()
+            zero = scanner.health.check_zero(scanner.capture().capture.frame)
+        except (DeviceError, HalError) as error:
+            self._fail(f"zero check: {error}")
+            return
+        self._zero = zero
+        self.report_health()
+        sentence, passed = zero_sentence(zero), zero.flat_residual_um <= FLAT_RESIDUAL_UM
+        self._states.update(sentence=sentence)
+        self._states.publish(ZeroChecked(zero.flat_residual_um, passed, sentence))
+        show(self._hardware, "good" if passed else "doubtful")
+
+    def change_gel(self, gel_id: str, slab_thickness_mm: float | None) -> None:
+        """Mount another gel: its calibration becomes active, or scans are refused.
+
+        slab_thickness_mm : of a new gel; None: the board profile's
+        """
+        default = self._hardware.profile.gel
+        try:
+            self._registry()  # records the active calibration for the gel that is taken off
+            known = known_gel(self._store.root, gel_id) if slab_thickness_mm is None else None
+            mount_gel(self._store.root, known or make_gel(gel_id, slab_thickness_mm or default.slab_thickness_mm))
+            entry = self._registry().switch()
+        except DeviceError as error:
+            self.prepare()
+            self._fail(str(error))
+            return
+        self.prepare()
+        self._states.publish(Info(f"Gel {gel_id} is mounted; calibration {entry.calibration_id} is active."))
+
+    def roll_back(self) -> None:
+        """Activate the previous calibration."""
+        try:
+            entry = self._registry().roll_back()
+        except DeviceError as error:
+            self._fail(str(error))
+            return
+        self.prepare()
+        self._states.publish(Info(f"Rolled back to version {entry.version}: {entry.calibration_id} is active."))
+
+    def activate(self, calibration_id: str) -> None:
+        """Activate a stored calibration."""
+        try:
+            self._registry().activate(calibration_id)
+        except DeviceError as error:
+            self._fail(str(error))
+            return
+        self.prepare()
+        self._states.publish(Info(f"Calibration {calibration_id} is active."))
+
+    def _registry(self) -> CalibrationRegistry:
+        registry = CalibrationRegistry(self._store, self.fitted().profile)
+        registry.active_entry()
+        return registry
+
+    def _fail(self, sentence: str) -> None:
+        self._states.update(sentence=sentence)
+        self._states.publish(Failed(sentence))
+        show(self._hardware, "refused: calibration")
+
+
+def _guide_model(scanner: Scanner, slab_thickness_mm: float) -> GuideModel:
+    calibration = scanner.calibration
+    pitch_um = calibration.record.pixel_pitch_um
+    return GuideModel.prepare(calibration.reference(), scanner.model.slopes, pitch_um, 1e3 * slab_thickness_mm)
+
+
+def active_selection(store: BundleStore, hardware: Hardware) -> Selection:
+    """The mounted gel and active calibration as they are on the disk now."""
+    gel, active = gel_state(store.root, hardware), b""
+    with suppress(OSError):
+        active = (store.root / ACTIVE_FILE).read_bytes()
+    return gel.gel_id, gel.slab_thickness_mm, active
+
+
+def calibration_state(
+    calibration: CalibrationBundle, registry: CalibrationRegistry, store: BundleStore
+) -> CalibrationState:
+    """The active calibration. Errors as for `CalibrationRegistry.active_entry`."""
+    record = calibration.record
+    entry = registry.active_entry()
+    return CalibrationState(
+        calibration_id=record.calibration_id,
+        gel_id=record.gel_id,
+        version=entry.version if entry else None,
+        slot=entry.slot if entry else None,
+        age_s=calibration_age_s(calibration, store),
+        held_out_deg=record.figures.get("held_out_error_deg"),
+        brightness=Brightness.of_figures(record.figures),
+    )
+
+
+def calibration_age_s(calibration: CalibrationBundle, store: BundleStore) -> float | None:
+    """Age of a calibration by the wall clock; None if negative, when that clock is wrong."""
+    age_s = (store.wall_time() - calibration.record.created).total_seconds()
+    return age_s if age_s >= 0.0 else None
+
+
+def gel_state(root: Path, hardware: Hardware) -> GelState:
+    """The mounted gel; the board's default while the store's record is damaged, which `Scanner` then refuses."""
+    default = hardware.profile.gel
+    try:
+        gel = mounted_gel(root, default)
+    except DeviceError:
+        return GelState(default.id, default.slab_thickness_mm, 0)
+    return GelState(gel.gel_id, gel.slab_thickness_mm, gel.presses)

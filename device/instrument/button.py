@@ -1,0 +1,91 @@
+"""Pushes of the button, short and long, and what a long push does without a screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final, Literal
+
+from device.instrument.events import Info
+from device.instrument.state import StateStore, status_summary
+from hal.errors import HalError
+from hal.hardware import Hardware
+from hal.interfaces import Clock
+
+LONG_PUSH_S: Final = 2.0
+"""A push held at least this long is a long push, which takes no scan."""
+
+ButtonEvent = Literal["pushed", "short", "long"]
+
+
+AGAIN_S: Final = 10.0
+"""A second long push within this time starts a calibration."""
+
+
+class ButtonWatch:
+    """The button of one instrument; a push that began earlier is not reported.
+
+    began_ns : start of the current push; None between pushes
+    """
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._hardware = hardware
+        self._waiting_ns: int | None = None
+        self.began_ns: int | None = None
+
+    def wait(self, wait_s: float) -> ButtonEvent | None:
+        """The next event within `wait_s`: a push begins, or the current one is released or held long.
+
+        Raises
+        ------
+        ButtonError
+            The button cannot be read.
+        """
+        button = self._hardware.button
+        if self.began_ns is None:
+            self.began_ns, self._waiting_ns = self._waiting_ns or button.wait_for_push(wait_s), None
+            return None if self.began_ns is None else "pushed"
+        if press := button.wait_for_press(wait_s):
+            self.began_ns = None
+            return "long" if press.held_s >= LONG_PUSH_S else "short"
+        if self._hardware.clock.monotonic_ns() - self.began_ns >= LONG_PUSH_S * 1e9:
+            self.began_ns = None
+            return "long"
+        return None
+
+    def is_waiting(self) -> bool:
+        """Whether a push has begun that the next `wait` will report."""
+        if self.began_ns is None and self._waiting_ns is None:
+            with suppress(HalError):
+                self._waiting_ns = self._hardware.button.wait_for_push(0.0)
+        return self._waiting_ns is not None
+
+
+class LongPressHandler:
+    """Long pushes without a screen: the first opens the pairing window, a second soon after starts a calibration.
+
+    Parameters
+    ----------
+    open_pairing : called after the first
+    calibrate : called after the second
+    """
+
+    def __init__(
+        self, states: StateStore, clock: Clock, open_pairing: Callable[[], None], calibrate: Callable[[], None]
+    ) -> None:
+        self._states = states
+        self._clock = clock
+        self._open_pairing = open_pairing
+        self._calibrate = calibrate
+        self._before_ns: int | None = None
+
+    def on_long_press(self) -> None:
+        """Report the instrument's status and open the pairing window; soon after another one, calibrate."""
+        now_ns, before_ns = self._clock.monotonic_ns(), self._before_ns
+        if before_ns is not None and now_ns - before_ns <= AGAIN_S * 1e9:
+            self._before_ns = None
+            self._calibrate()
+            return
+        self._before_ns = now_ns
+        self._states.publish(Info(f"Held {LONG_PUSH_S:.0f} s, no scan.{status_summary(self._states.state)}"))
+        self._open_pairing()

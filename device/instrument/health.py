@@ -1,0 +1,96 @@
+"""Health of lights, skin and gel: the schedule of baseline checks, and the figures that the front end shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from typing import Final
+
+from device.acquisition.scan_health import ScanHealth, ZeroCheck
+from device.instrument.live import LiveFrame
+from device.instrument.state import GelState, HealthState
+from device.quality.thresholds import FLAT_RESIDUAL_UM, GEL_PRESSES, MAX_DEFECTS, MOVING, STALE_EVIDENCE_SCANS
+from device.quality.verdict import drift_complaints
+
+CALM_FRAMES: Final = 5
+
+REQUESTED_INTERVAL_S: Final = 0.3
+
+IDLE_INTERVAL_S: Final = 10.0
+
+
+def health_state(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> HealthState:
+    """The present health, with the first complaint.
+
+    zero : the last zero check under this calibration
+    """
+    complaints = list(_complaints(health, gel, zero))
+    return HealthState(
+        light_change=health.light_change,
+        scans_unseen=health.unseen_scans,
+        reference_change=health.reference_change,
+        defect_fraction=health.defect_fraction,
+        flat_residual_um=zero.flat_residual_um if zero else None,
+        level="doubtful" if complaints else "good",
+        sentence=complaints[0] if complaints else _summary(health),
+    )
+
+
+def zero_sentence(zero: ZeroCheck) -> str:
+    """The result of a zero check in words."""
+    if zero.flat_residual_um <= FLAT_RESIDUAL_UM:
+        return f"Zero check passed: untouched skin reads flat to {zero.flat_residual_um:.1f} µm."
+    return (
+        f"Zero check failed: untouched skin reads flat to only {zero.flat_residual_um:.1f} µm, "
+        f"{FLAT_RESIDUAL_UM:g} µm are allowed. Touch nothing, wipe the gel; if it fails again, calibrate."
+    )
+
+
+def _complaints(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> Iterator[str]:
+    for _, reason in drift_complaints(health.light_change, health.reference_change):
+        yield reason
+    if health.defect_fraction > MAX_DEFECTS:
+        yield f"{health.defect_fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
+    if zero and zero.flat_residual_um > FLAT_RESIDUAL_UM:
+        yield zero_sentence(zero)
+    if health.unseen_scans > STALE_EVIDENCE_SCANS:
+        yield f"untouched skin was not seen for {health.unseen_scans} scans: lift off, or run a zero check"
+    if gel.presses > GEL_PRESSES:
+        yield f"gel {gel.gel_id} was pressed {gel.presses} times: inspect its coat"
+
+
+def _summary(health: ScanHealth) -> str:
+    changes = [abs(change) for change in health.light_change.values() if change is not None]
+    return f"Lights within {max(changes):.1%} of calibration." if changes else "Lights not measured yet: lift off."
+
+
+class BaselineScheduler:
+    """Schedules baseline checks of untouched skin: 0.3 s after a press once the view is calm, then every 10 s."""
+
+    def __init__(self, health: ScanHealth, executor: Executor) -> None:
+        self._health = health
+        self._executor = executor
+        self._check: Future[bool] | None = None
+        self._calm_frames = 0
+        self._is_requested = True
+        self._checked_ns = 0
+
+    def request(self) -> None:
+        """Request a check soon, after a press."""
+        self._is_requested = True
+
+    def step(self, live: LiveFrame) -> bool:
+        """Start a check if one is due; returns whether a finished one updated the lights."""
+        updated = False
+        if self._check and self._check.done():
+            updated = self._check.result()
+            self._is_requested = self._is_requested and not updated
+            self._check = None
+        motion = live.reading.motion
+        self._calm_frames = self._calm_frames + 1 if motion is not None and motion < MOVING else 0
+        at_ns = live.frame.sensor_timestamp_ns
+        wait_s = REQUESTED_INTERVAL_S if self._is_requested else IDLE_INTERVAL_S
+        if self._check is None and self._calm_frames >= CALM_FRAMES and at_ns - self._checked_ns >= wait_s * 1e9:
+            self._checked_ns = at_ns
+            self._check = self._executor.submit(self._health.update, live.frame)
+        return updated

@@ -1,0 +1,97 @@
+"""The scans on the device for review: verdict, mark, note, offload state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from device.bundles.scan import Annotations, ScanBundle, VerdictRecord, read_scan
+from device.errors import RecordError
+from device.io.folder import Folder
+from device.io.tiff import read_page
+from device.quick_look.files import HEIGHT_FILE
+from device.quick_look.solver import quick_look_binning
+from device.store.eviction import acknowledged_scans
+from device.store.marks import ScanMark, read_mark
+from device.store.store import BundleStore
+from device.surface.fields import Float32Array, HeightMap
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEntry:
+    """One scan of the history.
+
+    offloaded : a workstation has acknowledged its copy
+    mark : the operator's later mark; None without one
+    """
+
+    scan_id: str
+    counter: int
+    wall_time: datetime
+    gel_id: str
+    calibration_id: str | None
+    verdict: VerdictRecord
+    annotations: Annotations
+    offloaded: bool
+    mark: ScanMark | None
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Every scan, newest first, and a sentence for each damaged one."""
+
+    scans: tuple[ScanEntry, ...]
+    damaged: tuple[str, ...]
+
+
+def read_history(store: BundleStore) -> History:
+    """The history of a store.
+
+    Raises
+    ------
+    StoreError
+        The store cannot be read.
+    """
+    listing = store.scans()
+    offloaded = {scan.scan_id for scan in acknowledged_scans(store.root)}
+    newest_first = sorted(listing.bundles, key=lambda scan: scan.record.identity.counter, reverse=True)
+    entries = (_entry(store.root, scan, scan.scan_id in offloaded) for scan in newest_first)
+    return History(tuple(entries), tuple(bundle.reason for bundle in listing.damaged))
+
+
+def read_quick_look(store: BundleStore, scan_id: str) -> HeightMap | None:
+    """The quick look that was published with a scan; None without one.
+
+    Raises
+    ------
+    RecordError
+        The scan does not exist, or its files are damaged.
+    """
+    bundle = read_scan(store.root / "scans" / scan_id)
+    if HEIGHT_FILE not in bundle.record.files:
+        return None
+    path = bundle.path(HEIGHT_FILE)
+    try:
+        with Folder(bundle.directory, follow=False) as folder, folder.opened(HEIGHT_FILE) as stream:
+            z_um: Float32Array = read_page(stream, np.float32)
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read ({error}): offload the raw frame and reconstruct it") from error
+    return HeightMap(z_um, bundle.record.pixel_pitch_um * quick_look_binning(bundle.record.shape))
+
+
+def _entry(root: Path, scan: ScanBundle, offloaded: bool) -> ScanEntry:
+    record = scan.record
+    return ScanEntry(
+        scan_id=record.scan_id,
+        counter=record.identity.counter,
+        wall_time=record.wall_time,
+        gel_id=record.gel_id,
+        calibration_id=record.calibration_id,
+        verdict=record.verdict,
+        annotations=record.annotations,
+        offloaded=offloaded,
+        mark=read_mark(root, record.scan_id),
+    )

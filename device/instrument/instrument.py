@@ -1,0 +1,209 @@
+"""The instrument: its state, its events, and its commands.
+
+One thread owns the hardware and calls `step` repeatedly. Commands come from any thread and are executed by
+the next step. CPU and disk work goes to the executor, so that a press never waits for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any, Final, ParamSpec, Self, TypeVar
+
+from device.bundles.scan import Annotations
+from device.errors import DeviceError
+from device.instrument.active_setup import ActiveSetup, gel_state
+from device.instrument.events import Event
+from device.instrument.history import History, read_history, read_quick_look
+from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
+from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, StateStore
+from device.instrument.worker import InstrumentWorker
+from device.pairing_service.service import PairingSetup
+from device.store.gels import known_gels
+from device.store.marks import Opinion, ScanMark, write_mark
+from device.store.registry import CalibrationRegistry, RegisteredCalibration
+from device.store.store import BundleStore
+from device.surface.fields import HeightMap
+from hal.clock import VirtualClock
+from hal.errors import HalError
+from hal.hardware import Hardware
+from hal.interfaces import LiftOff, PressObject
+
+BALL_RADIUS_MM: Final = 3.0
+"""Default radius of the calibration ball."""
+
+
+Arguments = ParamSpec("Arguments")
+
+Result = TypeVar("Result")
+
+
+class Instrument:
+    """The handheld without a user interface. A context manager: entering makes it ready, leaving waits for work.
+
+    Parameters
+    ----------
+    hardware : not entered; the instrument enters and leaves it
+    store : of scans and calibrations
+    executor : for CPU and disk work; default: one thread, or inline in virtual time
+    pairing : how workstations reach the device; default: as installed
+    ball_radius_mm : of the ball for calibrations that the button starts
+    """
+
+    def __init__(
+        self,
+        hardware: Hardware,
+        store: BundleStore,
+        executor: Executor | None = None,
+        pairing: PairingSetup | None = None,
+        ball_radius_mm: float = BALL_RADIUS_MM,
+    ) -> None:
+        self._hardware = hardware
+        self._setup = pairing or PairingSetup()
+        virtual = isinstance(hardware.clock, VirtualClock)
+        self._store = store
+        self._states = StateStore(_first_state(hardware, store))
+        working = executor or (InlineExecutor() if virtual else ThreadPoolExecutor(1, "processing"))
+        window = PairingRun(self._states, store, hardware.clock, self._setup)
+        self._worker = InstrumentWorker(hardware, store, self._states, working, window, ball_radius_mm)
+
+    # State and events: from any thread.
+
+    @property
+    def state(self) -> InstrumentState:
+        """The present state: an immutable value."""
+        return self._states.state
+
+    def take_events(self) -> tuple[Event, ...]:
+        """The events since the last call, oldest first."""
+        return self._states.take_events()
+
+    # Commands: from any thread, executed by the next step.
+
+    def press(self) -> None:
+        """Act like a push of the button: scan, or take the next calibration frame."""
+        self._worker.enqueue(InstrumentWorker.press)
+
+    def demonstrate(self, name: str) -> None:
+        """Let the twin's operator press an object of its gallery and push the button; no effect on a real board."""
+        self._worker.enqueue(lambda worker: worker.hardware.operator.ask(PressObject(name)))
+
+    def lift(self) -> None:
+        """Let the twin's operator lift off and push the button; no effect on a real board."""
+        self._worker.enqueue(lambda worker: worker.hardware.operator.ask(LiftOff()))
+
+    def set_sticky(self, annotations: Annotations) -> None:
+        """Set job, part, operator and note of every later scan."""
+        self._states.update(sticky=annotations)
+
+    def redirect_button(self, short_too: bool) -> None:
+        """Report long pushes as `ButtonPushed`; with `short_too` also short ones, which then do not scan."""
+        self._worker.enqueue(lambda worker: worker.redirect_button(short_too))
+
+    def set_auto_shutter(self, on: bool) -> None:
+        """Scan automatically when a contact is still."""
+        self._states.update(auto_shutter=on)
+
+    def start_calibration(self, ball_radius_mm: float) -> None:
+        """Start the guided calibration; each push of the button or `press` takes its next frame."""
+        self._worker.enqueue(lambda worker: worker.start_calibration(ball_radius_mm))
+
+    def cancel_calibration(self) -> None:
+        """Stop the guided calibration; the previous one stays active."""
+        self._worker.enqueue(InstrumentWorker.cancel_calibration)
+
+    def run_selftest(self) -> None:
+        """Test every part; findings come as `SelfTested`."""
+        self._worker.enqueue(InstrumentWorker.selftest)
+
+    def zero_check(self) -> None:
+        """Take a frame of untouched skin; `ZeroChecked` says how flat it reads."""
+        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.check_zero))
+
+    def change_gel(self, gel_id: str, slab_thickness_mm: float | None = None) -> None:
+        """Mount another gel: its calibration becomes active (`Info`), or scans are refused (`Failed`)."""
+        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.change_gel(gel_id, slab_thickness_mm)))
+
+    def roll_back(self) -> None:
+        """Activate the previous calibration: `Info`, or `Failed` without one."""
+        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.roll_back))
+
+    def activate(self, calibration_id: str) -> None:
+        """Activate a stored calibration: `Info`, or `Failed` if it is foreign, stale or damaged."""
+        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.activate(calibration_id)))
+
+    def open_pairing(self) -> None:
+        """Open the pairing window for two minutes: `PairingChanged`, and the code in the state."""
+        self._worker.enqueue(InstrumentWorker.open_pairing)
+
+    def power_off(self) -> None:
+        """Finish running work, switch the lights off and report `PowerOffRequested`."""
+        self._worker.enqueue(InstrumentWorker.power_off)
+
+    # Scans and calibrations on the disk: from any thread, immediately.
+
+    def history(self) -> History:
+        """Every scan, newest first. Reads the disk: not for every redraw."""
+        return read_history(self._store)
+
+    def quick_look(self, scan_id: str) -> HeightMap | None:
+        """The stored quick look of a scan; errors as for `read_quick_look`."""
+        return read_quick_look(self._store, scan_id)
+
+    def mark(self, scan_id: str, opinion: Opinion | None, note: str = "") -> None:
+        """Mark a scan good or bad (None: neither) with a note; errors as for `write_mark`."""
+        write_mark(self._store.root, ScanMark(scan_id=scan_id, opinion=opinion, note=note))
+
+    def gels(self) -> tuple[GelState, ...]:
+        """Every gel that was ever mounted here."""
+        known = known_gels(self._store.root)
+        return tuple(GelState(gel.gel_id, gel.slab_thickness_mm, gel.presses) for gel in known)
+
+    def calibrations(self) -> tuple[RegisteredCalibration, ...]:
+        """Every calibration of the store by key and version; errors as for `CalibrationRegistry.list`."""
+        return CalibrationRegistry(self._store, self._hardware.profile).list()
+
+    def network(self) -> NetworkInfo:
+        """Host name, addresses and key fingerprint of this instrument."""
+        return network_info(self._setup.host_key)
+
+    # The thread that owns the hardware.
+
+    def __enter__(self) -> Self:
+        self._worker.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._worker.close()
+
+    def step(self) -> None:
+        """Execute commands, handle the button and finished work, and take one live frame."""
+        self._worker.step()
+
+
+def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
+    return InstrumentState(
+        activity="out of order",
+        board=hardware.profile.name,
+        device_id=store.device_id,
+        calibration=CalibrationState(),
+        gel=gel_state(store.root, hardware),
+        health=HealthState(dict.fromkeys(hardware.profile.currents_ma)),
+        scans_stored=len(store.scans().bundles),
+        sentence="starting",
+    )
+
+
+class InlineExecutor(Executor):
+    """Runs every job within `submit`, for virtual time, in which runs repeat exactly."""
+
+    def submit(
+        self, fn: Callable[Arguments, Result], /, *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Future[Result]:
+        """A finished future; an error of the instrument is kept in it, as in a thread's."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except (DeviceError, HalError) as error:
+            future.set_exception(error)
+        return future

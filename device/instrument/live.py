@@ -1,0 +1,124 @@
+"""The live stream: lights on, frame after frame to the press guide; lights off after a while without activity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from device.acquisition.capture import FRAME_TIMEOUT_S, CaptureSettings, check_frame, retry_with_restart
+from device.guidance.downsample import downsample_bayer, downsample_step
+from device.guidance.guide import GuideModel, PressGuide
+from device.guidance.reading import GuideReading
+from device.instrument.state import LiveView, StateStore
+from device.quality.thresholds import STILL_S
+from hal.frame import RawFrame
+from hal.hardware import Hardware
+
+SLEEP_AFTER_S: Final = 120.0
+"""Time without contact, press or command after which the lights go off: they warm the gel and drain the battery."""
+
+PERIOD_S: Final = 0.05
+"""Interval of live frames; between them the worker waits for the button."""
+
+MAX_MOTION_AGE_S: Final = 0.5
+"""Maximum age of the live frame that a scan's motion is measured against."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveFrame:
+    """A full frame of the live stream, and its reading."""
+
+    frame: RawFrame
+    reading: GuideReading
+
+
+class LiveLoop:
+    """The live stream of one instrument; for the hardware's thread only."""
+
+    def __init__(self, hardware: Hardware, states: StateStore) -> None:
+        self._hardware = hardware
+        self._states = states
+        self._plan: CaptureSettings | None = None
+        self._guide = PressGuide(None)
+        self._lit = False
+        self._awake_ns = hardware.clock.monotonic_ns()
+        self._fired = False
+        self._stepped_ns = 0
+        self._at_ns: int | None = None
+
+    def begin(self, plan: CaptureSettings, model: GuideModel | None) -> None:
+        """Stream with these settings from now on, and guide with this model."""
+        self._hardware.camera.apply(plan.settings)
+        self._plan = plan
+        self._guide = PressGuide(model)
+        self._lit = False
+        self.wake()
+
+    def set_light_levels(self, levels: tuple[float, float, float]) -> None:
+        """Correct for light levels that changed since the reference: R, G, B relative to it."""
+        self._guide.set_light_levels(levels)
+
+    def motion(self, frame: RawFrame) -> float | None:
+        """How much a frame differs from the last live one; None if that is too old."""
+        at_ns = self._at_ns
+        if at_ns is None or frame.sensor_timestamp_ns - at_ns > MAX_MOTION_AGE_S * 1e9:
+            return None
+        return self._guide.motion(downsample_bayer(frame))
+
+    def wake(self) -> None:
+        """Restart the time to sleep, after any activity."""
+        self._awake_ns = self._hardware.clock.monotonic_ns()
+
+    def lights_changed(self) -> None:
+        """Other code switched the lights; the next step switches them on again."""
+        self._lit = False
+
+    def rest(self) -> None:
+        """Switch the lights off until the next frame."""
+        if self._lit:
+            self._hardware.lights.off()
+            self._lit = False
+
+    def wait_s(self) -> float:
+        """Time until the next live frame is due, s, in which the worker may wait for the button."""
+        since_s = (self._hardware.clock.monotonic_ns() - self._stepped_ns) * 1e-9
+        return min(max(PERIOD_S - since_s, 0.0), PERIOD_S)
+
+    def step(self) -> LiveFrame | None:
+        """The next live frame and its reading; None while asleep.
+
+        Raises
+        ------
+        HalError, FrameError
+            Camera or lights do not answer, or frames differ from the board profile.
+        """
+        self._stepped_ns = self._hardware.clock.monotonic_ns()
+        if self._plan is None or self._is_asleep():
+            self.rest()
+            self._states.update(live=None)
+            return None
+        if not self._lit:
+            self._hardware.lights.switch_on(self._plan.currents_ma)
+            self._lit = True
+        camera = self._hardware.camera
+        frame = retry_with_restart(camera, lambda: camera.next_frame(FRAME_TIMEOUT_S))
+        check_frame(frame, self._hardware.profile.sensor, camera.camera_id)
+        small = downsample_bayer(frame)
+        reading = self._guide.read(small)
+        if not reading.in_air:
+            self.wake()
+        self._at_ns = small.at_ns
+        self._states.update(live=LiveView(small.picture(), downsample_step(frame.shape), reading, small.at_ns))
+        return LiveFrame(frame, reading)
+
+    def fires(self, reading: GuideReading) -> bool:
+        """Whether the auto-shutter fires now: once per contact, when it is still and the guide says ready."""
+        if reading.in_air:
+            self._fired = False
+        if self._fired or reading.advice != "ready" or reading.still_s < STILL_S:
+            return False
+        self._fired = True
+        return True
+
+    def _is_asleep(self) -> bool:
+        return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9

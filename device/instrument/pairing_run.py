@@ -1,0 +1,100 @@
+"""Pairing on the instrument: the window, polled by the worker, and the network facts that a workstation needs."""
+
+from __future__ import annotations
+
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.errors import DeviceError, RecordError
+from device.instrument.events import Failed, PairingChanged
+from device.instrument.state import PairingState, StateStore
+from device.pairing_service.authorized_keys import read_host_key
+from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
+from device.pairing_service.window import PairingWindow
+from device.store.store import BundleStore
+from hal.interfaces import Clock
+
+
+class PairingRun:
+    """Opens at most one window at a time."""
+
+    def __init__(self, states: StateStore, store: BundleStore, clock: Clock, setup: PairingSetup) -> None:
+        self._states = states
+        self._store = store
+        self._clock = clock
+        self._setup = setup
+        self._window: PairingWindow | None = None
+
+    def open(self) -> bool:
+        """Open the window and return whether it is open; `PairingChanged` reports the outcome."""
+        if self._window:
+            return True
+        try:
+            window = open_pairing_window(self._store, self._clock, self._setup)
+            sentence = how_to_call(window, self._setup, self._store)
+        except DeviceError as error:
+            self._states.update(sentence=str(error))
+            self._states.publish(Failed(str(error)))
+            return False
+        self._window = window
+        until_ns = self._clock.monotonic_ns() + round(window.seconds_left * 1e9)
+        self._report(PairingState(window.code, until_ns, sentence, is_open=True))
+        return True
+
+    def step(self) -> None:
+        """Check whether a workstation was paired or the time is over."""
+        if self._window and (outcome := self._window.outcome):
+            self._window = None
+            self._report(PairingState("", 0, outcome.sentence, is_open=False))
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window:
+            self._window.close()
+            self.step()
+
+    def _report(self, state: PairingState) -> None:
+        self._states.update(pairing=state)
+        self._states.publish(PairingChanged(state.sentence, state.is_open))
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkInfo:
+    """What to type on the workstation, and what to compare.
+
+    addresses : IPv4, of cable and Wi-Fi; empty without a network
+    key_fingerprint : of sshd's key as OpenSSH prints it, or why it cannot be read
+    """
+
+    host_name: str
+    addresses: tuple[str, ...]
+    key_fingerprint: str
+
+
+def network_info(host_key: Path) -> NetworkInfo:
+    """The network state now."""
+    return NetworkInfo(os.uname().nodename, _addresses(), _fingerprint(host_key))
+
+
+def _addresses() -> tuple[str, ...]:
+    """Addresses that other machines may reach; the kernel gives the source address of a route to each target."""
+    found = []
+    for target in ("192.0.2.1", "10.55.0.1", "169.254.1.1"):
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.connect((target, 9))  # connecting a datagram socket sends nothing
+                address = str(probe.getsockname()[0])
+        except OSError:
+            continue
+        if address not in found and not address.startswith("127."):
+            found.append(address)
+    return tuple(found)
+
+
+def _fingerprint(host_key: Path) -> str:
+    try:
+        return fingerprint_of(read_host_key(host_key))
+    except (RecordError, ValueError) as error:
+        return str(error)

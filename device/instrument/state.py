@@ -1,0 +1,183 @@
+"""The instrument's state at one moment, as an immutable value, and the store that threads share it through."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from threading import Lock
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.acquisition.guided_calibration import CalibrationProgress
+from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
+from device.guidance.reading import GuideReading
+from device.imaging.exposure import Brightness
+from device.instrument.events import Event
+from device.quality.thresholds import OLD_CALIBRATION_S
+from device.surface.fields import HeightMap
+from hal.interfaces import PowerReading
+
+Activity = Literal["out of order", "ready", "capturing", "calibrating", "checking zero", "self-test", "off"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveView:
+    """The live image and the press guide's reading.
+
+    picture : uint8 array of shape (h, w, 3), R, G, B
+    step : sensor pixels per picture pixel, for drawing circles given in sensor pixels
+    """
+
+    picture: NDArray[np.uint8]
+    step: int
+    reading: GuideReading
+    at_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationState:
+    """The active calibration, or why there is none (`fault` says what to do).
+
+    version, slot : in the registry; None if unknown
+    age_s : by the wall clock; None if negative, when that clock is wrong
+    brightness : how much of the sensor's range it uses; None if not recorded
+    """
+
+    calibration_id: str | None = None
+    gel_id: str | None = None
+    version: int | None = None
+    slot: Literal["factory", "user"] | None = None
+    age_s: float | None = None
+    held_out_deg: float | None = None
+    brightness: Brightness | None = None
+    fault: str = ""
+
+    @property
+    def is_old(self) -> bool:
+        """Whether it should be checked with the calibration cap."""
+        return self.age_s is not None and self.age_s > OLD_CALIBRATION_S
+
+
+@dataclass(frozen=True, slots=True)
+class GelState:
+    """The mounted gel and its number of presses."""
+
+    gel_id: str
+    slab_thickness_mm: float
+    presses: int
+
+
+@dataclass(frozen=True, slots=True)
+class HealthState:
+    """Changes of lights, reference and gel since calibration, as far as measured.
+
+    light_change : relative change of each light, for example -0.03; None if not measured
+    scans_unseen : scans since untouched skin was last measured
+    reference_change : rms change of the untouched skin's pattern after removal of the light levels
+    defect_fraction : fraction of the field with scratches, dust or stains; None if not measured
+    flat_residual_um : of the last zero check
+    level, sentence : "good" or "doubtful", and why
+    """
+
+    light_change: dict[str, float | None]
+    scans_unseen: int = 0
+    reference_change: float | None = None
+    defect_fraction: float | None = None
+    flat_residual_um: float | None = None
+    level: VerdictLevel = "good"
+    sentence: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LastScan:
+    """The last finished scan.
+
+    height : its quick look; None without one, `fault` then says why
+    """
+
+    scan_id: str
+    counter: int
+    verdict: VerdictRecord
+    height: HeightMap | None
+    fault: str
+
+
+@dataclass(frozen=True, slots=True)
+class PairingState:
+    """The pairing window: the code to type on the workstation and its end (ns of the instrument's clock), or how it
+    ended."""
+
+    code: str
+    open_until_ns: int
+    sentence: str
+    is_open: bool
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentState:
+    """Everything that a front end shows; replaced as a whole on every change.
+
+    activity : presses are accepted in "ready", and in "calibrating" for its steps; "out of order" while a part does
+        not answer: `sentence` says which, and the instrument retries by itself
+    processing : scans in memory that are not on the disk yet
+    sticky : job, part, operator and note of every scan
+    scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
+    sentence : the last message
+    """
+
+    activity: Activity
+    board: str
+    device_id: str
+    calibration: CalibrationState
+    gel: GelState
+    health: HealthState
+    sticky: Annotations = field(default_factory=Annotations)
+    processing: int = 0
+    scans_stored: int | None = None
+    scans_left: int | None = None
+    power: PowerReading = field(default_factory=PowerReading)
+    auto_shutter: bool = False
+    live: LiveView | None = None
+    last: LastScan | None = None
+    guide: CalibrationProgress | None = None
+    pairing: PairingState | None = None
+    sentence: str = ""
+
+
+class StateStore:
+    """State and events of the instrument, shared between its threads and its front end; thread-safe."""
+
+    def __init__(self, state: InstrumentState) -> None:
+        self._lock = Lock()
+        self._state = state
+        self._events: deque[Event] = deque(maxlen=1000)
+
+    @property
+    def state(self) -> InstrumentState:
+        """The present state: an immutable value."""
+        return self._state
+
+    def update(self, **fields: Any) -> None:
+        """Replace some of the state's fields in one step."""
+        with self._lock:
+            self._state = replace(self._state, **fields)
+
+    def publish(self, event: Event) -> None:
+        """Append an event."""
+        self._events.append(event)
+
+    def take_events(self) -> tuple[Event, ...]:
+        """The events since the last call, oldest first; at most the last 1000 are kept."""
+        taken = []
+        while self._events:
+            taken.append(self._events.popleft())
+        return tuple(taken)
+
+
+def status_summary(state: InstrumentState) -> str:
+    """Free space, battery and supply complaints in sentences, each after a blank."""
+    room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
+    battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
+    return room + battery + "".join(f" {complaint}." for complaint in state.power.complaints)

@@ -1,0 +1,256 @@
+"""The thread that owns the hardware: commands, button, calibration and live stream, one step after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import suppress
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Final
+
+from device.acquisition.selftest import selftest
+from device.errors import DeviceError
+from device.instrument.active_setup import ActiveSetup
+from device.instrument.button import LONG_PUSH_S, LongPressHandler
+from device.instrument.calibration_run import CalibrationRun
+from device.instrument.events import ButtonPushed, Failed, PowerOffRequested, SelfTested, show
+from device.instrument.live import LiveLoop
+from device.instrument.pairing_run import PairingRun
+from device.instrument.scan_queue import ScanQueue, Source
+from device.instrument.state import StateStore
+from device.store.store import BundleStore
+from hal.errors import HalError
+from hal.hardware import Hardware
+
+RETRY_S: Final = 1.0
+"""Interval between attempts to reopen hardware that does not answer."""
+
+HOUSEKEEPING_S: Final = 5.0
+"""Interval between readings of free space and supply."""
+
+NOT_NOW: Final = "not possible during a calibration or while a part does not answer: finish it, or check the part"
+
+Command = Callable[["InstrumentWorker"], None]
+
+
+class InstrumentWorker:
+    """Work for the hardware's thread; any thread may enqueue commands, the next step executes them."""
+
+    def __init__(
+        self,
+        hardware: Hardware,
+        store: BundleStore,
+        states: StateStore,
+        executor: Executor,
+        pairing: PairingRun,
+        ball_radius_mm: float,
+    ) -> None:
+        self.hardware = hardware
+        self.states = states
+        self._store = store
+        self._executor = executor
+        self._commands: SimpleQueue[Command] = SimpleQueue()
+        self._live = LiveLoop(hardware, states)
+        self._active = ActiveSetup(hardware, store, states, self._live, executor)
+        self._pairing = pairing
+        self._scans = ScanQueue(
+            hardware, states, executor, self._active.scanner_for_press, self._live.motion, self._on_long_press
+        )
+        calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
+        self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
+        self._run: CalibrationRun | None = None
+        self._is_open = self._redirects_long = self._redirects_short = False
+        self._polled_ns: int | None = None
+
+    def enqueue(self, command: Command) -> None:
+        """Queue a command for the next step."""
+        self._commands.put(command)
+
+    def step(self) -> None:
+        """Execute commands, handle the button and finished work, and take one live frame."""
+        if not self._is_open:
+            self.open()
+        self._execute_commands()
+        if not self._is_open or self.states.state.activity == "off":
+            self.hardware.clock.sleep(RETRY_S)
+            return
+        try:
+            self._pairing.step()
+            self._serve()
+        except (HalError, DeviceError) as error:
+            self._out_of_order(error)
+        self._poll_housekeeping()
+
+    def open(self) -> None:
+        """Acquire the hardware and prepare the active calibration; failures are reported and retried later."""
+        if self.states.state.activity == "off":
+            return
+        try:
+            self.hardware.__enter__()
+            self._is_open = True
+            missed = self.hardware.button.clear_presses()
+            if self._run:
+                self._run.cancel()
+            else:
+                self._active.prepare()
+        except HalError as error:
+            self._out_of_order(error)
+            return
+        self.states.update(activity="ready")
+        self._polled_ns = None
+        self._poll_housekeeping()
+        show(self.hardware, "idle")
+        if missed:
+            self._scans.refuse("hardware", "a push was ignored while a part did not answer: push again")
+
+    def close(self) -> None:
+        """Wait for running work, switch the lights off and release the hardware."""
+        self._pairing.close()
+        self._executor.shutdown(wait=True)
+        self._scans.collect()
+        self._release()
+
+    def press(self) -> None:
+        """Handle a push of the screen's button."""
+        self._live.wake()
+        if self._run:
+            self._run.press()
+            self._live.lights_changed()
+        else:
+            self._scan("screen")
+
+    def redirect_button(self, short_too: bool) -> None:
+        """Report long pushes as events from now on, and optionally short ones instead of a scan."""
+        self._redirects_long, self._redirects_short = True, short_too
+
+    def start_calibration(self, ball_radius_mm: float, *, by_button: bool = False) -> None:
+        """Start the guided calibration; one started by button ends with a long push or without pushes for a while."""
+        if self._run or not self._is_open:
+            self.states.publish(Failed(NOT_NOW))
+            return
+        if by_button:
+            self._pairing.close()
+        fitted, done = self._active.fitted(), self._end_calibration
+        self._run = CalibrationRun(fitted, self._store, self.states, self._executor, ball_radius_mm, done, by_button)
+        self._live.begin(self._run.plan, None)
+        self._run.begin()
+
+    def cancel_calibration(self) -> None:
+        """Stop the guided calibration."""
+        if self._run:
+            self._run.cancel()
+
+    def selftest(self) -> None:
+        """Test every part by itself, then reopen the hardware."""
+        self.states.update(activity="self-test")
+        self._release()
+        before = None
+        for finding in selftest(self.hardware):
+            if before:
+                self.states.publish(SelfTested(before, ended=False))
+            before = finding
+        if before:
+            self.states.publish(SelfTested(before, ended=True))
+        self.open()
+
+    def power_off(self) -> None:
+        """Finish running work, switch the lights off and report it."""
+        self.close()
+        self.states.update(activity="off", live=None)
+        self.states.publish(PowerOffRequested())
+
+    def maintain(self, work: Callable[[ActiveSetup], None]) -> None:
+        """Work on gel, calibration or zero between presses."""
+        if self._run or not self._is_open:
+            self.states.publish(Failed(NOT_NOW))
+            return
+        self._live.wake()
+        work(self._active)
+        self._live.lights_changed()
+
+    def open_pairing(self) -> None:
+        """Open the pairing window."""
+        if self._pairing.open():
+            show(self.hardware, "pairing")
+
+    def _execute_commands(self) -> None:
+        with suppress(Empty):
+            while True:
+                command = self._commands.get_nowait()
+                if self.states.state.activity == "off":
+                    continue
+                try:
+                    command(self)
+                except (DeviceError, HalError) as error:
+                    self.states.publish(Failed(str(error)))
+
+    def _serve(self) -> None:
+        if self._scans.collect():
+            self._active.report_health()
+        if self._run:
+            self._step_calibration(self._run)
+        elif self._redirects_short:
+            if press := self.hardware.button.wait_for_press(0.0):
+                self.states.publish(ButtonPushed(press.held_s >= LONG_PUSH_S))
+        elif self._scans.watch_button(self._live.wait_s()):
+            self._after_press()
+        live = self._live.step()
+        if live is None or self._run:
+            return
+        self._active.check_baseline(live)
+        if self.states.state.auto_shutter and self._live.fires(live.reading):
+            self._scan("auto-shutter")
+
+    def _after_press(self) -> None:
+        """The lights may be off after a press, and a baseline check is due."""
+        self._live.lights_changed()
+        self._live.wake()
+        self._active.request_baseline()
+
+    def _scan(self, source: Source) -> None:
+        self._scans.scan(source)
+        self._after_press()
+
+    def _step_calibration(self, run: CalibrationRun) -> None:
+        if run.watch_button(self._live.wait_s()):
+            self._live.wake()
+            self._live.lights_changed()
+        run.step()
+
+    def _end_calibration(self) -> None:
+        self._run = None
+        self.states.update(activity="ready")
+        self._active.prepare()
+
+    def _on_long_press(self) -> None:
+        if self._redirects_long:
+            self.states.publish(ButtonPushed(held_long=True))
+        else:
+            self._long_presses.on_long_press()
+
+    def _out_of_order(self, error: Exception) -> None:
+        """Release all hardware after a failure and retry later."""
+        self._release()
+        if self.states.state.activity != "out of order" or self.states.state.sentence != str(error):
+            self.states.publish(Failed(str(error)))
+        self.states.update(activity="out of order", sentence=str(error), live=None)
+        self.hardware.clock.sleep(RETRY_S)
+
+    def _release(self) -> None:
+        self._is_open = False
+        with suppress(HalError):
+            self.hardware.__exit__(None, None, None)
+
+    def _poll_housekeeping(self) -> None:
+        """Read free space, supply and the calibration's age from time to time, and follow other programs' changes."""
+        now_ns = self.hardware.clock.monotonic_ns()
+        if self._polled_ns is not None and now_ns - self._polled_ns < HOUSEKEEPING_S * 1e9:
+            return
+        self._polled_ns = now_ns
+        with suppress(HalError):
+            self.states.update(power=self.hardware.power.read())
+        self.states.update(scans_left=self._active.scans_left())
+        self._active.report_age()
+        if self._is_open and not self._run:
+            self._active.follow()

@@ -1,0 +1,1 @@
+"""The map from colour and position to slope: the model, not its fitting."""

@@ -1,0 +1,155 @@
+"""What curves of the inverse map read that is not intensity alone, each with its curve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.inverse_map.illumination import IlluminationMap, between_nodes, rows_between_nodes
+from device.inverse_map.near_light import NearLightModel
+from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.root_intensity import RootIntensity
+from device.surface.fields import Float32Array, Float64Array
+
+Reading = IlluminationMap | NearLightModel | RootIntensity
+"""Makes of intensity and place the colours that a curve is a function of."""
+
+
+class Part(Protocol):
+    """A curve of the map that reads slopes of intensity and place."""
+
+    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+
+    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntensityCurve:
+    """A curve that reads intensity itself."""
+
+    curve: FeatureRegressor
+
+    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        return self.curve.at(intensity, place)
+
+    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        return self.curve.rows(values, across, down)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawLightBranch:
+    """A curve that reads light, and its part in the map.
+
+    field : light of untouched skin
+    curve : what reads it; its colours are light relative to the field's mean
+    share : its weight, 0 to 1; the map's other curve has the rest
+    at_rest : stereographic slope that the curve reads on untouched skin, at the field's nodes, float32 array of shape
+        (h, w, 2), which is taken off its readings; None in files of before that was done
+    """
+
+    field: IlluminationMap
+    curve: FeatureRegressor
+    share: float
+    at_rest: Float32Array | None = None
+
+    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        u = self.curve.at(self.field.seen(intensity, place), place)
+        return u if self.at_rest is None else u - between_nodes(self.at_rest, place)
+
+    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        u, _ = self.curve.rows(self.field.seen_rows(values, across, down), across, down)
+        return u if self.at_rest is None else u - rows_between_nodes(self.at_rest, across, down)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        rest = {} if self.at_rest is None else {"at_rest": self.at_rest}
+        return self.curve.arrays() | self.field.arrays() | {"share": np.array(self.share)} | rest
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> RawLightBranch | None:
+        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        if not arrays:
+            return None
+        share = float(arrays["share"])
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"a share of {share}")
+        field = IlluminationMap.from_arrays(arrays)
+        at_rest = np.asarray(arrays["at_rest"], np.float32) if "at_rest" in arrays else None
+        if at_rest is not None and (at_rest.shape != (*field.nodes.shape[:2], 2) or not np.isfinite(at_rest).all()):
+            raise ValueError(f"slopes at rest of shape {at_rest.shape}")
+        return cls(field, FeatureRegressor.from_arrays(arrays, source, linear=True), share, at_rest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RootCurve:
+    """A curve that reads the root of intensity, and its part in the map.
+
+    curve : its colours are roots of intensity
+    share : its weight, 0 to 1
+    """
+
+    curve: FeatureRegressor
+    share: float
+
+    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        return self.curve.at(RootIntensity().seen(intensity, place), place)
+
+    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        return self.curve.rows(RootIntensity().seen_rows(values, across, down), across, down)[0]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        return self.curve.arrays() | {"share": np.array(self.share)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> RootCurve | None:
+        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        if not arrays:
+            return None
+        share = float(arrays["share"])
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"a share of {share}")
+        return cls(FeatureRegressor.from_arrays(arrays, source, linear=True), share)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearLightBranch:
+    """A curve that reads the slopes of a matt skin under near lights.
+
+    field : where the lights stand
+    curve : what reads them; its colours are p, q and brightness
+    """
+
+    field: NearLightModel
+    curve: FeatureRegressor
+
+    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        return self.curve.at(self.field.seen(intensity, place), place)
+
+    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        return self.curve.rows(self.field.seen_rows(values, across, down), across, down)[0]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        return self.curve.arrays() | self.field.arrays()
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> NearLightBranch | None:
+        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        if not arrays:
+            return None
+        return cls(NearLightModel.from_arrays(arrays), FeatureRegressor.from_arrays(arrays, source, linear=True))

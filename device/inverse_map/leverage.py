@@ -1,0 +1,56 @@
+"""How far a pixel's colour and place lie from what the balls taught: the leverage of ridge regression.
+
+A polynomial's answer has the variance h = φᵀ (ΦᵀΦ + λ)⁻¹ φ times that of the samples, φ the pixel's features. Where h
+is larger than at any ball the answer is extrapolated, however smooth it looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.inverse_map.regressor import FeatureRegressor
+from device.surface.fields import Float32Array, Float64Array
+
+TAUGHT_PERCENT: Final = 99.9
+"""Percentile of the leverage over the balls that counts as taught: the last few pixels are dust."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leverage:
+    """What the leverage of a curve's features is computed with.
+
+    root : float32 array of shape (M K, M K); h = |φᵀ root|² for features φ of the curve
+    taught : the highest leverage that counts as taught
+    """
+
+    root: Float32Array
+    taught: float
+
+    @classmethod
+    def of(cls, root: Float64Array, design: Float64Array) -> Leverage:
+        """The leverage whose root over the features of the balls, float64 array (N, M K), is known."""
+        return cls(root.astype(np.float32), float(np.percentile(((design @ root) ** 2).sum(axis=1), TAUGHT_PERCENT)))
+
+    def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
+        """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest that was taught."""
+        design = curve.design(colours, place)
+        return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.taught, np.float64)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        return {"root": self.root, "taught": np.array(self.taught)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], curve: FeatureRegressor) -> Leverage:
+        """The leverage of `curve` that `arrays` wrote; KeyError or ValueError when malformed."""
+        root = np.asarray(arrays["root"], np.float32)
+        features = curve.coefficients.shape[0] * curve.coefficients.shape[1]
+        taught = float(arrays["taught"])
+        if root.shape != (features, features) or not taught > 0.0:
+            raise ValueError(f"a leverage of shape {root.shape} for {features} features")
+        return cls(root, taught)

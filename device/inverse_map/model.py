@@ -1,0 +1,259 @@
+"""The position-aware inverse map: from intensity and place in the field straight to slope.
+
+Near lights make the reflectance change over the field, so that one colour means different slopes in different places.
+The map is a curve of log intensity, a polynomial with or without waves (see `regressor`), whose every coefficient is
+itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, its place is
+taken by a curve that reads what a matt skin's slopes would be under near lights (see `near_light`); and a further curve
+reads the frame's light, not divided by the reference, another the root of intensity, and the map is the weighted mean
+of all. Each is fitted less what it reads on untouched skin (see `rest_reading`), so that intensity 1 has no slope
+anywhere. Where the curves disagree none of them is sure, and the slope weighs less in integration.
+
+Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried
+(docs/decisions/0004-direct-inverse.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.errors import CalibrationMismatch, RecordError
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.branches import IntensityCurve, NearLightBranch, Part, RawLightBranch, RootCurve
+from device.inverse_map.illumination import between_nodes, is_node_grid, rows_between_nodes
+from device.inverse_map.leverage import Leverage
+from device.inverse_map.polynomial_features import field_position
+from device.inverse_map.regressor import FeatureRegressor, with_prefix
+from device.inverse_map.training_domain import TrainingDomain
+from device.surface.fields import Float32Array, Float64Array, GradientField
+from device.surface.stereographic import slope_from_stereographic
+
+TRUSTED_EXCESS: Final = 0.5
+"""Distance outside the calibrated colours, in standard deviations, at which confidence has fallen to a quarter."""
+
+CLIPPED_CONFIDENCE: Final = 0.3
+"""Confidence in the slope of a pixel with a saturated channel: the other two still say much (docs/accuracy.md)."""
+
+LOST_EXCESS: Final = 6.0
+"""Distance outside the calibrated colours, in standard deviations, from which a slope means nothing."""
+
+DISAGREEMENT: Final = 0.03
+"""Standard deviation of the curves' stereographic slopes about their mean at which confidence has fallen to a half."""
+
+REST_WIDTH: Final = 0.06
+"""Distance of an intensity from untouched skin's at which a quarter of its reading is still taken off."""
+
+REST_NODES: Final = 25
+_BLOCK_ROWS: Final = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverseMap:
+    """The fitted map.
+
+    shape : (H, W) of the full-size field that positions are scaled by
+    domain : the colours that the balls showed
+    curve : the curve that reads intensity; alone where there are no others, and always what the quick look tabulates
+    steepest : slope up to which the balls taught it; what lies beyond is extrapolated
+    light : the curve that reads light, None where it would not help
+    leverage : of the curve that reads intensity, None where one ball alone taught it
+    near : the curve in its place that reads a matt skin's slopes, None where it would not help
+    root : the curve that reads the root of intensity, None where it would not help
+    rest_bump : mean stereographic slope that curves which are free to misread untouched skin read there, nodes as of
+        `noise_bias`; it is taken off what looks untouched, and less of what does not. None where they read 0
+    noise_bias : what the noise of single full-size pixels adds to the mean stereographic slope of untouched skin,
+        float32 array of shape (h, w, 2) at places even over the field, borders included; None where not measured
+    """
+
+    shape: tuple[int, int]
+    domain: TrainingDomain
+    curve: FeatureRegressor
+    steepest: float
+    light: RawLightBranch | None = None
+    leverage: Leverage | None = None
+    near: NearLightBranch | None = None
+    root: RootCurve | None = None
+    noise_bias: Float32Array | None = None
+    rest_bump: Float32Array | None = None
+
+    @property
+    def own(self) -> FeatureRegressor:
+        """The curve that slopes are read with beside that of light."""
+        return self.curve if self.near is None else self.near.curve
+
+    @property
+    def own_share(self) -> float:
+        """Its weight: what the curves of light and of the root leave."""
+        return 1.0 - sum(part.share for part in (self.light, self.root) if part is not None)
+
+    @property
+    def parts(self) -> list[tuple[Part, float]]:
+        """Every curve that slopes are the mean of, and its share."""
+        found: list[tuple[Part, float]] = [(self.near or IntensityCurve(self.curve), self.own_share)]
+        return found + [(part, part.share) for part in (self.light, self.root) if part is not None]
+
+    def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
+        """Refuse an image that is not of this field's size divided by `binning`.
+
+        Raises
+        ------
+        CalibrationMismatch
+            Says both sizes.
+        """
+        expected = (self.shape[0] // binning, self.shape[1] // binning)
+        if shape != expected:
+            raise CalibrationMismatch(
+                f"the frame is {shape[1]}x{shape[0]} pixels but its calibration is for "
+                f"{expected[1]}x{expected[0]}: use the calibration of this camera mode"
+            )
+
+    def gradients(self, image: NormalizedImage, binning: int = 1) -> GradientField:
+        """Slope, validity and relative confidence of every pixel of an image binned by `binning`.
+
+        Raises
+        ------
+        CalibrationMismatch
+            The image is not this field's size divided by `binning`.
+        """
+        self.check_size(image.shape, binning)
+        p, q, excess, spread = (np.empty(image.shape, np.float32) for _ in range(4))
+        for rows in _blocks(image.shape[0]):
+            p[rows], q[rows], excess[rows], spread[rows] = self._block(image.values[rows], rows, binning)
+        valid = image.valid & (excess < LOST_EXCESS)
+        confidence = np.where(image.clipped, CLIPPED_CONFIDENCE, 1.0) / (1.0 + (excess / TRUSTED_EXCESS) ** 2) ** 2
+        confidence = confidence / (1.0 + spread * (1.0 / DISAGREEMENT**2))
+        weight = np.where(valid, confidence, 0.0).astype(np.float32)
+        return GradientField(p, q, valid, weight)
+
+    def _block(
+        self, values: Float32Array, rows: slice, binning: int
+    ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
+        height, width, _ = values.shape
+        centre = 0.5 * (binning - 1)
+        column = np.arange(width) * binning + centre
+        row = np.arange(rows.start, rows.start + height) * binning + centre
+        across = field_position(column, np.zeros_like(column), self.shape)[:, 0].astype(np.float32)
+        down = field_position(np.zeros_like(row), row, self.shape)[:, 1].astype(np.float32)
+        # Binned pixels are so much quieter that what noise adds is none of theirs.
+        slope, excess, spread = self._rows(values, across, down, self.noise_bias if binning == 1 else None)
+        return slope[..., 0], slope[..., 1], excess, spread
+
+    def on_grid(self, values: Float32Array, column: NDArray[Any], row: NDArray[Any]) -> Float32Array:
+        """Slopes (h, w, 2) for intensities (h, w, 3) without noise at full-size columns (w,) and rows (h,)."""
+        across = ((2.0 * column + 1.0) / self.shape[1] - 1.0).astype(np.float32)
+        down = ((2.0 * row + 1.0) / self.shape[0] - 1.0).astype(np.float32)
+        slopes = np.empty((*values.shape[:2], 2), np.float32)
+        for rows in _blocks(len(row)):
+            slopes[rows], _, _ = self._rows(values[rows], across, down[rows])
+        return slopes
+
+    def _rows(
+        self, values: Float32Array, across: Float32Array, down: Float32Array, bias: Float32Array | None = None
+    ) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """Slopes (h, w, 2), excess (h, w) and the curves' variance (h, w) of whole rows, less a bias's nodes.
+
+        across, down : position variables, (w,) and (h,)
+        """
+        mean = np.zeros((*values.shape[:2], 2), np.float32)
+        square = np.zeros(values.shape[:2], np.float32)
+        for part, share in self.parts:
+            u = part.u_rows(values, across, down)
+            mean += np.float32(share) * u
+            square += np.float32(share) * (u * u).sum(axis=-1)
+        spread = np.maximum(square - (mean * mean).sum(axis=-1), np.float32(0.0))
+        if len(self.parts) == 1:
+            spread[:] = 0.0
+        if self.rest_bump is not None:
+            mean -= rest_likeness(values)[..., None] * rows_between_nodes(self.rest_bump, across, down)
+        if bias is not None:
+            mean -= rows_between_nodes(bias, across, down)
+        _, excess = self.curve.colours.variables(values)
+        return np.asarray(slope_from_stereographic(mean), np.float32), excess, spread
+
+    def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
+        """Slopes of shape (N, 2) for intensities of shape (N, 3) of single pixels at full-size coordinates."""
+        place = field_position(column.astype(np.float64), row.astype(np.float64), self.shape)
+        u = self.stereographic_at(intensity, place)
+        return slope_from_stereographic(u if self.noise_bias is None else u - between_nodes(self.noise_bias, place))
+
+    def stereographic_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Stereographic slopes (N, 2) of intensities (N, 3) without noise at position variables (N, 2)."""
+        u = np.zeros((len(place), 2))
+        for part, share in self.parts:
+            u += share * part.u_at(intensity, place)
+        if self.rest_bump is not None:
+            u -= rest_likeness(intensity)[..., None] * between_nodes(self.rest_bump, place)
+        return u
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays, for an npz file; `from_arrays` is its inverse."""
+        named = {f"domain_{name}": array for name, array in self.domain.arrays().items()} | self.curve.arrays()
+        for prefix, part in (
+            ("light", self.light),
+            ("near", self.near),
+            ("root", self.root),
+            ("leverage", self.leverage),
+        ):
+            if part is not None:
+                named |= {f"{prefix}_{name}": array for name, array in part.arrays().items()}
+        if self.noise_bias is not None:
+            named["noise_bias"] = self.noise_bias
+        if self.rest_bump is not None:
+            named["rest_bump"] = self.rest_bump
+        return named | {"shape": np.array(self.shape), "steepest": np.array(self.steepest)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> InverseMap:
+        """The map that `arrays` wrote; `source` names the file in errors.
+
+        Raises
+        ------
+        RecordError
+            An array is missing or of another shape.
+        """
+        try:
+            domain = TrainingDomain.from_arrays(with_prefix(arrays, "domain_"))
+            rows, columns = (int(size) for size in arrays["shape"])
+            steepest = float(arrays["steepest"])
+            curve = FeatureRegressor.from_arrays(arrays, source)
+            light = RawLightBranch.from_arrays(with_prefix(arrays, "light_"), source)
+            near = NearLightBranch.from_arrays(with_prefix(arrays, "near_"), source)
+            root = RootCurve.from_arrays(with_prefix(arrays, "root_"), source)
+            named = with_prefix(arrays, "leverage_")
+            leverage = Leverage.from_arrays(named, curve) if named else None
+            noise_bias, rest_bump = (_slope_nodes(arrays, name) for name in ("noise_bias", "rest_bump"))
+        except (KeyError, IndexError, ValueError, TypeError) as error:
+            raise RecordError(f"{source} holds no inverse map ({error}): calibrate again") from error
+        return cls((rows, columns), domain, curve, steepest, light, leverage, near, root, noise_bias, rest_bump)
+
+
+def _slope_nodes(arrays: Mapping[str, NDArray[Any]], name: str) -> Float32Array | None:
+    if name not in arrays:
+        return None
+    nodes = np.asarray(arrays[name], np.float32)
+    if not is_node_grid(nodes, 2):
+        raise ValueError(f"a {name.replace('_', ' ')} of shape {nodes.shape}")
+    return nodes
+
+
+def rest_likeness(intensity: Float32Array) -> Float32Array:
+    """How much intensities (..., 3) look like untouched skin: 1 at intensity 1, a quarter at `REST_WIDTH` from it."""
+    apart = ((intensity - np.float32(1.0)) ** 2).sum(axis=-1) * np.float32(1.0 / REST_WIDTH**2)
+    return np.asarray(np.float32(1.0) / (np.float32(1.0) + apart) ** 2, np.float32)
+
+
+def rest_nodes(inverse_map: InverseMap) -> Float32Array:
+    """What a map's curves read on untouched skin, nodes (h, w, 2) as of `InverseMap.rest_bump`."""
+    places = np.linspace(-1.0, 1.0, REST_NODES)
+    place = np.stack(np.broadcast_arrays(places[None, :], places[:, None]), axis=-1).reshape(-1, 2)
+    read = inverse_map.stereographic_at(np.ones((len(place), 3), np.float32), place)
+    return np.asarray(read.reshape(REST_NODES, REST_NODES, 2), np.float32)
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    for start in range(0, rows, _BLOCK_ROWS):
+        yield slice(start, min(start + _BLOCK_ROWS, rows))

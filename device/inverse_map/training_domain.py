@@ -1,0 +1,80 @@
+"""Which colours the balls showed, and how far any other colour lies from them.
+
+Colours of a frame made with other lights, or turned, lie where those of the balls do not, channel by channel in range
+though they may be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from device.inverse_map.feature_scaling import log_intensity
+from device.surface.fields import Float32Array
+
+CELL: Final = 0.1
+"""Width of a cell of colour, standard deviations of log intensity over the balls."""
+
+MARGIN: Final = 0.8
+"""The table reaches this far beyond the observed colours, standard deviations; farther is added up."""
+
+MAX_CELLS: Final = 96
+"""Cells along one colour; wider ranges get wider cells."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingDomain:
+    """Distance of every colour to the nearest that a ball showed.
+
+    low : float32 array of shape (3,), log intensity at the centre of the first cell
+    cell : width of a cell, log intensity
+    spread : standard deviation of log intensity over the balls, mean over channels: the unit of distance
+    distance : float32 array of shape (A, B, C), 0 in cells that a ball showed
+    """
+
+    low: Float32Array
+    cell: float
+    spread: float
+    distance: Float32Array
+
+    @classmethod
+    def observed(cls, intensity: Float32Array) -> TrainingDomain:
+        """The domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
+        logs = log_intensity(np.concatenate([intensity, np.ones((1, 3), np.float32)]))
+        spread = max(float(logs.std(axis=0).mean()), 1e-3)
+        low = logs.min(axis=0) - np.float32(MARGIN * spread)
+        high = logs.max(axis=0) + np.float32(MARGIN * spread)
+        cell = max(CELL * spread, float((high - low).max()) / (MAX_CELLS - 2))
+        shape = np.ceil((high - low) / cell).astype(np.intp) + 1
+        seen = np.zeros(shape, np.bool_)
+        index = ((logs - low) / np.float32(cell) + np.float32(0.5)).astype(np.intp)
+        seen[tuple(index.T)] = True
+        distance = distance_transform_edt(~seen) * (cell / spread)
+        return cls(low.astype(np.float32), cell, spread, np.asarray(distance, np.float32))
+
+    def excess(self, intensity: Float32Array) -> Float32Array:
+        """Distance of intensities of shape (..., 3) to what the balls showed, standard deviations, of shape (...)."""
+        at = (log_intensity(intensity) - self.low) / np.float32(self.cell)
+        last = np.array(self.distance.shape, np.float32) - np.float32(1.0)
+        inside = np.clip(at, np.float32(0.0), last)
+        beyond = np.abs(at - inside).max(axis=-1) * np.float32(self.cell / self.spread)
+        index = (inside + np.float32(0.5)).astype(np.intp)
+        return np.asarray(self.distance[index[..., 0], index[..., 1], index[..., 2]] + beyond, np.float32)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as arrays; `from_arrays` is its inverse."""
+        return {"low": self.low, "widths": np.array([self.cell, self.spread]), "distance": self.distance}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrainingDomain:
+        """The domain that `arrays` wrote; KeyError or ValueError when malformed."""
+        cell, spread = (float(width) for width in arrays["widths"])
+        distance = np.asarray(arrays["distance"], np.float32)
+        if distance.ndim != 3:
+            raise ValueError(f"a training domain of {distance.ndim} dimensions, not 3")
+        return cls(np.asarray(arrays["low"], np.float32).reshape(3), cell, spread, distance)

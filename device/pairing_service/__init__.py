@@ -1,0 +1,1 @@
+"""The listening side of pairing, and authorized keys."""

@@ -1,0 +1,107 @@
+"""Opening this device's pairing window, for a screen, the button or a command."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import socket
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from device.bundles.record import explain_validation
+from device.errors import PairingRefused, RecordError
+from device.pairing.exchange import PAIRING_PORT, DeviceCard
+from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
+from device.pairing_service.window import WINDOW_S, PairingWindow
+from device.store.store import BundleStore
+from hal.interfaces import Clock
+
+OFFLOAD_USER: Final = "retrosync"
+
+
+@dataclass(frozen=True, slots=True)
+class PairingSetup:
+    """How this device is set up for offload; the defaults are those of `docs/offload.md`.
+
+    port : of the pairing window
+    ssh_port, host_key : of sshd
+    user : account that workstations log in to
+    keys : folder of the workstations' keys; beside the store when None
+    """
+
+    port: int = PAIRING_PORT
+    ssh_port: int = 22
+    user: str = OFFLOAD_USER
+    host_key: Path = SSHD_HOST_KEY
+    keys: Path | None = None
+
+    def authorized_keys(self, store: BundleStore) -> Path:
+        """File of the keys that sshd accepts."""
+        return (self.keys or store.root.with_name(f"{store.root.name}-pairing")) / "authorized_keys"
+
+    def card(self, store: BundleStore) -> DeviceCard:
+        """This device's card.
+
+        Raises
+        ------
+        RecordError
+            sshd's key cannot be read, or user or port are invalid.
+        """
+        facts = {
+            "schema": DeviceCard.__struct_config__.tag,
+            "device_id": store.device_id,
+            "user": self.user,
+            "port": self.ssh_port,
+            "host_key": read_host_key(self.host_key),
+        }
+        try:
+            return msgspec.convert(facts, DeviceCard)
+        except msgspec.ValidationError as error:
+            raise RecordError(f"this device cannot be paired as {explain_validation(error)}: name another") from error
+
+
+def open_pairing_window(
+    store: BundleStore, clock: Clock, setup: PairingSetup | None = None, window_s: float = WINDOW_S
+) -> PairingWindow:
+    """Open the window; show its code, and close it when the screen is left.
+
+    Raises
+    ------
+    PairingRefused
+        Its port is taken.
+    RecordError
+        sshd's key cannot be read.
+    """
+    setup = setup or PairingSetup()
+    card, keys = setup.card(store), setup.authorized_keys(store)
+    return PairingWindow(_listening(setup.port), card, lambda host: authorize(keys, host), clock, window_s)
+
+
+def fingerprint_of(public_key: str) -> str:
+    """A key's fingerprint as OpenSSH shows it, such as "SHA256:mVPwvezndPv/ARoIadVY98vAC0g"."""
+    digest = hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
+    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
+
+
+def how_to_call(window: PairingWindow, setup: PairingSetup, store: BundleStore) -> str:
+    """Lines for a screen: the code, the command for the workstation, and the device's id and key."""
+    port = "" if setup.port == PAIRING_PORT else f" --port {setup.port}"
+    return (
+        f"Code {window.code_to_show}, for {window.seconds_left:.0f} s.\n"
+        f"On the workstation: retrosync pair {os.uname().nodename}.local{port}\n"
+        f"This device: {store.device_id}, key {fingerprint_of(setup.card(store).host_key)}"
+    )
+
+
+def _listening(port: int) -> socket.socket:
+    with suppress(OSError, OverflowError):  # without IPv6, listen on IPv4 alone
+        return socket.create_server(("", port), family=socket.AF_INET6, dualstack_ipv6=True)
+    try:
+        return socket.create_server(("", port))
+    except (OSError, OverflowError) as error:
+        raise PairingRefused(f"port {port}: is not free ({error}): choose another") from error

@@ -1,0 +1,1 @@
+"""Checks of a press, its lights and the gel."""

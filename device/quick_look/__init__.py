@@ -1,0 +1,1 @@
+"""The reduced height map made on the handheld, and its files."""

@@ -1,1 +1,0 @@
-"""What touches the instrument: capture, the scanner, guided calibration."""

@@ -1,0 +1,1 @@
+"""The device's own store: bundles, calibrations, gels, identity."""

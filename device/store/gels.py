@@ -1,0 +1,115 @@
+"""The mounted gel and the presses of each gel: small files of the store, replaced in one step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+
+from device.bundles.record import BundleId, Count, Record, decode_record, encode_record, read_small
+from device.errors import RecordError, StoreError
+from device.io.atomic import replace_file
+from device.io.os_errors import explain_os_error
+from hal.board_profile import GelConfig
+
+GELS: Final = "gels"
+MOUNTED_FILE: Final = "mounted-gel.json"
+_REMEDY: Final = "remove it and name the gel again with `retroscan gel`"
+
+
+class GelRecord(Record, frozen=True, tag_field="schema", tag="retrograph.gel/1"):
+    """A gel of this instrument: thickness of its slab (mm) and its count of presses."""
+
+    gel_id: BundleId
+    slab_thickness_mm: Annotated[float, msgspec.Meta(gt=0, le=100)]
+    presses: Count = 0
+
+
+class MountedGel(Record, frozen=True, tag_field="schema", tag="retrograph.mounted-gel/1"):
+    """The gel that the operator said is mounted."""
+
+    gel_id: BundleId
+
+
+def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
+    """The mounted gel: the one that was named last, else the board's own.
+
+    Raises
+    ------
+    RecordError
+        A file is damaged.
+    """
+    path = root / MOUNTED_FILE
+    if not path.exists():
+        return known_gel(root, usual.id) or GelRecord(gel_id=usual.id, slab_thickness_mm=usual.slab_thickness_mm)
+    gel_id = decode_record(read_small(path, _REMEDY), MountedGel, path, _REMEDY).gel_id
+    known = known_gel(root, gel_id)
+    return known or GelRecord(gel_id=gel_id, slab_thickness_mm=usual.slab_thickness_mm)
+
+
+def known_gel(root: Path, gel_id: str) -> GelRecord | None:
+    """The record of a gel, None when it was never mounted. Errors as for `mounted_gel`."""
+    path = _path(root, gel_id)
+    return decode_record(read_small(path, _REMEDY), GelRecord, path, _REMEDY) if path.exists() else None
+
+
+def known_gels(root: Path) -> tuple[GelRecord, ...]:
+    """Every gel that was mounted here, by name; damaged files are left out."""
+    found = []
+    for path in sorted((root / GELS).glob("*.json")):
+        try:
+            found.append(decode_record(read_small(path, _REMEDY), GelRecord, path, _REMEDY))
+        except RecordError:
+            continue
+    return tuple(found)
+
+
+def mount_gel(root: Path, gel: GelRecord) -> None:
+    """Store that this gel is mounted.
+
+    Raises
+    ------
+    StoreError
+        The disk refused.
+    """
+    _store(_path(root, gel.gel_id), encode_record(gel))
+    _store(root / MOUNTED_FILE, encode_record(MountedGel(gel_id=gel.gel_id)))
+
+
+def count_gel_press(root: Path, usual: GelConfig) -> GelRecord:
+    """The mounted gel after one more press, stored. Errors as for `mounted_gel` and `mount_gel`."""
+    gel = mounted_gel(root, usual)
+    pressed = msgspec.structs.replace(gel, presses=gel.presses + 1)
+    _store(_path(root, gel.gel_id), encode_record(pressed))
+    return pressed
+
+
+def make_gel(gel_id: str, slab_thickness_mm: float) -> GelRecord:
+    """A gel of that name and thickness.
+
+    Raises
+    ------
+    RecordError
+        The name or the thickness is out of range.
+    """
+    try:
+        return msgspec.json.decode(
+            encode_record(GelRecord(gel_id=gel_id, slab_thickness_mm=slab_thickness_mm)), type=GelRecord
+        )
+    except msgspec.ValidationError as error:
+        raise RecordError(
+            f"gel {gel_id!r}: use lower-case letters, digits and hyphens, and a thickness over 0 and up to 100 mm"
+        ) from error
+
+
+def _path(root: Path, gel_id: str) -> Path:
+    return root / GELS / f"{gel_id}.json"
+
+
+def _store(path: Path, data: bytes) -> None:
+    try:
+        path.parent.mkdir(exist_ok=True)
+        replace_file(path, data)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error

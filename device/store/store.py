@@ -1,0 +1,255 @@
+"""The device's store: scans and calibrations that are complete or absent.
+
+<root>/scans/<id>/  <root>/calibrations/<id>/  <root>/active.json  <root>/device.json
+<root>/receipts/<id>.json  <root>/inbox/<id>/        writable for workstations
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import platformdirs
+
+from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
+from device.bundles.layout import INBOX, MANIFESTS, BundleKind, Listing, is_bundle_id, list_bundles
+from device.bundles.publishing import FileWriter, clear_unpublished, publish_bundle
+from device.bundles.receipt import RECEIPTS
+from device.bundles.record import FileEntry, Identity, encode_record
+from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
+from device.errors import DeviceError, RecordError, StoreError
+from device.io.lock import locked_directory
+from device.io.os_errors import explain_os_error
+from device.io.permissions import FOLDER_MODE, SHARED_MODE, free_entries, make_folder, require_writable
+from device.store.active import read_active, write_active
+from device.store.device_id import DeviceState, count_press, current_boot_id, new_device, read_device, write_device
+from device.store.eviction import evict_acknowledged
+from device.store.inbox import InboxItem, copy_calibration, import_inbox
+from hal.errors import HalError
+from hal.interfaces import Clock
+
+ENTRIES_PER_SCAN: Final = 16
+"""Upper bound on the files and folders of one scan."""
+
+RESERVE_BYTES: Final = 64 << 20
+"""Free space kept from scans, so that the system can always shut down and boot."""
+
+
+class BundleStore:
+    """Scans and calibrations under one folder; construction prepares the folder and removes what a power cut left.
+
+    Parameters
+    ----------
+    root : folder of the store, made when absent
+    clock : for identities and dates
+    boot_id : of this boot; the kernel's when None
+
+    Raises
+    ------
+    StoreError
+        The folder cannot be made, read or written.
+    RecordError
+        `device.json` is damaged.
+    """
+
+    def __init__(self, root: Path, clock: Clock, boot_id: str | None = None) -> None:
+        self.root = root
+        self._clock = clock
+        self._boot_id = boot_id or current_boot_id()
+        with self._translating("prepared"):
+            for folder in (root, *(root / kind for kind in MANIFESTS)):
+                make_folder(folder, FOLDER_MODE)
+            for name in (RECEIPTS, INBOX):
+                make_folder(root / name, SHARED_MODE)
+            with locked_directory(root):
+                clear_unpublished(root)
+                if read_device(root) is None:
+                    write_device(root, new_device())
+
+    @property
+    def device_id(self) -> str:
+        """Id of the device that this store belongs to."""
+        return self._device().device_id
+
+    def next_identity(self, kind: BundleKind) -> Identity:
+        """A new identity; its counter is stored durably first and never used again.
+
+        Raises
+        ------
+        StoreError
+            The counter cannot be stored.
+        """
+        with self._translating("written"), locked_directory(self.root):
+            state = count_press(self._device())
+            write_device(self.root, state)
+        suffix = "-cal" if kind == "calibrations" else ""
+        return Identity(
+            id=f"{state.device_id}-{self._boot_id}-{state.counter:06d}{suffix}",
+            device_id=state.device_id,
+            boot_id=self._boot_id,
+            counter=state.counter,
+            monotonic_ns=self._clock.monotonic_ns(),
+        )
+
+    def wall_time(self) -> datetime:
+        """Time by the device's clock, UTC, whole seconds: an annotation."""
+        return datetime.fromtimestamp(self._clock.wall_time_s(), UTC).replace(microsecond=0)
+
+    def publish_scan(self, record: ScanRecord, write: FileWriter) -> ScanBundle:
+        """The published scan. `write` puts the bundle's files into the directory it is given, without subfolders.
+
+        Raises
+        ------
+        StoreError
+            The disk is full or read-only, or the id is taken; nothing is left behind.
+        RecordError
+            The record is not valid, or names a file that `write` did not write.
+        """
+
+        published: list[ScanRecord] = []
+
+        def manifest(files: dict[str, FileEntry]) -> bytes:
+            data = encode_record(msgspec.structs.replace(record, files=files))
+            published.append(decode_scan(data, record.scan_id))
+            return data
+
+        with self._translating("written"):
+            return ScanBundle(publish_bundle(self.root, "scans", record.scan_id, write, manifest), published[0])
+
+    def publish_calibration(self, record: CalibrationRecord, write: FileWriter) -> CalibrationBundle:
+        """The published calibration, not active yet. Arguments and errors as for `publish_scan`."""
+
+        published: list[CalibrationRecord] = []
+
+        def manifest(files: dict[str, FileEntry]) -> bytes:
+            data = encode_record(msgspec.structs.replace(record, files=files))
+            published.append(decode_calibration(data, record.calibration_id))
+            return data
+
+        with self._translating("written"):
+            directory = publish_bundle(self.root, "calibrations", record.calibration_id, write, manifest)
+            return CalibrationBundle(directory, published[0])
+
+    def scans(self) -> Listing[ScanBundle]:
+        """Every published scan, sorted by id, and the damaged ones."""
+        with self._translating("read"):
+            return list_bundles(self.root, "scans", read_scan)
+
+    def calibrations(self) -> Listing[CalibrationBundle]:
+        """Every published calibration, sorted by id, and the damaged ones."""
+        with self._translating("read"):
+            return list_bundles(self.root, "calibrations", read_calibration)
+
+    def activate(self, calibration_id: str) -> CalibrationBundle:
+        """Make a calibration the active one, after verifying all its files; returns it.
+
+        Raises
+        ------
+        RecordError
+            It is absent or damaged; the one before stays active.
+        StoreError
+            The choice cannot be stored.
+        """
+        if not is_bundle_id(calibration_id):
+            raise RecordError(f"{calibration_id!r} is no calibration id: give one of {self.root / 'calibrations'}")
+        bundle = read_calibration(self.root / "calibrations" / calibration_id)
+        bundle.verify()
+        with self._translating("written"):
+            write_active(self.root, calibration_id)
+        return bundle
+
+    def active_calibration(self) -> CalibrationBundle:
+        """The active calibration.
+
+        Raises
+        ------
+        NoCalibration
+            None was activated, or the active one is gone.
+        RecordError
+            It is damaged.
+        """
+        return read_active(self.root)
+
+    def scans_left(self, bytes_per_scan: int) -> int:
+        """How many more scans of that size (bytes) fit, the reserve excluded.
+
+        Raises
+        ------
+        StoreError
+            The store cannot be written; so this is known before a press, not after it.
+        """
+        with self._translating("written"):
+            require_writable(self.root / "scans")
+        return min(self._room_bytes() // bytes_per_scan, free_entries(self.root) // ENTRIES_PER_SCAN)
+
+    def make_room(self, size_bytes: int) -> list[str]:
+        """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
+
+        Raises
+        ------
+        StoreError
+            The disk refused.
+        """
+        with self._translating("written"), locked_directory(self.root):
+            return evict_acknowledged(self.root, lambda: self.scans_left(size_bytes) > 0)
+
+    def import_inbox(self) -> list[InboxItem]:
+        """Import the calibrations that workstations pushed; returns each outcome. None becomes active.
+
+        Raises
+        ------
+        StoreError
+            The inbox cannot be read.
+        """
+        with self._translating("read"):
+            return import_inbox(self.root, self._room_bytes())
+
+    def take_calibration(self, bundle: CalibrationBundle) -> None:
+        """Copy a calibration from elsewhere into the store; it does not become active.
+
+        Raises
+        ------
+        RecordError
+            It is damaged.
+        StoreError
+            There is no room, or the disk refused.
+        """
+        with self._translating("written"):
+            copy_calibration(self.root, bundle, self._room_bytes())
+
+    def _room_bytes(self) -> int:
+        """Free space without the reserve, bytes."""
+        with self._translating("read"):
+            return max(shutil.disk_usage(self.root).free - RESERVE_BYTES, 0)
+
+    def _device(self) -> DeviceState:
+        state = read_device(self.root)
+        if state is None:
+            raise StoreError(f"{self.root}: device.json is missing: start the program again")
+        return state
+
+    @contextmanager
+    def _translating(self, verb: str) -> Iterator[None]:
+        """Turns the system's errors into one sentence that names the store and what to do."""
+        try:
+            yield
+        except (DeviceError, HalError):
+            raise
+        except OSError as error:
+            raise StoreError(f"{self.root}: the store cannot be {verb} {explain_os_error(error)}") from error
+
+
+SERVICE_STORE: Final = Path("/var/lib/retroscan")
+
+
+def default_store(service_store: Path = SERVICE_STORE) -> Path:
+    """The service's folder when it exists and is writable, else `retroscan` in the user's data folder."""
+    if service_store.is_dir() and os.access(service_store, os.W_OK):
+        return service_store
+    return platformdirs.user_data_path("retroscan", appauthor=False)

@@ -1,0 +1,1 @@
+"""Gradient fields, height maps and the Poisson solver by cosine transform."""

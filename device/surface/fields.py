@@ -1,0 +1,62 @@
+"""Gradient field and height map, and the conventions of every module.
+
+* Arrays are (row, column); the centre of the first pixel is (0, 0); rows grow downwards.
+* p = dz/dcolumn and q = dz/drow, dimensionless (µm/µm).
+* z is in µm, positive towards the camera, so a bump on the object is positive.
+  Rows down and z to the camera make the frame left-handed; writers of formats with y upwards flip it once.
+* Invalid is not zero: NaN in float arrays, False in masks.
+* Colour order is R, G, B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array: TypeAlias = NDArray[np.float32]
+Float64Array: TypeAlias = NDArray[np.float64]
+MaskArray: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GradientField:
+    """Slopes of a surface, estimated per pixel.
+
+    p, q : float32 arrays of shape (H, W), µm/µm; finite where `valid` is True
+    valid : bool array of shape (H, W)
+    weight : float32 array of shape (H, W), relative confidence >= 0, zero where invalid
+    """
+
+    p: Float32Array
+    q: Float32Array
+    valid: MaskArray
+    weight: Float32Array
+
+
+def full_rectangle(p: Float32Array, q: Float32Array) -> GradientField:
+    """A gradient field without holes or weights: every pixel is valid and has weight 1.
+
+    `valid` and `weight` are read-only broadcast views of one value.
+    """
+    return GradientField(p, q, np.broadcast_to(np.True_, p.shape), np.broadcast_to(np.float32(1.0), p.shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """A surface on a grid.
+
+    z_um : float32 array of shape (H, W), µm, NaN where invalid
+    pitch_um : distance of neighbouring pixels on the skin, µm
+    """
+
+    z_um: Float32Array
+    pitch_um: float
+
+
+def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
+    """Slopes (p, q) by central differences: float32 arrays of shape (H, W), NaN next to invalid pixels."""
+    q, p = np.gradient(height.z_um / np.float32(height.pitch_um))
+    return p.astype(np.float32), q.astype(np.float32)

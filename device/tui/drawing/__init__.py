@@ -1,0 +1,1 @@
+"""Pictures and texts in terminal cells, without textual."""

@@ -1,0 +1,98 @@
+"""Numbers, states and coverage in short words for the screens."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Final
+
+from device.bundles.scan import Annotations, VerdictLevel
+from device.calibration.acceptance import Check
+from device.calibration.coverage import DIRECTIONS, SIDES, Coverage
+from device.calibration.limits import PASSED_STEEPEST_DEG
+
+GAUGE_FULL: Final = "■"
+GAUGE_EMPTY: Final = "·"
+
+_LEVELS: Final[dict[VerdictLevel, str]] = {"good": "GOOD", "doubtful": "DOUBTFUL", "retake": "RETAKE"}
+_MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
+
+
+COVERED, UNCOVERED = "■", "·"
+
+_COMPASS: Final = (
+    ("upper left", "up", "upper right"),
+    ("left", "", "right"),
+    ("lower left", "down", "lower right"),
+)
+
+
+def verdict_word(level: VerdictLevel) -> str:
+    """A verdict's level in capitals."""
+    return _LEVELS[level]
+
+
+def age_text(age_s: float) -> str:
+    """An age such as "3 h ago"."""
+    if age_s < _MINUTE:
+        return "just now"
+    if age_s < _HOUR:
+        return f"{int(age_s // _MINUTE)} min ago"
+    return f"{int(age_s // _HOUR)} h ago" if age_s < 2 * _DAY else f"{int(age_s // _DAY)} days ago"
+
+
+def percent_text(fraction: float | None) -> str:
+    """A fraction in per cent; a dash if not measured."""
+    return "-" if fraction is None else f"{fraction:.0%}"
+
+
+def gauge_text(name: str, fraction: float | None, columns: int, words: str | None = None) -> str:
+    """A name, a bar and a number in `columns`, such as "contact ■■■■····  52%"; `words` replaces the number."""
+    label, number = f"{name:<9}", f"{words or percent_text(fraction):>6}"
+    room = columns - len(label) - len(number)
+    if room < 3:
+        return (label + number)[:columns].ljust(columns)
+    filled = 0 if fraction is None else round(min(max(fraction, 0.0), 1.0) * room)
+    return f"{label}{GAUGE_FULL * filled}{GAUGE_EMPTY * (room - filled)}{number}"
+
+
+def sticky_text(sticky: Annotations) -> str:
+    """Job, part and operator in a line; a dash for what is not set."""
+    return f"Job {sticky.job or '-'} · Part {sticky.part or '-'} · Operator {sticky.operator or '-'}"
+
+
+def hanging(text: str, columns: int, indent: int) -> str:
+    """The text wrapped to `columns`, with all lines but the first indented."""
+    wrapped = textwrap.wrap(text, max(columns, indent + 8), subsequent_indent=" " * indent, drop_whitespace=True)
+    return "\n".join(wrapped) or text
+
+
+def shortened(text: str, columns: int) -> str:
+    """The text, cut with an ellipsis if it does not fit."""
+    return text if len(text) <= columns else text[: max(columns - 1, 0)] + "…"
+
+
+def coverage_lines(coverage: Coverage | None) -> list[str]:
+    """Lines for the covered sectors, slope directions and steepest slope; None before the first ball."""
+    sectors = list(coverage.sectors.values()) if coverage else [False] * SIDES**2
+    directions = coverage.directions if coverage else dict.fromkeys(DIRECTIONS, False)
+    field = [" ".join(_sign(covered) for covered in sectors[SIDES * row : SIDES * (row + 1)]) for row in range(SIDES)]
+    slopes = [" ".join(_sign(directions[name]) if name else " " for name in row) for row in _COMPASS]
+    steepest = f"{coverage.steepest_deg:.0f}" if coverage else "0"
+    beside = (f"{steepest}°", f"{PASSED_STEEPEST_DEG:.0f}° needed", "")
+    lines = [f"{a}     {b}      {c}".rstrip() for a, b, c in zip(field, slopes, beside, strict=True)]
+    return ["field     slopes    steepest", *lines]
+
+
+def check_lines(checks: tuple[Check, ...]) -> list[str]:
+    """One line per acceptance check, with its value, its limit and a word."""
+    return [f"{'pass' if check.passed else 'FAIL'}  {check.name}: {_number(check)}" for check in checks]
+
+
+def _number(check: Check) -> str:
+    if check.name.startswith("share"):
+        return f"{check.value:.0%} ({check.kind} {check.limit:.0%})"
+    return f"{check.value:.3g} ({check.kind} {check.limit:g})"
+
+
+def _sign(covered: bool) -> str:
+    return COVERED if covered else UNCOVERED

@@ -1,0 +1,328 @@
+"""The textual app: four screens over one instrument; it polls the state several times a second and never blocks."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import ClassVar, Final
+
+from textual.app import App, SuspendNotSupported
+from textual.binding import Binding, BindingType
+from textual.theme import Theme
+
+from device.acquisition.guided_calibration import CalibrationProgress
+from device.acquisition.selftest import Finding
+from device.instrument.events import (
+    ButtonPushed,
+    CalibrationStep,
+    CaptureDone,
+    Event,
+    Failed,
+    Info,
+    PairingChanged,
+    PowerOffRequested,
+    PressRefused,
+    PressSeen,
+    ScanFinished,
+    SelfTested,
+    ZeroChecked,
+)
+from device.instrument.instrument import Instrument
+from device.tui.drawing.cells import ColourDepth
+from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.calibration import CalibrationScreen
+from device.tui.screens.panels import ProgramInfo
+from device.tui.screens.picture_viewer import view_picture
+from device.tui.screens.scan import ScanScreen
+from device.tui.screens.scans import ScansScreen
+from device.tui.screens.setup import SetUpScreen
+from device.tui.widgets.dialogs import ConfirmDialog, Dialog
+from device.tui.widgets.height_view import HeightView
+from device.tui.widgets.navigation import Notice, Place, place_after
+from hal.board_profile import SensorConfig
+
+UPDATES_PER_S: Final = 10.0
+SHOWN_OBJECTS: Final = ("coin", "texture", "sphere-grid", "sinusoid", "step", "groove")
+"""What the twin's operator presses, one after another."""
+
+
+MAX_INTERVAL_S: Final = 2.0
+
+_LATE_FRACTION: Final = 0.5
+
+_CALM_TICKS: Final = 20
+
+
+class RetroscanApp(App[str]):
+    """The screens of one instrument; returns "off" if the machine is to be switched off.
+
+    Parameters
+    ----------
+    instrument : running on another thread, or stepped by a test
+    program : version, and folder of scans
+    depth : the terminal's colours
+    sensor : gives pixel pitch and columns
+    is_twin : whether the operator is simulated and can press objects
+    is_over : whether the instrument has stopped, so that the app must end
+    updates_per_s : how often the state is polled; None if a test calls `show_state` itself
+    """
+
+    CSS_PATH = "screens.tcss"
+    ENABLE_COMMAND_PALETTE = False
+    TITLE = "retroscan"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("1", "go('scan')", show=False),
+        Binding("2", "go('calibrate')", show=False),
+        Binding("3", "go('scans')", show=False),
+        Binding("4", "go('set-up')", show=False),
+        Binding("q,ctrl+c", "quit", "quit"),
+    ]
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        program: ProgramInfo,
+        depth: ColourDepth,
+        sensor: SensorConfig,
+        is_twin: bool,
+        is_over: Callable[[], bool] = lambda: False,
+        updates_per_s: float | None = UPDATES_PER_S,
+    ) -> None:
+        super().__init__(ansi_color=depth != "full")
+        self.instrument = instrument
+        self.program = program
+        self.pitch_um = sensor.pixel_pitch_um
+        self.field_um = sensor.pixel_pitch_um * sensor.columns
+        self.is_twin = is_twin
+        self._is_over = is_over
+        self.findings: list[Finding] = []
+        self.notice: Notice | None = None
+        self._depth: ColourDepth = depth
+        self._updates_per_s = updates_per_s
+        self._live_rate = FrameRateLimiter(1.0 / UPDATES_PER_S)
+        self._due_s: float | None = None
+        self._demonstrated = 0
+        theme = theme_for(depth)
+        self.register_theme(theme)
+        self.theme = theme.name
+
+    async def on_mount(self) -> None:
+        """Create the screens, open the first one and start polling."""
+        for kind in (ScanScreen, CalibrationScreen, ScansScreen, SetUpScreen):
+            self.add_mode(kind.PLACE, lambda kind=kind: kind(self.instrument, self._depth))  # type: ignore[misc]
+        await self.go("scan")
+        if self._updates_per_s:
+            self.set_interval(1.0 / self._updates_per_s, self._tick)
+
+    async def show_state(self) -> None:
+        """Show the present state and handle the events since the last call."""
+        for event in self.instrument.take_events():
+            await self._handle(event)
+        if screen := self._current():
+            screen.show_state(self.instrument.state, self.notice)
+
+    def show_live(self) -> None:
+        """Show the live picture."""
+        if screen := self._current():
+            screen.show_live(self.instrument.state)
+
+    def now_ns(self) -> int:
+        """Monotonic time of the machine, in which pairing windows end."""
+        return time.monotonic_ns()
+
+    def report_failure(self, sentence: str) -> None:
+        """Show a failure in the notice line."""
+        self.notice = Notice(sentence, "error")
+
+    async def action_quit(self) -> None:
+        """Quit; during a calibration ask first."""
+        if self.instrument.state.activity != "calibrating":
+            self.exit()
+            return
+        question = "Stop the calibration? The previous one stays active."
+        self.push_screen(ConfirmDialog(question, "Stop"), lambda yes: self.exit() if yes else None)
+
+    def on_height_view_picture_wanted(self, event: HeightView.PictureWanted) -> None:
+        """Suspend the screens and draw the relief in pixels, if the terminal can."""
+        try:
+            with self.suspend():
+                shown = view_picture(event.height, "Quick look", sys.__stderr__ or sys.stderr)
+        except SuspendNotSupported:
+            shown = False
+        if not shown:
+            self.report_failure("This terminal has no graphics (sixel, kitty): use foot, kitty or xterm -ti vt340")
+
+    def demonstrate(self) -> None:
+        """Let the twin's operator press the next object."""
+        self.instrument.demonstrate(SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)])
+        self._demonstrated += 1
+
+    async def action_go(self, place: Place) -> None:
+        """Open a screen."""
+        await self.go(place)
+
+    async def go(self, place: Place) -> None:
+        """Open a screen; the button scans on the first one and navigates on the others."""
+        await self.switch_mode(place)
+        self.instrument.redirect_button(short_too=place != "scan")
+        await self.show_state()
+        self.show_live()
+
+    async def _tick(self) -> None:
+        """Show the state, and the live picture as often as the terminal can keep up."""
+        now_s = time.monotonic()
+        if self._due_s is not None:
+            self._live_rate.tick(now_s - self._due_s)
+        self._due_s = now_s + 1.0 / UPDATES_PER_S
+        if self._is_over():
+            self.exit()
+        await self.show_state()
+        if self._live_rate.is_due(now_s):
+            self.show_live()
+
+    async def _handle(self, event: Event) -> None:
+        self.notice = notice_for(event) or self.notice
+        match event:
+            case PressSeen() | ScanFinished(fault="") | CalibrationStep(progress=CalibrationProgress(is_over=False)):
+                self.notice = None
+            case ButtonPushed(held_long=held_long):
+                await self._pushed(held_long)
+            case SelfTested(finding=finding):
+                self.findings.append(finding)
+            case PowerOffRequested():
+                self.exit("off")
+
+    async def _pushed(self, held_long: bool) -> None:
+        """Handle the instrument's button: a short push chooses the next item, a long one starts it or goes on."""
+        front, screen = self.screen, self._current()
+        if isinstance(front, Dialog):
+            front.pushed(held_long)
+        elif screen and not held_long:
+            await screen.short_push()
+        elif screen and not await screen.long_push():
+            await self.go(place_after(screen.PLACE))
+
+    def _current(self) -> InstrumentScreen | None:
+        """The instrument's screen, also behind a dialog."""
+        screens = (screen for screen in self.screen_stack if isinstance(screen, InstrumentScreen))
+        return next((screen for screen in screens if screen.is_mounted), None)
+
+
+class FrameRateLimiter:
+    """The interval between live pictures, adapted to the terminal.
+
+    A terminal that is slow to accept output delays the next tick; every late tick doubles the interval, and it is
+    halved again after a while without one.
+
+    Parameters
+    ----------
+    interval_s : the shortest interval
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self._shortest_s = interval_s
+        self._interval_s = interval_s
+        self._drawn_s: float | None = None
+        self._calm = 0
+
+    @property
+    def interval_s(self) -> float:
+        """The present interval."""
+        return self._interval_s
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether a picture is due at this time; it then counts as drawn."""
+        if self._drawn_s is not None and now_s - self._drawn_s < self._interval_s * (1.0 - 1e-6):
+            return False
+        self._drawn_s = now_s
+        return True
+
+    def tick(self, late_s: float) -> None:
+        """Record by how much a tick was late."""
+        if late_s > _LATE_FRACTION * self._interval_s:
+            self._interval_s = min(2.0 * self._interval_s, MAX_INTERVAL_S)
+            self._calm = 0
+            return
+        self._calm += 1
+        if self._calm >= _CALM_TICKS:
+            self._interval_s = max(self._interval_s / 2.0, self._shortest_s)
+            self._calm = 0
+
+
+def notice_for(event: Event) -> Notice | None:
+    """The notice for an event; None keeps the last one."""
+    match event:
+        case CaptureDone():
+            return Notice("You may lift.", "success")
+        case PressRefused(sentence=sentence):
+            return Notice(f"Not scanned: {sentence}", "error")
+        case Failed(sentence=sentence):
+            return Notice(sentence, "error")
+        case Info(sentence=sentence):
+            return Notice(sentence)
+        case ZeroChecked(passed=passed, sentence=sentence):
+            return Notice(sentence, "success" if passed else "error")
+        case PairingChanged(sentence=sentence):
+            return Notice(sentence)
+        case CalibrationStep(progress=progress) if progress.phase == "passed":
+            return Notice(progress.instruction, "success")
+        case CalibrationStep(progress=progress) if progress.phase == "failed":
+            return Notice(progress.instruction, "error")
+        case ScanFinished(fault=fault) if fault:
+            return Notice(f"Scan stored without a quick look: {fault}", "error")
+        case _:
+            return None
+
+
+def theme_for(depth: ColourDepth) -> Theme:
+    """The theme for a terminal's colours.
+
+    Nothing depends on colour: chosen lines are reversed, important text is bold or has a word.
+    """
+    return _full() if depth == "full" else _sixteen()
+
+
+def _full() -> Theme:
+    return Theme(
+        name="retrograph",
+        primary="#7fb8c9",
+        secondary="#8a9ba8",
+        accent="#e6c58a",
+        success="#8fd0a0",
+        warning="#e6c58a",
+        error="#f0958a",
+        foreground="#d5dce2",
+        background="#0f1317",
+        surface="#171d23",
+        panel="#222b33",
+        variables={"block-cursor-text-style": "bold", "input-cursor-text-style": "reverse"},
+    )
+
+
+def _sixteen() -> Theme:
+    return Theme(
+        name="retrograph-console",
+        ansi=True,
+        primary="ansi_cyan",
+        secondary="ansi_white",
+        accent="ansi_bright_yellow",
+        success="ansi_bright_green",
+        warning="ansi_bright_yellow",
+        error="ansi_bright_red",
+        foreground="ansi_default",
+        background="ansi_default",
+        surface="ansi_default",
+        panel="ansi_default",
+        boost="ansi_default",
+        variables={
+            "ansi-background": "ansi_black",
+            "ansi-foreground": "ansi_white",
+            "border": "ansi_white",
+            "border-blurred": "ansi_white",
+            "block-cursor-foreground": "ansi_default",
+            "block-cursor-background": "ansi_default",
+            "block-cursor-text-style": "reverse",
+            "input-cursor-text-style": "reverse",
+        },
+    )

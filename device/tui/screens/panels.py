@@ -1,0 +1,155 @@
+"""The panels of the set-up screen: instrument, lights and gel, network, storage, pairing, self-test; the state line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from device.acquisition.selftest import Finding
+from device.instrument.pairing_run import NetworkInfo
+from device.instrument.state import CalibrationState, HealthState, InstrumentState, PairingState
+from device.tui.drawing.text import age_text, hanging, percent_text, shortened
+from hal.interfaces import PowerReading
+
+_LABEL: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramInfo:
+    """Facts that do not change while the program runs: its version, and the folder of scans."""
+
+    version: str
+    store: Path
+
+
+def instrument_panel(state: InstrumentState, program: ProgramInfo, network: NetworkInfo | None, columns: int) -> str:
+    """All facts about the instrument, for support."""
+    calibration, gel = state.calibration, state.gel
+    error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
+    left = "unknown" if state.scans_left is None else f"room for {state.scans_left} more"
+    stored = "" if state.scans_stored is None else f"{state.scans_stored} scans, "
+    lines = [
+        ("Device", f"{state.device_id} ({state.board})"),
+        *_network_lines(network, columns),
+        ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
+        ("Skin", skin_text(state.health)),
+        ("Calibration", calibration.fault or f"{calibration_text(calibration)}{_version(calibration)}{error}"),
+        *_brightness_lines(calibration),
+        ("Lights", lights_text(state.health)),
+        ("Power", battery_text(state)),
+        ("Storage", f"{stored}{left}"),
+        ("Folder", str(program.store)),
+        ("Version", program.version),
+    ]
+    return _labelled(lines, columns)
+
+
+def _version(calibration: CalibrationState) -> str:
+    return "" if calibration.version is None else f", version {calibration.version} ({calibration.slot})"
+
+
+def _brightness_lines(calibration: CalibrationState) -> list[tuple[str, str]]:
+    """How much of the sensor's range the calibration uses, if recorded."""
+    found = calibration.brightness
+    return [] if found is None else [("Brightness", found.warning or found.sentence)]
+
+
+def lights_text(health: HealthState) -> str:
+    """How much each light has changed since calibration."""
+    seen = [f"{name} {change:+.1%}" for name, change in health.light_change.items() if change is not None]
+    if not seen:
+        return "not measured yet: lift off, so that untouched skin is visible"
+    return f"{', '.join(seen)} since calibration"
+
+
+def skin_text(health: HealthState) -> str:
+    """Defects of the skin, and how flat the last zero check read."""
+    fraction = health.defect_fraction
+    defects = "not measured yet" if fraction is None else f"{fraction:.1%} of the skin has defects"
+    return defects if health.flat_residual_um is None else f"{defects}, flat to {health.flat_residual_um:.1f} µm"
+
+
+def pairing_panel(pairing: PairingState, network: NetworkInfo | None, now_ns: int, columns: int) -> str:
+    """How to pair while the window is open, with the code in large; afterwards the outcome."""
+    if not pairing.is_open:
+        return hanging(pairing.sentence, columns, 0)
+    half = len(pairing.code) // 2
+    code = "   ".join(" ".join(part) for part in (pairing.code[:half], pairing.code[half:]))
+    left_s = max(round((pairing.open_until_ns - now_ns) * 1e-9), 0)
+    host = network.host_name if network else "this-instrument"
+    lines = ["On the workstation:", f"  retrosync pair {host}.local", "", f"  Code    {code}", "", f"{left_s} s left."]
+    return "\n".join([*lines, "", _labelled(_network_lines(network, columns), columns)])
+
+
+def selftest_panel(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
+    """The findings so far, each with its state."""
+    lines = [hanging(f"{_state(finding):<5}{finding.part}: {finding.sentence}", columns, 5) for finding in findings]
+    if is_running:
+        return "\n".join([*lines, "..."])
+    failed = sum(finding.state == "failed" for finding in findings)
+    return "\n".join([*lines, "", f"{failed} of {len(findings)} failed." if failed else "No part failed."])
+
+
+def _state(finding: Finding) -> str:
+    return {"ok": "ok", "warning": "!", "failed": "FAIL", "skipped": "-"}[finding.state]
+
+
+def _breakable(fingerprint: str, columns: int) -> str:
+    """The fingerprint, with a blank to break at if it does not fit on a line."""
+    return fingerprint if len(fingerprint) + _LABEL <= columns else fingerprint.replace(":", ": ", 1)
+
+
+def _labelled(lines: Sequence[tuple[str, str]], columns: int) -> str:
+    return "\n".join(hanging(f"{name:<{_LABEL}}{text}", columns, _LABEL) for name, text in lines)
+
+
+def _network_lines(network: NetworkInfo | None, columns: int) -> list[tuple[str, str]]:
+    """Name, addresses and key."""
+    if network is None:
+        return [("Name", "...")]
+    addresses = ", ".join(network.addresses) or "none: connect the cable or join a network"
+    return [
+        ("Name", network.host_name),
+        ("Address", addresses),
+        ("Key", _breakable(network.key_fingerprint, columns)),
+    ]
+
+
+def battery_text(state: InstrumentState) -> str:
+    """Supply and battery in words."""
+    power = state.power
+    if power.under_voltage:
+        return "the supply voltage is too low: use a stronger supply"
+    return "no battery gauge" if power.battery_share is None else percent_text(power.battery_share)
+
+
+def state_text(state: InstrumentState, columns: int) -> str:
+    """The most important facts first; what does not fit is cut."""
+    parts = [_room(state), _battery(state.power), calibration_text(state.calibration), f"gel {state.gel.gel_id}"]
+    if state.processing:
+        parts.insert(1, f"{state.processing} processing")
+    if state.health.level != "good" and state.health.sentence:
+        parts.insert(0, f"! {state.health.sentence}")
+    return shortened(" · ".join(part for part in parts if part), columns)
+
+
+def calibration_text(calibration: CalibrationState) -> str:
+    """The age of the active calibration, such as "calibrated 3 h ago"."""
+    if calibration.calibration_id is None:
+        return "not calibrated"
+    if calibration.age_s is None:
+        return "calibrated, age unknown"
+    old = ", check it" if calibration.is_old else ""
+    return f"calibrated {age_text(calibration.age_s)}{old}"
+
+
+def _room(state: InstrumentState) -> str:
+    return "" if state.scans_left is None else f"{state.scans_left} scans left"
+
+
+def _battery(power: PowerReading) -> str:
+    if power.under_voltage:
+        return "! supply too low"
+    return "" if power.battery_share is None else f"battery {percent_text(power.battery_share)}"

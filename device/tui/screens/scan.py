@@ -1,0 +1,152 @@
+"""Scan: the live picture and the press guide on the left, the last scan with its verdict on the right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.content import Content
+from textual.widget import Widget
+from textual.widgets import Static
+
+from device.bundles.scan import Annotations
+from device.instrument.instrument import Instrument
+from device.instrument.state import InstrumentState, LastScan
+from device.tui.drawing.cells import ColourDepth
+from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
+from device.tui.screens.base import InstrumentScreen
+from device.tui.widgets.dialogs import FieldsDialog
+from device.tui.widgets.height_view import HeightView
+from device.tui.widgets.live_view import LiveView
+
+_VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
+
+
+class ScanScreen(InstrumentScreen):
+    """The main screen."""
+
+    PLACE = "scan"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("space", "scan", "scan"),
+        Binding("j", "sticky", "job"),
+        Binding("a", "auto", "auto"),
+        Binding("z", "zero", "zero check"),
+        Binding("d", "demonstrate", "press an object"),
+    ]
+
+    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+        super().__init__(instrument)
+        self._live = LiveView(depth, below=4)
+        self._gauges = Static(id="gauges", markup=False)
+        self._relief = HeightView(depth, below=3)
+        self._verdict = Static(id="verdict", markup=False)
+        self._cue = Static(id="cue", markup=False)
+        self._sticky = Static(id="sticky", markup=False)
+
+    def body(self) -> Iterable[Widget]:
+        """Live picture and gauges; quick look and verdict; cue; annotations."""
+        with Horizontal(id="pictures"):
+            with Vertical(id="live-side"):
+                yield self._live
+                yield self._gauges
+            with Vertical(id="scan-side"):
+                yield self._relief
+                yield self._verdict
+        yield self._cue
+        yield self._sticky
+
+    def show_body(self, state: InstrumentState) -> None:
+        """Update last scan, cue and annotations."""
+        self._cue.update(cue_text(state))
+        self._cue.set_class(_is_ready(state), "-ready")
+        auto = " · auto-shutter on" if state.auto_shutter else ""
+        self._sticky.update(f"{sticky_text(state.sticky)}{auto}")
+        self._show_last(state)
+
+    def show_live(self, state: InstrumentState) -> None:
+        """Show live picture and gauges."""
+        if state.live is None:
+            self._live.show(None, sentence=idle_sentence(state))
+            self._gauges.update("")
+            return
+        reading = state.live.reading
+        self._live.show(state.live.picture)
+        width = self._gauges.size.width
+        gauges = {"contact": reading.contact_fraction, "exposure": reading.exposure, "depth": reading.depth_fraction}
+        self._gauges.update("\n".join(gauge_text(name, fraction, width) for name, fraction in gauges.items()))
+
+    def action_scan(self) -> None:
+        """Scan, like a push of the button."""
+        self.instrument.press()
+
+    def action_auto(self) -> None:
+        """Toggle the auto-shutter."""
+        self.instrument.set_auto_shutter(not self.instrument.state.auto_shutter)
+        self.show_body(self.instrument.state)
+
+    def action_zero(self) -> None:
+        """Run the zero check."""
+        self.instrument.zero_check()
+
+    def action_demonstrate(self) -> None:
+        """Let the twin's operator press the next object."""
+        self.retroscan.demonstrate()
+
+    def action_sticky(self) -> None:
+        """Edit job, part and operator."""
+        sticky = self.instrument.state.sticky
+        fields = {"Job": sticky.job or "", "Part": sticky.part or "", "Operator": sticky.operator or ""}
+        dialog = FieldsDialog("Stored with every scan from now on", fields, "Enter: next field · Escape: cancel")
+        self.app.push_screen(dialog, self._save_sticky)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only the twin can press objects."""
+        return self.retroscan.is_twin if action == "demonstrate" else super().check_action(action, parameters)
+
+    def _save_sticky(self, fields: dict[str, str] | None) -> None:
+        if fields is None:
+            return
+        note = self.instrument.state.sticky.note
+        job, part, operator = (fields[name] or None for name in ("Job", "Part", "Operator"))
+        self.instrument.set_sticky(Annotations(job=job, part=part, operator=operator, note=note))
+        self.show_body(self.instrument.state)
+
+    def _show_last(self, state: InstrumentState) -> None:
+        last = state.last
+        if last is None:
+            self._relief.show(None, state.calibration.fault or "The relief of a scan appears here.")
+            self._verdict.update("")
+            return
+        self._relief.show(last.height, last.fault and f"No quick look: {last.fault}")
+        self._verdict.update(verdict_text(last))
+
+
+def verdict_text(last: LastScan) -> Content:
+    """Number, level and reason of a scan."""
+    level = last.verdict.level
+    return Content.assemble(
+        (f"{verdict_word(level)} ", _VERDICT_STYLE[level]), (f"#{last.counter} ", "bold"), last.verdict.reason
+    )
+
+
+def cue_text(state: InstrumentState) -> str:
+    """What to do now, in one sentence."""
+    if state.activity != "ready":
+        return f"{state.activity.capitalize()} ..."
+    if state.calibration.calibration_id is None:
+        return "Not calibrated: open Calibrate (key 2, or hold the button)."
+    if state.live is None:
+        return "Push the button to switch the lights on."
+    sign = "> " if _is_ready(state) else ""
+    return f"{sign}{state.live.reading.sentence}"
+
+
+def idle_sentence(state: InstrumentState) -> str:
+    """Why there is no live picture."""
+    return state.sentence or "Lights off: push the button."
+
+
+def _is_ready(state: InstrumentState) -> bool:
+    return state.activity == "ready" and state.live is not None and state.live.reading.advice == "ready"

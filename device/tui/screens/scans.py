@@ -1,0 +1,188 @@
+"""Scans: the history, the quick look of the chosen scan, its mark and note."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import ClassVar
+
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.widget import Widget
+from textual.widgets import Static
+
+from device.errors import DeviceError
+from device.instrument.history import History, ScanEntry
+from device.instrument.instrument import Instrument
+from device.instrument.state import InstrumentState
+from device.store.marks import Opinion
+from device.surface.fields import HeightMap
+from device.tui.drawing.cells import ColourDepth
+from device.tui.drawing.text import sticky_text
+from device.tui.screens.base import InstrumentScreen
+from device.tui.widgets.dialogs import FieldsDialog
+from device.tui.widgets.height_view import HeightView
+from device.tui.widgets.line_list import LineList
+
+HEADING = "     # verdict  mark sent part"
+
+
+class ScansScreen(InstrumentScreen):
+    """The stored scans."""
+
+    PLACE = "scans"
+    AUTO_FOCUS = "#history"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("g", "mark('good')", "good"),
+        Binding("b", "mark('bad')", "bad"),
+        Binding("u", "mark('')", "unmark", show=False),
+        Binding("n", "note", "note"),
+        Binding("p", "profile", "profile"),
+        Binding("v", "view", show=False),
+    ]
+
+    def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
+        super().__init__(instrument)
+        self._list = LineList(id="history")
+        self._relief = HeightView(depth, below=6)
+        self._words = Static(id="words", markup=False)
+        self._history = History((), ())
+        self._known: tuple[object, ...] | None = None
+        self._shown: str | None = None
+
+    def body(self) -> Iterable[Widget]:
+        """The list on the left; relief and details on the right."""
+        with Horizontal(id="review"):
+            with Vertical(id="history-side"):
+                yield Static(HEADING, id="history-heading", markup=False)
+                yield self._list
+            with Vertical(id="scan-side"):
+                yield self._relief
+                yield self._words
+
+    def show_body(self, state: InstrumentState) -> None:
+        """Read the history again after another scan."""
+        known = (state.scans_stored, state.last and state.last.scan_id)
+        if known != self._known:
+            self._known = known
+            self.reread()
+
+    def on_screen_resume(self) -> None:
+        """Read the history again: scans may have been offloaded meanwhile."""
+        self.reread()
+
+    def reread(self) -> None:
+        """Read the history on another thread."""
+        self.run_worker(self._read_history, thread=True, group="history", exclusive=True)
+
+    def action_mark(self, opinion: str) -> None:
+        """Mark the chosen scan good or bad, or remove the mark."""
+        if entry := self._entry():
+            note = entry.mark.note if entry.mark else ""
+            self._write(entry, "good" if opinion == "good" else "bad" if opinion == "bad" else None, note)
+
+    def action_note(self) -> None:
+        """Edit the chosen scan's note."""
+        if entry := self._entry():
+            note = entry.mark.note if entry.mark else ""
+            dialog = FieldsDialog(f"Scan #{entry.counter}", {"Note": note}, "Enter: save · Escape: cancel")
+            self.app.push_screen(dialog, partial(self._save_note, entry))
+
+    def action_profile(self) -> None:
+        """Show or hide the profile."""
+        if self._relief.check_action("profile", ()):
+            self._relief.action_profile()
+
+    def action_view(self) -> None:
+        """Show the relief in pixels, if the terminal can."""
+        self._relief.action_view()
+
+    def on_height_view_profile_switched(self, event: HeightView.ProfileSwitched) -> None:
+        """Give the arrow keys to the profile's cursor while it is shown, otherwise to the list."""
+        self.set_focus(self._relief if event.is_shown else self._list)
+
+    async def short_push(self) -> None:
+        """Choose the next older scan; after the oldest the newest."""
+        self._list.choose_next()
+
+    def on_line_list_chosen(self, event: LineList.Chosen) -> None:
+        """Show the chosen scan."""
+        self._show(event.index)
+
+    def _entry(self) -> ScanEntry | None:
+        chosen = self._list.chosen
+        return self._history.scans[chosen] if chosen is not None and chosen < len(self._history.scans) else None
+
+    def _read_history(self) -> None:
+        try:
+            history = self.instrument.history()
+        except DeviceError as error:
+            self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            return
+        self.app.call_from_thread(self._show_history, history)
+
+    def _show_history(self, history: History) -> None:
+        chosen = self._entry()
+        self._history = history
+        if not history.scans:
+            self._relief.show(None, "No scans yet.")
+            self._words.update("\n".join(history.damaged))
+            return
+        ids = [entry.scan_id for entry in history.scans]
+        lines = [scan_line(entry) for entry in history.scans]
+        self._list.show(lines, ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0)
+        if history.damaged:
+            self.retroscan.report_failure(history.damaged[0])
+
+    def _show(self, index: int) -> None:
+        if index >= len(self._history.scans):
+            return
+        entry = self._history.scans[index]
+        self._words.update(details_of(entry))
+        if entry.scan_id != self._shown:
+            self._shown = entry.scan_id
+            self.run_worker(partial(self._read_quick_look, entry.scan_id), thread=True, group="look", exclusive=True)
+
+    def _read_quick_look(self, scan_id: str) -> None:
+        try:
+            height = self.instrument.quick_look(scan_id)
+            sentence = "This scan has no quick look: offload it and reconstruct it."
+        except DeviceError as error:
+            height, sentence = None, str(error)
+        self.app.call_from_thread(self._show_quick_look, scan_id, height, sentence)
+
+    def _show_quick_look(self, scan_id: str, height: HeightMap | None, sentence: str) -> None:
+        if scan_id == self._shown:
+            self._relief.show(height, sentence)
+
+    def _save_note(self, entry: ScanEntry, fields: dict[str, str] | None) -> None:
+        if fields is not None:
+            self._write(entry, entry.mark.opinion if entry.mark else None, fields["Note"])
+
+    def _write(self, entry: ScanEntry, opinion: Opinion | None, note: str) -> None:
+        self.run_worker(partial(self._write_mark, entry.scan_id, opinion, note), thread=True, group="mark")
+
+    def _write_mark(self, scan_id: str, opinion: Opinion | None, note: str) -> None:
+        try:
+            self.instrument.mark(scan_id, opinion, note)
+        except DeviceError as error:
+            self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            return
+        self.app.call_from_thread(self.reread)
+
+
+def scan_line(entry: ScanEntry) -> str:
+    """One line of the history: number, verdict, mark, whether it was offloaded, part."""
+    mark = entry.mark.opinion or "" if entry.mark else ""
+    sent = "yes" if entry.offloaded else ""
+    return f"{entry.counter:>4} {entry.verdict.level:<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
+
+
+def details_of(entry: ScanEntry) -> str:
+    """Verdict, annotations, time, offload state and note of a scan."""
+    sent = "verified on a workstation" if entry.offloaded else "not offloaded"
+    note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
+    return (
+        f"{entry.verdict.level}: {entry.verdict.reason}\n{sticky_text(entry.annotations)}\n"
+        f"{entry.wall_time:%Y-%m-%d %H:%M} UTC · {sent}{note}"
+    )

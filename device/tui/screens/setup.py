@@ -1,0 +1,219 @@
+"""Set-up: a list of actions on the left, and on the right the panel of the chosen one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Literal, TypeVar
+
+from textual.containers import Horizontal, VerticalScroll
+from textual.widget import Widget
+from textual.widgets import Static
+
+from device.errors import DeviceError
+from device.instrument.instrument import Instrument
+from device.instrument.pairing_run import NetworkInfo
+from device.instrument.state import InstrumentState
+from device.store.registry import RegisteredCalibration
+from device.tui.drawing.cells import ColourDepth
+from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.panels import instrument_panel, pairing_panel, selftest_panel
+from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
+from device.tui.widgets.line_list import ChoiceList
+
+Read = TypeVar("Read")
+
+
+ActionName = Literal["back", "facts", "pair", "test", "zero", "gel", "calibrations", "off"]
+
+
+@dataclass(frozen=True, slots=True)
+class SetupAction:
+    """An action of the set-up screen: its title, and what it does."""
+
+    name: ActionName
+    title: str
+    meaning: str
+
+
+SETUP_ACTIONS: Final = (
+    SetupAction("back", "Back to Scan", ""),
+    SetupAction("facts", "This instrument", ""),
+    SetupAction(
+        "pair",
+        "Pair",
+        "A paired workstation may fetch scans.\nEnter shows a code for two minutes; type it on the workstation.",
+    ),
+    SetupAction(
+        "test",
+        "Self-test",
+        "Tests every part, and each light through the camera.\nTouch nothing with the gel. Enter starts.",
+    ),
+    SetupAction(
+        "zero",
+        "Zero check",
+        "Measures how flat the untouched skin reads: run it each morning, and when results look wrong.\n"
+        "Touch nothing with the gel. Enter takes a frame; no scan is stored.",
+    ),
+    SetupAction(
+        "gel",
+        "Change gel",
+        "Select the mounted gel: its own calibration becomes active, or scans are refused until it has one.\n"
+        "Enter lists the known gels.",
+    ),
+    SetupAction(
+        "calibrations",
+        "Calibrations",
+        "All calibrations of this instrument are kept; any that matches can be activated again.\nEnter lists them.",
+    ),
+    SetupAction(
+        "off",
+        "Power off",
+        "Stores running work, switches the lights off, and powers the instrument off.\nEnter asks first.",
+    ),
+)
+
+
+class SetUpScreen(InstrumentScreen):
+    """Rarely needed actions."""
+
+    PLACE = "set-up"
+    AUTO_FOCUS = "#actions"
+
+    def __init__(self, instrument: Instrument, _depth: ColourDepth) -> None:
+        super().__init__(instrument)
+        self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
+        self._panel = Static(id="panel", markup=False)
+        self._network: NetworkInfo | None = None
+
+    def body(self) -> Iterable[Widget]:
+        """The list and the panel."""
+        with Horizontal(id="set-up"):
+            yield self._actions_list
+            with VerticalScroll(id="panel-side", can_focus=False):
+                yield self._panel
+
+    def show_body(self, state: InstrumentState) -> None:
+        """Update the panel of the chosen action."""
+        self._panel.update(self._text(state))
+
+    def on_screen_resume(self) -> None:
+        """Read the network again: cables may have been plugged meanwhile."""
+        self._read(self.instrument.network, self._show_network)
+
+    def on_line_list_chosen(self) -> None:
+        """Show the panel of the chosen action."""
+        self.show_body(self.instrument.state)
+
+    async def on_choice_list_done(self) -> None:
+        """Start the chosen action."""
+        match self._chosen().name:
+            case "pair":
+                self.instrument.open_pairing()
+            case "test":
+                self.retroscan.findings.clear()
+                self.instrument.run_selftest()
+            case "zero":
+                self.instrument.zero_check()
+            case "gel":
+                self._read(self._known_gels, self._ask_for_gel)
+            case "calibrations":
+                self._read(self.instrument.calibrations, self._ask_for_calibration)
+            case "off":
+                question = "Power off? Running work is stored first."
+                self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
+            case _:
+                await self.retroscan.go("scan")
+
+    async def short_push(self) -> None:
+        """Choose the next action; after the last one the first."""
+        self._actions_list.choose_next()
+
+    async def long_push(self) -> bool:
+        """Start the chosen action."""
+        await self.on_choice_list_done()
+        return True
+
+    def _chosen(self) -> SetupAction:
+        return SETUP_ACTIONS[self._actions_list.chosen or 0]
+
+    def _text(self, state: InstrumentState) -> str:
+        columns, chosen = self._panel.size.width, self._chosen()
+        running, findings = state.activity == "self-test", self.retroscan.findings
+        if chosen.name == "pair" and state.pairing:
+            return pairing_panel(state.pairing, self._network, self.retroscan.now_ns(), columns)
+        if chosen.name == "test" and (findings or running):
+            return selftest_panel(findings, running, columns)
+        return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns)
+
+    def _read(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
+        """Read on another thread, so that a slow disk does not block the screens."""
+        self.run_worker(partial(self._read_then, read, show), thread=True)
+
+    def _read_then(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
+        try:
+            result = read()
+        except DeviceError as error:
+            self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            return
+        self.app.call_from_thread(show, result)
+
+    def _show_network(self, network: NetworkInfo) -> None:
+        self._network = network
+        self.show_body(self.instrument.state)
+
+    def _known_gels(self) -> list[str]:
+        """Gels that were mounted here, or have a calibration here."""
+        mounted = {self.instrument.state.gel.gel_id} | {gel.gel_id for gel in self.instrument.gels()}
+        return sorted(mounted | {known.bundle.record.gel_id for known in self.instrument.calibrations()})
+
+    def _ask_for_gel(self, gels: Sequence[str]) -> None:
+        chosen = gels.index(self.instrument.state.gel.gel_id)
+        dialog = ChoiceDialog("Which gel is mounted?", [*gels, "another gel"], chosen)
+        self.app.push_screen(dialog, partial(self._change_gel, gels))
+
+    def _change_gel(self, gels: Sequence[str], chosen: int | None) -> None:
+        if chosen is None:
+            return
+        if chosen < len(gels):
+            self.instrument.change_gel(gels[chosen])
+            return
+        thickness = f"{self.instrument.state.gel.slab_thickness_mm:g}"
+        fields = {"Name": "", "Slab, mm": thickness}
+        hint = "Any unique name, for example the number on the gel's frame"
+        self.app.push_screen(FieldsDialog("New gel", fields, hint), self._new_gel)
+
+    def _new_gel(self, fields: dict[str, str] | None) -> None:
+        if fields is None:
+            return
+        try:
+            slab_thickness_mm = float(fields["Slab, mm"].replace(",", "."))
+        except ValueError:
+            self.retroscan.report_failure(f"{fields['Slab, mm']!r} is not a thickness in mm: change the gel again")
+            return
+        self.instrument.change_gel(fields["Name"], slab_thickness_mm)
+
+    def _ask_for_calibration(self, calibrations: Sequence[RegisteredCalibration]) -> None:
+        if not calibrations:
+            self.retroscan.report_failure("No calibration yet: open Calibrate (key 2)")
+            return
+        lines = [_calibration_line(each) for each in calibrations]
+        active = [index for index, each in enumerate(calibrations) if each.active]
+        dialog = ChoiceDialog("Which calibration should be active?", lines, active[0] if active else 0)
+        self.app.push_screen(dialog, partial(self._activate, calibrations))
+
+    def _activate(self, calibrations: Sequence[RegisteredCalibration], chosen: int | None) -> None:
+        if chosen is not None and not calibrations[chosen].active:
+            self.instrument.activate(calibrations[chosen].bundle.calibration_id)
+
+    def _power_off(self, yes: bool | None) -> None:
+        if yes:
+            self.instrument.power_off()
+
+
+def _calibration_line(calibration: RegisteredCalibration) -> str:
+    """Gel, slot, version and time of a calibration, and whether it is active."""
+    record, entry = calibration.bundle.record, calibration.entry
+    mark = " active" if calibration.active else ""
+    return f"{record.gel_id} {entry.slot} v{entry.version} {record.created:%Y-%m-%d %H:%M}{mark}"

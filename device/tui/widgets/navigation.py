@@ -1,0 +1,124 @@
+"""The bars that every screen has: screens and device name at the top, the last notice, the keys at the bottom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from textual.app import ComposeResult
+from textual.containers import Horizontal
+from textual.content import Content
+from textual.events import Click
+from textual.screen import Screen
+from textual.widgets import Static
+
+Place = Literal["scan", "calibrate", "scans", "set-up"]
+
+PLACES: Final[tuple[tuple[Place, str], ...]] = (
+    ("scan", "Scan"),
+    ("calibrate", "Calibrate"),
+    ("scans", "Scans"),
+    ("set-up", "Set-up"),
+)
+
+
+Severity = Literal["info", "success", "error"]
+
+_SIGNS: Final[dict[Severity, str]] = {"info": "", "success": "", "error": "! "}
+
+_STYLES: Final[dict[Severity, str]] = {"info": "", "success": "$success", "error": "$error bold"}
+
+
+def place_after(place: Place) -> Place:
+    """The next screen in the bar, opened by a long push of the button."""
+    names = [name for name, _ in PLACES]
+    return names[(names.index(place) + 1) % len(names)]
+
+
+class NavigationBar(Horizontal):
+    """The four screens; the current one is reversed.
+
+    Parameters
+    ----------
+    current : the screen that contains this bar
+    """
+
+    def __init__(self, current: Place) -> None:
+        super().__init__()
+        self._current: Place = current
+        self._device = Static(id="device-name", markup=False)
+
+    def compose(self) -> ComposeResult:
+        """One item per screen, and the name of the device."""
+        for number, (place, title) in enumerate(PLACES, start=1):
+            yield NavigationItem(place, number, title, place == self._current)
+        yield self._device
+
+    def show_device(self, name: str) -> None:
+        """Show the instrument's name."""
+        self._device.update(name)
+
+
+class NavigationItem(Static):
+    """A screen's name; a touch opens it."""
+
+    def __init__(self, place: Place, number: int, title: str, is_current: bool) -> None:
+        text = Content(f" {number} {title} ")
+        super().__init__(text, classes="-current" if is_current else "")
+        self._place = place
+
+    async def on_click(self, event: Click) -> None:
+        """Open the screen."""
+        event.stop()
+        await self.run_action(f"app.go('{self._place}')")
+
+
+class KeyHints(Horizontal):
+    """The active key bindings; hints that do not fit are left out, last first."""
+
+    def compose(self) -> ComposeResult:
+        """One hint per key."""
+        hints: dict[str, KeyHint] = {}
+        for active in self.screen.active_bindings.values():
+            binding = active.binding
+            if binding.show and active.enabled and binding.action not in hints:
+                hints[binding.action] = KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
+        yield from hints.values()
+
+    def on_mount(self) -> None:
+        """Subscribe to changes of the bindings."""
+        self.screen.bindings_updated_signal.subscribe(self, self._follow)
+
+    def _follow(self, screen: Screen[object]) -> None:
+        if self.is_attached and screen is self.screen:
+            self.call_after_refresh(self.recompose)
+
+
+class KeyHint(Static):
+    """One key and its action; a touch presses it."""
+
+    def __init__(self, shown: str, description: str, key: str) -> None:
+        super().__init__(Content.assemble((f" {shown} ", "$accent bold"), (f"{description} ", "")))
+        self._key = key
+
+    def on_click(self, event: Click) -> None:
+        """Press the key."""
+        event.stop()
+        self.app.simulate_key(self._key)
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A sentence and its severity."""
+
+    sentence: str
+    severity: Severity = "info"
+
+
+class NoticeLine(Static):
+    """The last notice; an empty line without one, so that the layout stays."""
+
+    def show(self, notice: Notice | None) -> None:
+        """Show a notice, or none."""
+        text = Content.styled(_SIGNS[notice.severity] + notice.sentence, _STYLES[notice.severity]) if notice else ""
+        self.update(text)

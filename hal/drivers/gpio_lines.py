@@ -1,0 +1,207 @@
+"""GPIO lines through libgpiod v2; a chip is selected by its label, since its number differs between kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol, Self
+
+from hal.drivers.driver_library import require_package
+from hal.errors import ButtonError, DriverMissing, HalError, IndicatorError
+
+if TYPE_CHECKING:
+    import gpiod
+
+CONSUMER = "retroscan"
+EVENT_BUFFER = 1024
+"""Number of edges that the kernel buffers, its maximum; a bouncing press makes a dozen."""
+
+DEVICES = Path("/dev")
+_INSTALL = "pip install 'gpiod>=2.2' in the program's venv (bookworm's python3-libgpiod is version 1)"
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A change of level at that time (clock's monotonic ns); `active` is the level afterwards."""
+
+    at_ns: int
+    active: bool
+
+
+class InputLine(Protocol):
+    """A line that reports its edges."""
+
+    def wait(self, timeout_s: float | None) -> bool:
+        """True when edges can be read within `timeout_s` (None waits without limit)."""
+        ...
+
+    def edges(self) -> list[Edge]:
+        """Edges since the last call, oldest first."""
+        ...
+
+    def is_active(self) -> bool:
+        """The level now."""
+        ...
+
+    def release(self) -> None:
+        """Release the line."""
+        ...
+
+
+OpenInput = Callable[[], InputLine]
+
+
+class GpiodInput:
+    """An input line through libgpiod; see `InputLine`.
+
+    Parameters
+    ----------
+    request : line request granted by libgpiod
+    """
+
+    def __init__(self, request: gpiod.LineRequest, place: str) -> None:
+        self._request = request
+        self._place = place
+
+    @classmethod
+    def open(cls, label: str, offset: int, active_low: bool) -> Self:
+        """The line at an offset of the chip with that label, biased to its inactive level, reporting both edges.
+
+        Raises
+        ------
+        DriverMissing, ButtonError
+            libgpiod is not installed or of version 1; the chip or line does not exist or is in use.
+        """
+        gpiod = load_gpiod()
+        from gpiod.line import Bias, Clock, Direction, Edge
+
+        settings = gpiod.LineSettings(
+            direction=Direction.INPUT,
+            edge_detection=Edge.BOTH,
+            bias=Bias.PULL_UP if active_low else Bias.PULL_DOWN,
+            active_low=active_low,
+            event_clock=Clock.MONOTONIC,
+        )
+        place = f"the button on line {offset} of GPIO chip {label!r}"
+        chip = _chip_path(label, place, ButtonError)
+        try:
+            request = gpiod.request_lines(
+                chip, consumer=CONSUMER, config={offset: settings}, event_buffer_size=EVENT_BUFFER
+            )
+        except (OSError, ValueError) as error:
+            raise ButtonError(
+                f"{place} cannot be requested ({error}): check button.line and its other users"
+            ) from error
+        return cls(request, place)
+
+    def wait(self, timeout_s: float | None) -> bool:
+        """True when edges can be read."""
+        try:
+            return self._request.wait_edge_events(timeout_s)
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    def edges(self) -> list[Edge]:
+        """Edges since the last call."""
+        from gpiod import EdgeEvent
+
+        try:
+            events = self._request.read_edge_events()
+        except OSError as error:
+            raise self._unreadable(error) from error
+        return [Edge(event.timestamp_ns, event.event_type is EdgeEvent.Type.RISING_EDGE) for event in events]
+
+    def is_active(self) -> bool:
+        """The level now."""
+        from gpiod.line import Value
+
+        try:
+            return self._request.get_value(self._request.offsets[0]) is Value.ACTIVE
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    def release(self) -> None:
+        """Release the line."""
+        self._request.release()
+
+    def _unreadable(self, error: OSError) -> ButtonError:
+        return ButtonError(f"{self._place} cannot be read ({error.strerror}): check its wiring")
+
+
+class GpiodOutput:
+    """An output line through libgpiod, low at first and when released."""
+
+    def __init__(self, label: str, offset: int) -> None:
+        self._label = label
+        self._offset = offset
+        self._request: gpiod.LineRequest | None = None
+
+    def switch(self, on: bool) -> None:
+        """Drive the line; the first call requests it.
+
+        Raises
+        ------
+        DriverMissing, IndicatorError
+            libgpiod is not installed or of version 1; the chip or line does not exist or is in use.
+        """
+        gpiod = load_gpiod()
+        from gpiod.line import Direction, Value
+
+        place = f"the indicator on line {self._offset} of GPIO chip {self._label!r}"
+        try:
+            if self._request is None:
+                settings = gpiod.LineSettings(direction=Direction.OUTPUT, output_value=Value.INACTIVE)
+                chip = _chip_path(self._label, place, IndicatorError)
+                self._request = gpiod.request_lines(chip, consumer=CONSUMER, config={self._offset: settings})
+            self._request.set_value(self._offset, Value.ACTIVE if on else Value.INACTIVE)
+        except (OSError, ValueError) as error:
+            if isinstance(error, HalError):
+                raise
+            raise IndicatorError(f"{place} cannot be driven ({error}): check indicator.line") from error
+
+    def release(self) -> None:
+        """Release the line."""
+        if self._request is not None:
+            self._request.release()
+            self._request = None
+
+
+def load_gpiod() -> ModuleType:
+    """Python module of libgpiod, version 2.
+
+    Raises
+    ------
+    DriverMissing
+        It is not installed, cannot be imported, or is of version 1, which has another interface.
+    """
+    require_package("gpiod", _INSTALL)
+    try:
+        import gpiod
+    except (ImportError, OSError) as error:
+        raise DriverMissing(f"the package gpiod is installed but cannot be imported ({error}): {_INSTALL}") from error
+    if not hasattr(gpiod, "request_lines"):
+        read_version = getattr(gpiod, "version_string", None)
+        found = read_version() if callable(read_version) else "1"
+        raise DriverMissing(f"the package gpiod is version {found}, but version 2 is needed: {_INSTALL}")
+    module: ModuleType = gpiod
+    return module
+
+
+def _chip_path(label: str, place: str, failure: type[HalError]) -> str:
+    """Device file of the GPIO chip with that label."""
+    import gpiod
+
+    found = []
+    for path in sorted(DEVICES.glob("gpiochip*")):
+        try:
+            with gpiod.Chip(str(path)) as chip:
+                found.append(chip.get_info().label)
+        except OSError:
+            found.append(f"{path.name} (cannot be opened)")
+            continue
+        if found[-1] == label:
+            return str(path)
+    there = ", ".join(found) or "none"
+    raise failure(f"{place} not found: the chips of this machine are {there}; check button.chip_label")

@@ -1,0 +1,1 @@
+"""The twin: a simulated handheld with its own physics."""

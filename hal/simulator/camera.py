@@ -1,0 +1,126 @@
+"""The twin's camera: free-running frames and delayed controls."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.errors import CameraError, FrameTimeout
+from hal.frame import CameraSettings, RawFrame
+from hal.simulator.bench import SimulatedScene
+from hal.simulator.sensor_controls import granted
+
+AIMING_STEP: Final = 2
+_POWER_ON: Final = CameraSettings(exposure_us=9_990.0, analogue_gain=1.0)
+_READOUT_US: Final = 1_000.0
+
+
+class TwinCamera:
+    """A free-running raw camera; see `hal.interfaces.Camera`."""
+
+    def __init__(self, bench: SimulatedScene) -> None:
+        self._bench = bench
+        self._streaming = False
+        self._current = _POWER_ON
+        self._pending: deque[tuple[int, CameraSettings]] = deque()
+        self._index = 0
+        self._began_ns = 0
+
+    @property
+    def camera_id(self) -> str:
+        """Identity of the simulated camera."""
+        return f"twin/{self._bench.profile.sensor.model}"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of every raw frame, in sensor pixels."""
+        sensor = self._bench.profile.sensor
+        return sensor.rows, sensor.columns
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Request exposure and gain; they act some frames later, or from the first frame when not yet streaming."""
+        self._check_present()
+        if self._bench.faults.controls_ignored:
+            return
+        if not self._streaming:
+            self._current = self._granted(settings)
+            return
+        self._catch_up()
+        self._pending.append((self._index + self._bench.twin.control_delay_frames, self._granted(settings)))
+
+    def next_frame(self, timeout_s: float) -> RawFrame:
+        """The next frame whose read-out ends after now.
+
+        Raises
+        ------
+        FrameTimeout
+            None was completed within `timeout_s`.
+        CameraError
+            The camera is missing or not started.
+        """
+        self._check_present()
+        if not self._streaming:
+            raise CameraError(f"camera {self.camera_id} is not started: enter it before asking for a frame")
+        clock = self._bench.clock
+        self._catch_up()
+        wait_s = (self._completed_ns() - clock.monotonic_ns()) * 1e-9
+        if self._bench.faults.camera_stalled or wait_s > timeout_s:
+            clock.sleep(timeout_s)
+            raise FrameTimeout(f"camera {self.camera_id} completed no frame within {timeout_s:g} s: check its cable")
+        clock.sleep(wait_s)
+        frame = self._bench.expose(self._index, self._began_ns, self._current)
+        self._advance()
+        return frame
+
+    def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
+        """The next frame's green pixels, every `AIMING_STEP`-th, as 8 bits: uint8 array of shape (h, w)."""
+        frame = self.next_frame(timeout_s)
+        column = frame.bayer_order.index("G") % 2
+        green = frame.mosaic[0 :: 2 * AIMING_STEP, column :: 2 * AIMING_STEP].astype(np.float32)
+        fraction = (green - frame.black_level_dn) / (frame.white_level_dn - frame.black_level_dn)
+        return np.asarray(np.clip(255.0 * fraction, 0.0, 255.0), np.uint8)
+
+    def __enter__(self) -> Self:
+        self._check_present()
+        self._streaming = True
+        self._began_ns = self._bench.clock.monotonic_ns()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._streaming = False
+        self._pending.clear()
+
+    def _check_present(self) -> None:
+        if self._bench.faults.camera_missing:
+            raise CameraError(f"camera {self.camera_id} is not there: check its cable and the board profile")
+
+    def _catch_up(self) -> None:
+        """Skip all frames that were complete before now."""
+        now_ns = self._bench.clock.monotonic_ns()
+        while self._pending and self._completed_ns() <= now_ns:
+            self._advance()
+        missed = (now_ns - self._completed_ns()) // self._period_ns() + 1
+        if missed > 0:
+            self._index += missed
+            self._began_ns += missed * self._period_ns()
+
+    def _advance(self) -> None:
+        """Begin the next frame, with the controls that are due for it."""
+        self._began_ns += self._period_ns()
+        self._index += 1
+        while self._pending and self._pending[0][0] <= self._index:
+            self._current = self._pending.popleft()[1]
+
+    def _completed_ns(self) -> int:
+        return self._began_ns + round((self._current.exposure_us + _READOUT_US) * 1e3)
+
+    def _period_ns(self) -> int:
+        return round(max(self._bench.twin.frame_period_us, self._current.exposure_us + _READOUT_US) * 1e3)
+
+    def _granted(self, asked: CameraSettings) -> CameraSettings:
+        """What the sensor grants of a request."""
+        sensor = self._bench.profile.sensor
+        return granted(sensor.model, asked, sensor.exposure_step_us)

@@ -1,0 +1,1 @@
+"""Emulated chips, lines and camera stack on which the real drivers run."""

@@ -1,0 +1,123 @@
+"""A complete emulated board in one simulated world: the real drivers on emulated libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import msgspec
+
+from hal.board_profile import (
+    BoardProfile,
+    ButtonConfig,
+    FuelGaugeConfig,
+    IndicatorConfig,
+    LibcameraConfig,
+    LightDriverConfig,
+    PowerConfig,
+)
+from hal.drivers.board_hardware import Machine, board_hardware
+from hal.hardware import Hardware
+from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.emulated.chip_models import LedDriverModel, Max17048Model, Pca9955bModel, Tlc59116Model
+from hal.simulator.emulated.fake_gpio import FakeGpioLine
+from hal.simulator.emulated.fake_i2c import FakeI2cBus
+from hal.simulator.emulated.fake_picamera2 import FakePicamera2
+from hal.simulator.operator import TwinOperator
+
+Chip = Literal["PCA9955B", "TLC59116"]
+CAMERA_ID: Final = "/base/soc/i2c0mux/i2c@1/imx296@1a"
+LIGHTS_AT: Final = 0x15
+GAUGE_AT: Final = 0x36
+SPARE_CHANNEL: Final = 15
+REFERENCE_OHM: Final = {"PCA9955B": 2400.0, "TLC59116": 1000.0}
+LED_MAX_MA: Final = 25.0
+LED_CHANNELS: Final = ((0, 1), (4, 5), (9,))
+
+
+@dataclass(slots=True)
+class Firmware:
+    """Throttle flags of the firmware."""
+
+    throttled: str = "0\n"
+
+    def read(self) -> str:
+        """The throttle bits as text."""
+        return self.throttled
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatedBoard:
+    """A board and everything below its drivers, to inspect and to break."""
+
+    bench: SimulatedScene
+    hardware: Hardware
+    leds: LedDriverModel
+    gauge: Max17048Model
+    wire: FakeI2cBus
+    cameras: FakePicamera2
+    line: FakeGpioLine
+    firmware: Firmware
+
+
+def emulated_profile(profile: BoardProfile, chip: Chip) -> BoardProfile:
+    """The twin's profile as that of a real board: every table that drivers need, in the same world."""
+    lights = tuple(
+        msgspec.structs.replace(light, channels=channels, max_ma=LED_MAX_MA)
+        for light, channels in zip(profile.lights, LED_CHANNELS, strict=True)
+    )
+    return msgspec.structs.replace(
+        profile,
+        driver="picamera2",
+        lights=lights,
+        libcamera=LibcameraConfig(
+            camera_id="imx296@1a",
+            raw_bits=12,
+            sensor_bits=12,
+            frame_period_us=profile.twin.frame_period_us if profile.twin else 16_667.0,
+            aiming_columns=160,
+            aiming_rows=120,
+        ),
+        light_driver=LightDriverConfig(chip=chip, bus=1, address=LIGHTS_AT, reference_ohm=REFERENCE_OHM[chip]),
+        button=ButtonConfig(chip_label="pinctrl-bcm2711", line=17),
+        indicator=IndicatorConfig(channel=SPARE_CHANNEL),
+        power=PowerConfig(fuel_gauge=FuelGaugeConfig(chip="MAX17048", bus=1)),
+    )
+
+
+def emulated_hardware(bench: SimulatedScene, chip: Chip) -> EmulatedBoard:
+    """The board in a new world with the profile, clock and seed of `bench`."""
+    world = build(emulated_profile(bench.profile, chip), bench.clock, bench.seed)
+    leds = led_model(chip, REFERENCE_OHM[chip])
+    leds.changed = lighting(world, leds)
+    gauge = Max17048Model()
+    wire = FakeI2cBus({LIGHTS_AT: leds, GAUGE_AT: gauge}, world.clock)
+    cameras, line, firmware = FakePicamera2(world, CAMERA_ID), FakeGpioLine(world), Firmware()
+    machine = Machine(
+        load_cameras=lambda: cameras,
+        open_bus=wire.open,
+        open_input=lambda *_place: lambda: line,
+        throttled_file=firmware.read,
+    )
+    hardware = board_hardware(world.profile, world.clock, machine, TwinOperator(world))
+    return EmulatedBoard(world, hardware, leds, gauge, wire, cameras, line, firmware)
+
+
+def led_model(chip: Chip, reference_ohm: float) -> LedDriverModel:
+    """Register model of that chip with that resistor at REXT, in its power-on state."""
+    return (Pca9955bModel if chip == "PCA9955B" else Tlc59116Model)(reference_ohm)
+
+
+def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
+    """A callback that drives each light of the world with the mean current of its LEDs, from the chip's registers."""
+
+    def follow() -> None:
+        currents_ma = leds.currents_ma()
+        shining = {
+            light.name: sum(currents_ma[channel] for channel in light.channels) / len(light.channels)
+            for light in world.profile.lights
+        }
+        world.drive({name: current for name, current in shining.items() if current > 0.0})
+
+    return follow

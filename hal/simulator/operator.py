@@ -1,0 +1,91 @@
+"""The twin's operator: carries out requests in the simulated world, then pushes the button."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from hal.errors import OperatorError
+from hal.interfaces import ButtonPress, LiftOff, OperatorRequest, PressBall, PressObject
+from hal.simulator.bench import SimulatedScene
+from hal.simulator.elastomer import MAX_COMPRESSION, ball_indentation_mm
+from hal.simulator.gallery import gallery_names, specimen
+from hal.simulator.scene import Press
+from hal.simulator.surfaces import Sphere
+
+BALL_SLOPE_DEG: Final = 40.0
+"""Slope at the rim of the contact to which the operator presses a ball."""
+
+_BUTTON_AFTER_S: Final = 0.8
+_BUTTON_HELD_S: Final = 0.12
+_PLACEMENT_MM: Final = 0.1
+_TURN_RAD: Final = 0.03
+
+
+class TwinOperator:
+    """A slightly imprecise hand, repeatable by its seed; see `hal.interfaces.Operator`."""
+
+    def __init__(self, bench: SimulatedScene) -> None:
+        self._bench = bench
+        self._random = np.random.default_rng([bench.seed, 0x0B])
+
+    def ask(self, request: OperatorRequest) -> None:
+        """Carry out the request at once and push the button a little later.
+
+        Raises
+        ------
+        OperatorError
+            Unknown specimen, or the gel is too thin for it.
+        """
+        self._bench.place(self._press_for(request))
+        began_ns = self._bench.clock.monotonic_ns() + round(_BUTTON_AFTER_S * 1e9)
+        self._bench.schedule_button(ButtonPress(began_ns, _BUTTON_HELD_S))
+
+    def _press_for(self, request: OperatorRequest) -> Press | None:
+        match request:
+            case LiftOff():
+                return None
+            case PressBall():
+                return self._ball(request)
+            case PressObject():
+                return self._object(request.name)
+
+    def _object(self, name: str) -> Press:
+        if name not in gallery_names():
+            raise OperatorError(f"the twin has no object {name!r}: choose one of {', '.join(gallery_names())}")
+        shown = specimen(name)
+        if shown.indentation_mm > self._max_depth_mm():
+            raise OperatorError(
+                f"{name!r} needs {shown.indentation_mm:g} mm, more than the {self._max_depth_mm():g} mm of this gel: "
+                "use a board with a thicker slab"
+            )
+        x, y, turn = self._random.normal(0.0, 1.0, 3)
+        centre_mm = (float(x) * _PLACEMENT_MM, float(y) * _PLACEMENT_MM)
+        return Press(shown.surface, centre_mm, float(turn) * _TURN_RAD, shown.indentation_mm)
+
+    def _ball(self, request: PressBall) -> Press:
+        """A ball pressed to `BALL_SLOPE_DEG`, less where slab or field are too small, inside the field."""
+        sensor = self._bench.profile.sensor
+        size_mm = np.array([sensor.columns, sensor.rows]) * sensor.pixel_pitch_um * 1e-3
+        if not request.radius_mm > 0.0:
+            raise OperatorError(f"a ball of radius {request.radius_mm:g} mm cannot be pressed: name a radius above 0")
+        slope_rad = self._rim_slope_rad(request.radius_mm, float(size_mm.min()))
+        contact_mm = request.radius_mm * np.sin(slope_rad)
+        requested = (np.array([request.column_share, request.row_share]) - 0.5) * size_mm
+        reach = size_mm / 2.0 - 1.1 * contact_mm
+        centre = np.clip(requested + self._random.normal(0.0, _PLACEMENT_MM, 2), -reach, reach)
+        depth_mm = ball_indentation_mm(request.radius_mm, slope_rad, self._bench.profile.gel.slab_thickness_mm)
+        return Press(Sphere(request.radius_mm), (float(centre[0]), float(centre[1])), 0.0, depth_mm)
+
+    def _rim_slope_rad(self, radius_mm: float, field_mm: float) -> float:
+        thickness_mm = self._bench.profile.gel.slab_thickness_mm
+        for slope_deg in np.arange(BALL_SLOPE_DEG, 0.0, -0.5):
+            slope_rad = float(np.radians(slope_deg))
+            fits = 2.2 * radius_mm * np.sin(slope_rad) <= field_mm
+            if fits and ball_indentation_mm(radius_mm, slope_rad, thickness_mm) <= self._max_depth_mm():
+                return slope_rad
+        raise OperatorError(f"a ball of radius {radius_mm:g} mm does not fit into the field: use a smaller one")
+
+    def _max_depth_mm(self) -> float:
+        return MAX_COMPRESSION * self._bench.profile.gel.slab_thickness_mm

@@ -1,0 +1,89 @@
+"""One press as the camera sees it: the skin, the charge that each light brings to each pixel, and the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.board_profile import BoardProfile, SensorConfig
+from hal.simulator.arrays import Float32Array
+from hal.simulator.elastomer import Skin, drape
+from hal.simulator.lens import Lens
+from hal.simulator.optics import coat, radiance, skin_geometry
+from hal.simulator.pigment import pigment_pattern
+from hal.simulator.surfaces import Surface
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """An object on the gel: origin at `centre_mm`, turned by `turn_rad`, its top `indentation_mm` deep."""
+
+    surface: Surface
+    centre_mm: tuple[float, float]
+    turn_rad: float
+    indentation_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A press, rendered without noise.
+
+    charge_e : for each light, float32 array of shape (H, W), electrons per mA and ms of exposure
+    """
+
+    skin: Skin
+    charge_e: tuple[Float32Array, ...]
+
+
+def render(profile: BoardProfile, press: Press | None) -> Scene:
+    """The scene of a press, or of the untouched skin for None."""
+    twin = profile.twin
+    if twin is None:
+        raise ValueError(f"board {profile.name!r} has no [twin] table")
+    lens = Lens.of(profile)
+    skin = _lay_skin(profile, lens, press)
+    geometry = skin_geometry(lens, skin.height_mm)
+    pigment = pigment_pattern(skin.height_mm.shape, twin.pigment_contrast, twin.seed)
+    charges = []
+    for index, light in enumerate(profile.lights):
+        seen = radiance(geometry, lens, coat(twin.skin), light.position_mm, twin.light_radius_mm)
+        red, green, blue = (row[index] for row in twin.crosstalk)
+        weights = mosaic_weights(profile.sensor, (red, green, blue)) * np.float32(twin.yield_e_per_ma_ms)
+        charges.append(lens.transmit(seen * pigment) * weights)
+    return Scene(skin, tuple(charges))
+
+
+def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:
+    """The skin on the camera's pixel grid.
+
+    The object is seen in perspective before the skin is laid over it, so contact is exact; the free skin between is
+    stretched by height over camera distance, about one percent, as in the image.
+    """
+    if press is None:
+        shape = (profile.sensor.rows, profile.sensor.columns)
+        return Skin(np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
+    seen = lens.see(press.surface, press.centre_mm, press.turn_rad, press.indentation_mm)
+    return drape(seen, lens.pitch_mm, profile.gel.slab_thickness_mm)
+
+
+def mosaic_weights(sensor: SensorConfig, passed: tuple[float, float, float]) -> Float32Array:
+    """Fraction of a light that each pixel's filter passes, float32 array of shape (H, W), from `passed` by R, G, B."""
+    cell = np.array([passed["RGB".index(letter)] for letter in sensor.bayer_order], np.float32).reshape(2, 2)
+    return np.tile(cell, (sensor.rows // 2, sensor.columns // 2))
+
+
+def expose(
+    charge_e: Float32Array, sensor: SensorConfig, analogue_gain: float, random: np.random.Generator
+) -> NDArray[np.uint16]:
+    """Counts (dn), uint16 array of shape (H, W), for the expected charge (e⁻) of each pixel.
+
+    Shot noise is approximated as normal: accurate above ten electrons, and below that read noise dominates.
+    """
+    noise = random.standard_normal(charge_e.shape, dtype=np.float32)
+    noise *= np.sqrt(charge_e + np.float32(sensor.read_noise_e**2))
+    collected = np.minimum(charge_e + noise, np.float32(sensor.full_well_e))
+    dn_per_e = analogue_gain * (sensor.white_level_dn - sensor.black_level_dn) / sensor.full_well_e
+    counts = collected * np.float32(dn_per_e) + np.float32(sensor.black_level_dn)
+    return np.asarray(np.clip(np.rint(counts), 0.0, sensor.white_level_dn), np.uint16)

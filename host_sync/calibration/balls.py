@@ -1,0 +1,232 @@
+"""The balls of calibration presses: given or found, and, where a hand set them, compared with what is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from device.balls.detector import BallSearch, RejectedBall, find_balls, fits
+from device.balls.sphere import Ball, pixels_inside
+from device.calibration.fit import CORE_SHARE, InverseFit, dropped_ball
+from device.calibration.limits import MAX_CLIPPED
+from device.errors import CalibrationMismatch
+from device.imaging.channel_order import check_channel_order
+from device.imaging.flat_field import LinearFrame, NormalizedImage, check_exposed, flat_field_correct
+from device.surface.fields import Float32Array
+
+SAME_BALL: Final = 0.5
+"""A found ball this close to a label, as a share of the radius, is the labelled one."""
+
+MAX_WIDENING: Final = 1.06
+"""Labels that draw contacts wider than the finder does widen found ones by this factor at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridSpacing:
+    """Distance of neighbouring balls of a square grid, and by how much it may be off; None when nobody said."""
+
+    pitch_mm: float
+    tolerance_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressFrame:
+    """One calibration press: a frame in which balls of one known radius touch the skin.
+
+    balls : where they are, or None to have them found
+    labelled_by_hand : the places in `balls` may be some pixels off
+    source : the file that the frame came from
+    grid : the spacing of the balls when they form a grid
+    radius_tolerance : by which share the ball's radius may be off, None when nobody said
+    """
+
+    name: str
+    frame: LinearFrame
+    radius_px: float
+    balls: tuple[Ball, ...] | None = None
+    labelled_by_hand: bool = False
+    source: str = ""
+    grid: GridSpacing | None = None
+    radius_tolerance: float | None = None
+
+    @property
+    def called(self) -> str:
+        """The press and its file, for messages."""
+        return f"{self.name} ({self.source})" if self.source else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class FittedBall:
+    """A ball that took part in the fit: its number in the press, from 1, and what became of it."""
+
+    number: int
+    ball: Ball
+    error_deg: float
+    kept: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsedPress:
+    """A press in calibration: its intensity, the balls that teach, and those that were rejected with the reason.
+
+    fault : why the press as a whole teaches nothing, empty when it does
+    seen : what was found in it, None when its balls were given by the instrument that took it
+    fitted : every ball that took part in the fit, in the fit's order
+    """
+
+    name: str
+    intensity: NormalizedImage
+    balls: tuple[Ball, ...]
+    rejected: tuple[RejectedBall, ...]
+    fault: str = ""
+    source: str = ""
+    seen: BallSearch | None = None
+    fitted: tuple[FittedBall, ...] = ()
+
+    @property
+    def called(self) -> str:
+        """The press and its file, for messages."""
+        return f"{self.name} ({self.source})" if self.source else self.name
+
+
+def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) -> None:
+    """Refuse frames of different sizes.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Names the press and both sizes.
+    """
+    shape = reference.shape if reference else presses[0].frame.shape
+    for press in presses:
+        if press.frame.shape != shape:
+            raise CalibrationMismatch(
+                f"{press.called} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
+                f"the others {shape[1]}x{shape[0]}: use frames of one camera mode"
+            )
+
+
+def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
+    """A press with its balls as given, or found when none are given; what cannot teach is listed with the reason.
+
+    Raises
+    ------
+    FrameError, CalibrationMismatch
+        The frame is black, saturated, or its channels are swapped.
+    CalibrationError
+        No frame of this size could show a ball of that radius.
+    """
+    check_exposed(press.frame, press.called)
+    check_channel_order(press.frame, flat_field, press.called)
+    intensity = flat_field_correct(press.frame, flat_field)
+    seen = None
+    # A lens that fills the field shows gentle slopes only; its label is believed, for no finder could confirm it.
+    if press.balls is None or press.grid or (press.labelled_by_hand and fits(press.radius_px, intensity.shape)):
+        seen = find_balls(intensity, press.radius_px, name=press.called)
+    used = UsedPress(press.name, intensity, press.balls or (), (), "", press.source, seen)
+    return used if press.balls is not None or seen is None else with_found(used, seen, press.radius_px)
+
+
+def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPress:
+    """The press with the balls of a search as its own."""
+    fault = ""
+    if not seen.found:
+        reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "nothing presses the skin"
+        fault = f"shows no ball of radius {radius_px:.0f} px ({reasons})"
+    return replace(press, balls=seen.found, rejected=seen.rejected, fault=fault, seen=seen)
+
+
+def drop_clipped(press: UsedPress) -> UsedPress:
+    """The press without balls whose contacts are saturated."""
+    shares = [clipped_share(press.intensity, ball) for ball in press.balls]
+    worst = max(shares, default=0.0)
+    reason = f"{worst:.0%} of its contact is saturated in a channel, at most {MAX_CLIPPED:.0%} may be"
+    return _without(press, [share > MAX_CLIPPED for share in shares], reason)
+
+
+def clipped_share(image: NormalizedImage, ball: Ball) -> float:
+    """Share of the pixels inside a ball's contact that are saturated in a channel."""
+    row, column = pixels_inside(ball, image.shape)
+    return float(image.clipped[row, column].mean()) if row.size else 0.0
+
+
+def _without(press: UsedPress, out: Sequence[bool], reason: str) -> UsedPress:
+    """The press with the marked balls among the rejected."""
+    if not any(out):
+        return press
+    balls = tuple(ball for ball, gone in zip(press.balls, out, strict=True) if not gone)
+    rejected = tuple(
+        RejectedBall(ball.column, ball.row, reason) for ball, gone in zip(press.balls, out, strict=True) if gone
+    )
+    return replace(press, balls=balls, rejected=press.rejected + rejected, fault="" if balls else reason)
+
+
+def relocate_labels(press: UsedPress) -> UsedPress:
+    """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay.
+
+    A label at which nothing is seen teaches as it was set: whether it is right is for held-out balls to say.
+    """
+    found = _as_wide_as_labels_say(press)
+    return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))
+
+
+def cut_to_core(press: UsedPress) -> UsedPress:
+    """The press with only the core of each ball's contact."""
+    cut = (replace(ball, contact_radius_px=CORE_SHARE * ball.contact_radius_px) for ball in press.balls)
+    return replace(press, balls=tuple(cut))
+
+
+def add_detections(press: UsedPress) -> UsedPress:
+    """`relocate_labels`, and after those balls all others that are seen."""
+    at_labels = relocate_labels(press)
+    beyond = tuple(ball for ball in _as_wide_as_labels_say(press) if not _is_one_of(ball, press.balls))
+    return replace(at_labels, balls=at_labels.balls + beyond)
+
+
+def _as_wide_as_labels_say(press: UsedPress) -> tuple[Ball, ...]:
+    """The balls that are seen, with wider contacts where labels say that the finder cuts them early."""
+    found = press.seen.found if press.seen else ()
+    pairs = [(label, ball) for label in press.balls for ball in found if _is_one_of(ball, (label,))]
+    if not pairs:
+        return found
+    wider = float(np.median([label.contact_radius_px / ball.contact_radius_px for label, ball in pairs]))
+    factor = min(max(wider, 1.0), MAX_WIDENING)
+    return tuple(replace(ball, contact_radius_px=factor * ball.contact_radius_px) for ball in found)
+
+
+def _is_one_of(ball: Ball, others: Sequence[Ball]) -> bool:
+    return any(np.hypot(ball.column - o.column, ball.row - o.row) < SAME_BALL * o.radius_px for o in others)
+
+
+def _nearest(label: Ball, found: Sequence[Ball]) -> Ball:
+    near = [
+        (apart, ball)
+        for ball in found
+        if (apart := float(np.hypot(ball.column - label.column, ball.row - label.row))) < SAME_BALL * label.radius_px
+    ]
+    if not near:
+        return label
+    _, ball = min(near, key=lambda pair: pair[0])
+    contact_px = min(label.contact_radius_px, ball.contact_radius_px)
+    return replace(label, column=ball.column, row=ball.row, contact_radius_px=contact_px)
+
+
+def apply_fit(located: Sequence[UsedPress], inverse: InverseFit) -> tuple[UsedPress, ...]:
+    """The presses with refined centres; balls that the fit dropped go to the rejected."""
+    used = []
+    first = 0
+    for press in located:
+        span = range(first, first + len(press.balls))
+        first += len(press.balls)
+        kept = tuple(inverse.balls[i] for i in span if inverse.kept[i])
+        dropped = tuple(dropped_ball(inverse, i) for i in span if not inverse.kept[i])
+        fitted = tuple(
+            FittedBall(number, inverse.balls[i], float(inverse.ball_error_deg[i]), bool(inverse.kept[i]))
+            for number, i in enumerate(span, start=1)
+        )
+        fault = press.fault if kept else press.fault or "; ".join(ball.reason for ball in dropped)
+        used.append(replace(press, balls=kept, rejected=press.rejected + dropped, fault=fault, fitted=fitted))
+    return tuple(used)

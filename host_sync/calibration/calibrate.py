@@ -1,0 +1,309 @@
+"""The workstation's calibration: from press frames to the models that turn intensity into slope."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.calibration.fit import InverseFit, fit_inverse_map
+from device.errors import CalibrationError
+from device.imaging.estimated_flat_field import estimate_flat_field
+from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct, make_flat_field
+from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.noise_bias import less_noise
+from device.surface.fields import Float32Array
+from host_sync.calibration.assessment import Assessment, assess
+from host_sync.calibration.balls import (
+    PressFrame,
+    UsedPress,
+    add_detections,
+    apply_fit,
+    check_sizes,
+    cut_to_core,
+    drop_clipped,
+    locate,
+    relocate_labels,
+)
+from host_sync.calibration.calibration_verdict import check_count
+from host_sync.calibration.consistency import check_agreement, check_reference
+from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
+from host_sync.calibration.elevation_response import ElevationResponse
+from host_sync.calibration.grid_press import measure_pitch
+from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
+from host_sync.denoising.slope_noise import measure_slope_noise
+from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.johnson2009.held_out import held_out_paper_deg
+from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
+
+Method = Literal["direct", "paper"]
+Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
+METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
+FITTED_SAMPLES: Final = 40_000
+WORTH_MORE_BALLS: Final = 1.1
+"""Balls that no label has are tried when there are so many times as many with them."""
+
+MORE_BALLS_GAIN: Final = 0.95
+"""Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Everything that reconstruction needs, and what the report tells.
+
+    calibration_id : digest of the models and the reference
+    flat_field : float32 array of shape (H, W, 3), what frames are divided by
+    has_reference : False when the divisor is a stand-in fitted to the frames
+    pitch_um : distance of neighbouring pixels on the skin, µm; measured where a ball grid's spacing is known
+    centres : where the balls' centres came from before they were refined
+    inverse : the position-aware inverse map and its held-out errors
+    paper : the paper's model
+    held_out_deg : mean angular error on held-out balls by method
+    assessment : what the calibration is worth: the scale's ±, coverage, pass or fail
+    frame_model : what its frames have in common, by which a foreign frame is refused
+    elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads skin at rest
+    shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
+    slope_noise : what is left of it in slopes, None without a shrinkage
+    """
+
+    calibration_id: str
+    flat_field: Float32Array
+    has_reference: bool
+    pitch_um: float
+    presses: tuple[UsedPress, ...]
+    centres: Centres
+    inverse: InverseFit
+    paper: PaperModel
+    slope_error: SlopeError
+    held_out_deg: dict[Method, float]
+    assessment: Assessment
+    frame_model: FrameModel
+    elevation: ElevationResponse | None = None
+    shrinkage: DetailShrinkage | None = None
+    slope_noise: SlopeNoise | None = None
+
+    @property
+    def pixel_pitch_sigma_um(self) -> float | None:
+        """Standard uncertainty of `pitch_um`, None when it was not measured."""
+        return self.assessment.scale.pixel_pitch_sigma_um
+
+    @property
+    def preferred(self) -> Method:
+        """The method that held-out balls prefer."""
+        return "paper" if self.held_out_deg["paper"] < self.held_out_deg["direct"] else "direct"
+
+
+def calibrate(
+    presses: Sequence[PressFrame],
+    reference: LinearFrame | None,
+    pitch_um: float,
+    *,
+    others: Sequence[LinearFrame] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """The calibration of one gel and set of lights.
+
+    reference : frame of the skin at rest; None fits a stand-in to the presses and `others`
+    pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
+    tell : is given a few words as each step begins
+
+    Raises
+    ------
+    CalibrationError
+        No press, too few balls, contradictory radii, a grossly wrong pitch, or held-out balls that are wrong.
+    CalibrationMismatch
+        Frames of different sizes, channel orders, lights or gels.
+    """
+    if not presses:
+        raise CalibrationError("there is no calibration press: press a ball of known radius into the gel")
+    check_sizes(presses, reference)
+    if reference is not None:
+        check_reference(reference)
+    tell("flat-field correction")
+    flat_field = (
+        make_flat_field(reference) if reference else estimate_flat_field([p.frame for p in presses] + list(others))
+    )
+    tell("finding balls")
+    located, pitch = _locate_all(presses, flat_field, pitch_um, reference is not None)
+    pitch_um = pitch.pitch_um if pitch else pitch_um
+    frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in located])
+    tell("measuring the frames' noise")
+    shrinkage = _learn_shrinkage(located, reference, flat_field)
+    located = _without_noise(located, shrinkage)
+    tell("fitting the position-aware inverse map")
+    inverse, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
+    elevated = _elevated(located, inverse, flat_field) if reference else None
+    response = elevated.response if elevated and elevated.response.is_certain else None
+    if elevated and response:
+        tell("fitting it again with every ball at the elevation of untouched skin")
+        located = _lowered(located, elevated)
+        inverse = _fit_to(located, IlluminationMap.of(flat_field))
+    inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
+    used = apply_fit(located, inverse)
+    kept = [(press.intensity, press.balls) for press in used]
+    taught = gather_samples(kept)
+    assessment = assess(presses, used, taught, inverse, pitch)
+    tell("building reflectance maps and the lookup table")
+    paper = fit_paper_model(taught)
+    held_out: dict[Method, float] = {
+        "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan"),
+        "paper": held_out_paper_deg(kept),
+    }
+    tell("measuring the slope error")
+    error = measure_slope_error(kept, taught, inverse, _elevation_left(kept, taught, inverse, elevated))
+    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response)
+    return Calibration(
+        calibration_id=digest,
+        flat_field=flat_field,
+        has_reference=reference is not None,
+        pitch_um=pitch_um,
+        presses=used,
+        centres=centres,
+        inverse=inverse,
+        paper=paper,
+        slope_error=error,
+        held_out_deg=held_out,
+        assessment=assessment,
+        frame_model=frame_model,
+        elevation=response,
+        shrinkage=shrinkage,
+        slope_noise=(
+            measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, taught) if shrinkage else None
+        ),
+    )
+
+
+def _learn_shrinkage(
+    located: Sequence[UsedPress], reference: LinearFrame | None, flat_field: Float32Array
+) -> DetailShrinkage | None:
+    """How frames are shrunk, from the presses and untouched skin: the reference, or most of every press."""
+    pressed = [(press.intensity, press.balls) for press in located]
+    at_rest = [flat_field_correct(reference, flat_field)] if reference else [image for image, _ in pressed]
+    return learn_shrinkage(pressed, gather_samples(pressed), [image.values for image in at_rest])
+
+
+def _without_noise(located: Sequence[UsedPress], shrinkage: DetailShrinkage | None) -> Sequence[UsedPress]:
+    """The presses with their noise shrunk, as scans are read."""
+    if shrinkage is None:
+        return located
+    return [replace(press, intensity=shrinkage.shrunk(press.intensity)) for press in located]
+
+
+def _locate_all(
+    presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, has_reference: bool
+) -> tuple[Sequence[UsedPress], PixelPitch | None]:
+    """The presses with the balls that may teach, and the pixel pitch that grids among them measure."""
+    labelled = [locate(press, flat_field) for press in presses]
+    check_agreement([p.called for p in presses], [used.intensity for used in labelled], has_reference)
+    located, pitch = measure_pitch(presses, labelled, stated_um)
+    located = [drop_clipped(used) for used in located]
+    check_count(located)
+    return located, pitch
+
+
+def _fit(
+    presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
+) -> tuple[InverseFit, Sequence[UsedPress], Centres]:
+    """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
+
+    Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
+    to their core where that makes the core's own held-out error smaller.
+
+    light : of untouched skin, None where no reference shows it
+    """
+    by_hand = [press.labelled_by_hand for press in presses]
+    best = _fit_to(located, light)
+    if not any(by_hand):
+        return best, located, "found"
+    chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
+    choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
+        ("found at labels", relocate_labels),
+        ("found at labels and beyond", add_detections),
+    )
+    for name, move in choices:
+        moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
+        more = name == "found at labels and beyond"
+        if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
+            continue
+        fit = _fit_to(moved, light)
+        gain = MORE_BALLS_GAIN if more else 1.0
+        if gain * _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
+            best, chosen = fit, (moved, name)
+    if chosen[1] != "found at labels and beyond":
+        cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
+        fit = _fit_to(cut, light)
+        if fit.held_out_deg is not None and best.core_deg is not None and fit.held_out_deg < best.core_deg:
+            return fit, cut, chosen[1]
+    return best, *chosen
+
+
+def _count(presses: Sequence[UsedPress]) -> int:
+    return sum(len(press.balls) for press in presses)
+
+
+def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
+    """Median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
+    common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
+    return float(np.median(fit.ball_error_deg[np.array(common)]))
+
+
+def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None) -> InverseFit:
+    samples = gather_samples([(press.intensity, press.balls) for press in presses])
+    balls = [ball for press in presses for ball in press.balls]
+    return fit_inverse_map(
+        samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES, light=light, thorough=True
+    )
+
+
+def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array) -> ElevatedBalls | None:
+    """The balls of presses with what elevation does to them; None where they cannot tell."""
+    used = apply_fit(located, inverse)
+    return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field)
+
+
+def _lowered(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[UsedPress]:
+    """Presses whose balls look as if they stood at the elevation of untouched skin."""
+    return [
+        replace(press, intensity=elevated.lowered(number, press.intensity), balls=elevated.balls[number])
+        for number, press in enumerate(located)
+    ]
+
+
+def _elevation_left(
+    kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
+    taught: BallSamples,
+    inverse: InverseFit,
+    elevated: ElevatedBalls | None,
+) -> ElevationCorrection:
+    """What elevation leaves uncertain: of a correction its doubt, else as much of the lights' nearness as may be."""
+    if elevated and elevated.response.is_certain:
+        return elevated.left
+    nearness = elevation_correction(kept, taught, inverse.map)
+    return nearness.shared(elevated.response.possible_share) if elevated else nearness
+
+
+def _digest(
+    inverse: InverseFit,
+    flat_field: Float32Array,
+    pitch_um: float,
+    shrinkage: DetailShrinkage | None = None,
+    elevation: ElevationResponse | None = None,
+) -> str:
+    """Twelve hexadecimal digits that change when the calibration does."""
+    digest = hashlib.sha256(np.float64(pitch_um).tobytes())
+    for _, array in sorted(inverse.map.arrays().items()):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(np.ascontiguousarray(flat_field).tobytes())
+    if shrinkage is not None:
+        digest.update(shrinkage.shrinkage.whitening.tobytes() + shrinkage.shrinkage.threshold.tobytes())
+    if elevation is not None:
+        digest.update(elevation.as_slopes.tobytes())
+    return digest.hexdigest()[:12]

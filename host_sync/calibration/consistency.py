@@ -1,0 +1,95 @@
+"""Whether frames were taken under one set of lights with one gel: their untouched skin must look alike.
+
+Most of every frame shows skin at rest, so that the median over the frame of the difference of two frames is that of
+the skin. Lights of real sensors drift; what drifts has neighbours on the way, what was changed has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from device.calibration.limits import CLEAR_DISAGREEMENT, MAX_DISAGREEMENT, REFERENCE_CLIPPED
+from device.errors import CalibrationMismatch, FrameError
+from device.imaging.flat_field import DARK_FLOOR, LinearFrame, NormalizedImage, check_exposed
+from device.surface.fields import Float64Array
+
+BLOCKS = 48
+"""Frames are compared when reduced to this width."""
+
+ENOUGH_FRAMES = 4
+"""From so many frames on it shows how much they differ when nothing was changed."""
+
+
+def check_reference(reference: LinearFrame) -> None:
+    """Refuse a reference that is black or saturated.
+
+    Raises
+    ------
+    FrameError
+        Says how much of it is.
+    """
+    check_exposed(reference, "the reference")
+    clipped = float(reference.clipped.mean())
+    if clipped > REFERENCE_CLIPPED:
+        raise FrameError(
+            f"the reference is saturated over {clipped:.0%} of its area, at most {REFERENCE_CLIPPED:.0%} may be: "
+            "lower the exposure and take reference and presses again"
+        )
+
+
+def check_agreement(names: Sequence[str], images: Sequence[NormalizedImage], reference: bool) -> None:
+    """Refuse presses (and, when there is one, the reference they were divided by) that do not belong together.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Names the frames that differ and by how much.
+    """
+    apart = check_consistency([_blocks(image) for image in images], reference)
+    if len(apart) < 2:
+        return
+    steps = linkage(squareform(apart), "single")
+    gap, within = float(steps[-1, 2]), float(steps[:-1, 2].max(initial=0.0))
+    limit = MAX_DISAGREEMENT
+    if len(apart) >= ENOUGH_FRAMES:
+        limit = min(limit, max(CLEAR_DISAGREEMENT, 2.0 * within))
+    if gap <= limit:
+        return
+    group = fcluster(steps, 0.5 * (gap + within), "distance")
+    usual = np.argmax(np.bincount(group, np.append(np.ones(len(group) - 1), 1.5 if reference else 1.0)))
+    odd = [names[i] for i in range(len(names)) if group[i] != usual]
+    if reference and (group[-1] != usual or not odd):
+        raise CalibrationMismatch(
+            f"the reference is not of these presses: untouched skin of the presses is {gap:.0%} off it, and within "
+            f"{within:.0%} of another press's: take the reference again with this gel, these lights and this exposure"
+        )
+    raise CalibrationMismatch(
+        f"two sets of lights, or two gels, are mixed: untouched skin of {', '.join(odd)} is {gap:.0%} off that of any "
+        f"other frame, which agree to {within:.0%}: calibrate from one set"
+    )
+
+
+def check_consistency(blocks: Sequence[Float64Array], reference: bool) -> Float64Array:
+    """Shares by which untouched skin differs between frames, worst channel; the reference, if any, comes last.
+
+    blocks : log intensity of each frame, float64 arrays of shape (h, w, 3)
+    """
+    everyone = [*blocks, np.zeros_like(blocks[0])] if reference else list(blocks)
+    apart = np.zeros((len(everyone), len(everyone)))
+    for i, one in enumerate(everyone):
+        for j in range(i):
+            apart[i, j] = apart[j, i] = float(np.median(np.abs(one - everyone[j]), axis=(0, 1)).max())
+    return apart
+
+
+def _blocks(image: NormalizedImage) -> Float64Array:
+    """Log intensity of a frame reduced by area, float64 array of shape (h, w, 3)."""
+    rows, columns = image.shape
+    size = (min(BLOCKS, columns), max(1, round(rows * min(BLOCKS, columns) / columns)))
+    values = cv2.resize(np.nan_to_num(image.values), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(np.log(np.maximum(values, DARK_FLOOR)), np.float64)

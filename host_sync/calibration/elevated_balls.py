@@ -1,0 +1,216 @@
+"""Balls of calibration presses as they would look at the elevation of untouched skin.
+
+A ball's apex stands high over the skin, its rim lower. Taught as they are, such colours would be read as slopes of skin
+that stands as high. So the intensity inside each contact is changed to what the same slopes would show at rest, by the
+response that the balls themselves tell (`elevation_response`).
+
+Centres: under near lights the apex does not read 1, and a centre that is sought where it does is off by up to seven
+hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from device.balls.candidates import ReducedIntensity, reduce_intensity
+from device.balls.detector import REFINE_RADIUS_PX
+from device.balls.refinement import find_circle
+from device.balls.sphere import Ball, pixels_inside, sphere_slopes
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.illumination import between_nodes, rows_between_nodes
+from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import field_position
+from device.surface.fields import Float32Array, GradientField, HeightMap
+from device.surface.poisson_dct import integrate_dct
+from host_sync.calibration.elevation_response import MIN_BALLS, ElevationResponse, measure_elevation_response
+from host_sync.integration.zero_level import find_datum
+from host_sync.uncertainty.elevation import ElevationCorrection
+
+GRID_STEP_PX: Final = 4
+"""Every fourth pixel, or fewer, ..."""
+
+PIXELS_ALONG_RADIUS: Final = 25.0
+"""... but so many along a ball's radius, tell where it stands."""
+
+ROUNDS: Final = 3
+"""Elevations and centres need the response, and the response them; the last round moves them by a per cent."""
+
+NEAR_CENTRE: Final = 0.2
+"""A centre of symmetry farther from a ball's own, as a share of its radius, is another thing's."""
+
+Press = tuple[NormalizedImage, Sequence[Ball]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElevatedBalls:
+    """Balls of a calibration, where they stand, and what that changes.
+
+    response : what elevation changes
+    balls : by press, with centres of symmetry
+    apexes_px : by press, elevation of each ball's apex over untouched skin, pixels
+    """
+
+    response: ElevationResponse
+    balls: tuple[tuple[Ball, ...], ...]
+    apexes_px: tuple[tuple[float, ...], ...]
+
+    @property
+    def left(self) -> ElevationCorrection:
+        """At which elevation the balls showed each slope, and how uncertain the nearness is that was corrected for."""
+        apexes_px = [apex_px for of_press in self.apexes_px for apex_px in of_press]
+        radii_px = [ball.radius_px for of_press in self.balls for ball in of_press]
+        sigma = self.response.nearness_sigma_per_px
+        return ElevationCorrection(float(np.median(apexes_px)), float(np.median(radii_px)), sigma)
+
+    def lowered(self, press: int, image: NormalizedImage) -> NormalizedImage:
+        """The image of a press with each contact as it would look at the elevation of untouched skin."""
+        values = image.values.copy()
+        for ball, apex_px in zip(self.balls[press], self.apexes_px[press], strict=True):
+            _lower(values, ball, apex_px, self.response)
+        return replace(image, values=values)
+
+
+def find_elevated_balls(
+    presses: Sequence[Press], inverse: InverseMap, flat_field: Float32Array
+) -> ElevatedBalls | None:
+    """The balls of presses as symmetry and heights show them; None where they are too few to tell what elevation does.
+
+    inverse : a map that the balls taught as they are; its heights are good to some per cent
+    flat_field : float32 array of shape (H, W, 3), the reference's light
+    """
+    every = [ball for _, of_press in presses for ball in of_press]
+    if len(every) < MIN_BALLS:
+        return None
+    radius_px = float(np.median([ball.radius_px for ball in every]))
+    reliefs = [_Relief.of(image, inverse, _grid_step(radius_px)) for image, _ in presses]
+    reduced = [reduce_intensity(image, radius_px / REFINE_RADIUS_PX) for image, _ in presses]
+    images = [image for image, of_press in presses for _ in of_press]
+    taught, found = ElevationCorrection(0.0, radius_px, 0.0), None
+    for _ in range(ROUNDS):
+        skins = [relief.at(taught) for relief in reliefs]
+        balls = tuple(
+            tuple(_centred(seen, skin, ball, found.response if found else None) for ball in of_press)
+            for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
+        )
+        apexes = tuple(
+            tuple(skin.apex_px(ball) for ball in of_press) for skin, of_press in zip(skins, balls, strict=True)
+        )
+        centred = [ball for of_press in balls for ball in of_press]
+        heights = [apex_px for of_press in apexes for apex_px in of_press]
+        response = measure_elevation_response(list(zip(images, centred, heights, strict=True)), flat_field)
+        found = ElevatedBalls(response, balls, apexes) if response else None
+        if response is None or not response.is_certain:
+            break
+        taught = ElevationCorrection(float(np.median(heights)), radius_px, response.nearness_per_px)
+    return found
+
+
+def _grid_step(radius_px: float) -> int:
+    """Distance of the pixels that tell the relief of a ball of this radius."""
+    return int(np.clip(radius_px / PIXELS_ALONG_RADIUS, 1, GRID_STEP_PX))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Skin:
+    """The skin of a press at every `step`-th pixel from `step` // 2 on: slopes and elevation, shape (h, w)."""
+
+    p: Float32Array
+    q: Float32Array
+    z_px: Float32Array
+    step: int
+    shape: tuple[int, int]
+
+    def apex_px(self, ball: Ball) -> float:
+        """Elevation of a ball's apex, pixels: that over its own contact's rim at least."""
+        row, column = (int(np.rint((at - self.step // 2) / self.step)) for at in (ball.row, ball.column))
+        rows, columns = self.z_px.shape
+        here = self.z_px[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
+        return max(float(here), ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
+
+    def as_lit_at(self, ball: Ball, response: ElevationResponse) -> Float32Array:
+        """What is to be added to intensity, (h, w, 3), were all skin at rest and lit as the middle of a ball is."""
+        column, row = (np.arange(size) * self.step + self.step // 2 for size in self.z_px.shape[::-1])
+        x, y = (field_position(axis, axis, self.shape)[:, k].astype(np.float32) for k, axis in enumerate((column, row)))
+        a, b, c = (rows_between_nodes(part, x, y) for part in _flat_nodes(response))
+        middle = field_position(np.array([ball.column]), np.array([ball.row]), self.shape)
+        there = between_nodes(_flat_nodes(response)[0], middle)[0]
+        p, q, z_px = self.p[..., None], self.q[..., None], self.z_px[..., None]
+        wanted = 1.0 + there[:3] * p + there[3:] * q
+        seen = 1.0 + a[..., :3] * p + a[..., 3:] * q + z_px * (b + c[..., :3] * p + c[..., 3:] * q)
+        change = np.maximum(wanted, 0.0) - np.maximum(seen, 0.0)
+        return np.asarray(change / np.sqrt(1.0 + p**2 + q**2), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Relief:
+    """Slopes of a press as a map reads them at every `step`-th pixel."""
+
+    gradients: GradientField
+    step: int
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, image: NormalizedImage, inverse: InverseMap, step: int) -> _Relief:
+        row, column = (np.arange(step // 2, size, step) for size in image.shape)
+        here = np.ix_(row, column)
+        valid = np.ascontiguousarray(image.valid[here])
+        slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
+        p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+        return cls(GradientField(p, q, valid, valid.astype(np.float32)), step, image.shape)
+
+    def at(self, taught: ElevationCorrection) -> _Skin:
+        """The skin, where slopes are read right at the elevation at which they were taught."""
+        found = self.gradients
+        share = taught.steeper(self._elevation_px(found), found.p**2 + found.q**2)
+        right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
+        return _Skin(right.p, right.q, self._elevation_px(right), self.step, self.shape)
+
+    def _elevation_px(self, gradients: GradientField) -> Float32Array:
+        # In pixels instead of µm: zero as a scan's height map has it.
+        height = HeightMap(integrate_dct(gradients.p, gradients.q, float(self.step)), float(self.step))
+        return find_datum(height, gradients).level(height).z_um
+
+
+def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, response: ElevationResponse | None) -> Ball:
+    """The ball at the centre of the pressed skin's rotational symmetry; its own where none is near.
+
+    response : takes what light makes of elevation and place, which is not symmetric, out of the intensity
+    """
+    if response is not None:
+        size = reduced.weight.shape[::-1]
+        change = cv2.resize(skin.as_lit_at(ball, response), size, interpolation=cv2.INTER_LINEAR)
+        reduced = replace(reduced, deviation=reduced.deviation + change)
+    radius = ball.radius_px / reduced.columns_per_pixel
+    column, row = reduced.to_full(*find_circle(reduced, *reduced.from_full(ball.column, ball.row), radius))
+    if np.hypot(column - ball.column, row - ball.row) > NEAR_CENTRE * ball.radius_px:
+        return ball
+    return replace(ball, column=float(column), row=float(row))
+
+
+def _flat_nodes(response: ElevationResponse) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """a, b and c of a response with 6, 3 and 6 values a node: first the component's, then the channel's."""
+    parts = (response.directions, response.brightening, response.slanting)
+    a, b, c = (part.reshape(*part.shape[:2], -1) for part in parts)
+    return a, b, c
+
+
+def _lower(values: Float32Array, ball: Ball, apex_px: float, response: ElevationResponse) -> None:
+    """Change the intensity inside a ball's contact to what its slopes would show at rest."""
+    row, column = pixels_inside(ball, values.shape[:2])
+    p, q = (s.astype(np.float64) for s in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
+    brightness = 1.0 / np.sqrt(1.0 + p**2 + q**2)
+    z_px = apex_px - ball.radius_px * (1.0 - brightness)
+    place = field_position(column, row, (values.shape[0], values.shape[1]))
+    a, b, c = (between_nodes(part, place) for part in _flat_nodes(response))
+    directions, slanting = (part.reshape(-1, 2, 3) for part in (a, c))
+    slope = np.stack([p, q], axis=-1)
+    at_rest = 1.0 + np.einsum("nd,ndc->nc", slope, directions)
+    raised = at_rest + z_px[:, None] * (b + np.einsum("nd,ndc->nc", slope, slanting))
+    # A light that has set lights nothing, here or there.
+    change = brightness[:, None] * (np.maximum(at_rest, 0.0) - np.maximum(raised, 0.0))
+    values[row, column] += change.astype(np.float32)

@@ -1,0 +1,280 @@
+"""How skin looks when it stands higher than untouched skin, so that one colour means another slope.
+
+Under any lights a matt skin of slope g at the elevation z shows, divided by its reference and times s = √(1 + |g|²),
+
+    s I = 1 + a·g + z (b + c·g)
+
+with a the light's direction on untouched skin, b how its brightness and c how its slant grow with elevation. Away from
+its sources light has no divergence, and that of small sources no curl, so that all three follow from how a and the
+reference's light R change over the field:
+
+    b = div a + a·∇ ln R,        c = −∇ ln R.
+
+Nothing is assumed of positions, number and mixture of the lights. What the camera sees of R is also vignetted, which
+changes b and c by w = ∇ ln V, alike in all channels: b by a·w. A tilt changes the colours in the same way, so that b
+falls into a part that is a common brightening, which vignetting and a ball's wrong centre leave alone, and a part that
+is like a tilt. The first is the evidence: at the apexes of balls the skin is level and high. Measured brightening
+against that which R foretells gives the share of it that is there; a share that cannot be told apart from zero means
+that nothing is known, and nothing is corrected. The second is read from the apexes alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from device.balls.sphere import Ball, pixels_inside, sphere_slopes
+from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
+from device.inverse_map.illumination import between_nodes
+from device.inverse_map.near_light import CUBIC_DOUBT, GENTLE, OLD_PLACE_DEGREE, PLACE_DEGREE
+from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
+from device.surface.fields import Float32Array, Float64Array
+
+MIN_BALLS: Final = 8
+"""Balls from which directions of degree 2 in place, and what elevation adds, can be told."""
+
+MIN_PIXELS: Final = 60
+"""Gentle pixels of one ball: ten numbers are fitted to them."""
+
+CERTAIN: Final = 10.0
+"""Standard uncertainties by which the confirmed share must differ from zero.
+
+Three prove an effect, but a correction that is known to a third spoils more than it mends: on the twin at 48 µm a pixel
+(share 1.03, standard uncertainty 0.20) balls rose by 44 µm. A tenth is required.
+"""
+
+CONFIRMED: Final = (0.3, 3.0)
+"""Shares outside of which what is seen is something else than elevation under near lights."""
+
+MODEL_DOUBT: Final = 0.15
+"""Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
+
+BRIGHTENING_DEGREE: Final = 2
+TILT_DEGREE: Final = 1
+LIGHT_DEGREE: Final = 4
+"""Degrees in position of both parts of b, and of ln R; directions have that of `device.inverse_map.near_light`."""
+
+ROUNDS: Final = 3
+"""Slants at the apexes are carried down to rest by the response that they give."""
+
+NODES: Final = 33
+"""Places along each side of the field at which the response is kept."""
+
+LIGHT_STEP_PX: Final = 16
+MIN_VOLUME: Final = 1e-3
+"""Of three directions; below it the channels do not show two slopes and a brightness."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElevationResponse:
+    """What one pixel of elevation changes, at places even over the field, borders included.
+
+    directions : float32 array of shape (n, n, 2, 3), a by component and channel
+    brightening : float32 array of shape (n, n, 3), b per pixel of elevation
+    slanting : float32 array of shape (n, n, 2, 3), c per pixel of elevation
+    share, share_sigma : of the foretold common brightening that is seen, and its standard uncertainty
+    """
+
+    directions: Float32Array
+    brightening: Float32Array
+    slanting: Float32Array
+    share: float
+    share_sigma: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether elevation is told apart from none."""
+        confirmed = self.share > CERTAIN * self.share_sigma and CONFIRMED[0] < self.share < CONFIRMED[1]
+        return confirmed and self.nearness_per_px > 0.0
+
+    @property
+    def possible_share(self) -> float:
+        """Share of the foretold that may be there where it is not certain, at most 1."""
+        return min(float(np.hypot(self.share, self.share_sigma)), 1.0)
+
+    @property
+    def as_slopes(self) -> Float32Array:
+        """What elevation adds to a common brightness λ, p and q, each as factors of 1, p and q: shape (n, n, 9).
+
+        b + c·g = λ (1 + a·g) + a·(what is added to g), for three channels.
+        """
+        ones = np.ones_like(self.brightening)
+        system = np.stack([ones, self.directions[..., 0, :], self.directions[..., 1, :]], axis=-1)
+        added = np.stack([self.brightening, self.slanting[..., 0, :], self.slanting[..., 1, :]], axis=-1)
+        volume = np.linalg.det(system.astype(np.float64))
+        safe = np.abs(volume) > MIN_VOLUME
+        system = np.where(safe[..., None, None], system, np.eye(3))
+        found = np.linalg.solve(system.astype(np.float64), added.astype(np.float64)) * safe[..., None, None]
+        return np.asarray(found.reshape(*volume.shape, 9), np.float32)
+
+    @property
+    def nearness_per_px(self) -> float:
+        """By what share a pixel of elevation makes light slant more, mean over the field; 1 / height of one lamp."""
+        a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
+        square = (a**2).sum(axis=-2)
+        return float(((a * c).sum(axis=-2) - self.brightening * square).sum() / square.sum())
+
+    @property
+    def nearness_sigma_per_px(self) -> float:
+        """Standard uncertainty of `nearness_per_px`: what a correction leaves of slants that were foretold."""
+        a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
+        slant = abs(float((a * c).sum() / (a**2).sum()))
+        return slant * float(np.hypot(self.share_sigma / max(abs(self.share), 1e-6), MODEL_DOUBT))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Apexes:
+    """What each ball shows at its apex.
+
+    brightening : float64 array of shape (N, 3), intensity less 1 per pixel of elevation
+    slants : float64 array of shape (N, 2, 3), what slopes do to intensity at that elevation
+    place : float64 array of shape (N, 2), position variables
+    elevation_px : float64 array of shape (N,)
+    """
+
+    brightening: Float64Array
+    slants: Float64Array
+    place: Float64Array
+    elevation_px: Float64Array
+
+
+def measure_elevation_response(
+    balls: Sequence[tuple[NormalizedImage, Ball, float]], flat_field: Float32Array
+) -> ElevationResponse | None:
+    """The response that balls show; None where too few show enough.
+
+    balls : the press, the ball with a centre that was not read from its colours, and its apex over untouched skin, px
+    flat_field : float32 array of shape (H, W, 3), the reference's light
+    """
+    apexes = _apexes(balls)
+    if apexes is None:
+        return None
+    light = _light(flat_field)
+    response = None
+    for _ in range(ROUNDS):
+        response = _response(apexes, response, light, (flat_field.shape[0], flat_field.shape[1]))
+        if response is None or not response.is_certain:
+            break
+    return response
+
+
+def _response(
+    apexes: _Apexes, before: ElevationResponse | None, light: Float64Array, shape: tuple[int, int]
+) -> ElevationResponse | None:
+    """The response that apexes show; None where three channels do not tell two slopes.
+
+    before : by which the slants that apexes show are carried down to rest
+    """
+    slants = apexes.slants
+    if before is not None:
+        added = between_nodes(before.slanting.reshape(NODES, NODES, 6), apexes.place).reshape(-1, 2, 3)
+        slants = slants - apexes.elevation_px[:, None, None] * added
+    directions = _fitted(slants.reshape(-1, 6), apexes.place, PLACE_DEGREE).reshape(-1, 2, 3)
+    here = _foretold(directions, light, apexes.place, shape)
+    if np.abs(np.linalg.det(_system(here.directions))).min() < MIN_VOLUME:
+        return None
+    seen, foretold = (_parts(here.directions, b) for b in (apexes.brightening, here.brightening))
+    power = max(float((foretold[:, 0] ** 2).sum()), 1e-30)
+    share = float((seen[:, 0] * foretold[:, 0]).sum()) / power
+    left = seen[:, 0] - share * foretold[:, 0]
+    sigma = float(np.sqrt((left**2).sum() / (len(left) - 1) / power))
+    common = _fitted(seen[:, :1], apexes.place, BRIGHTENING_DEGREE)
+    tilt = _fitted(seen[:, 1:], apexes.place, TILT_DEGREE)
+    vignetting = _fitted(seen[:, 1:] - share * foretold[:, 1:], apexes.place, TILT_DEGREE)
+    side = np.linspace(-1.0, 1.0, NODES)
+    nodes = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    there = _foretold(directions, light, nodes, shape)
+    parts = np.concatenate([monomials(nodes, BRIGHTENING_DEGREE) @ common, monomials(nodes, TILT_DEGREE) @ tilt], 1)
+    brightening = np.einsum("nkc,nc->nk", _system(there.directions), parts)
+    # A skin that is not matt brightens more than was foretold; its slants follow the light all the same.
+    vignetted = (monomials(nodes, TILT_DEGREE) @ vignetting)[:, :, None]
+    slanting = min(share, 1.0) * (there.slanting - vignetted / share) if share > 0.0 else 0.0 * there.slanting
+    return ElevationResponse(
+        there.directions.reshape(NODES, NODES, 2, 3).astype(np.float32),
+        brightening.reshape(NODES, NODES, 3).astype(np.float32),
+        slanting.reshape(NODES, NODES, 2, 3).astype(np.float32),
+        share,
+        sigma,
+    )
+
+
+def _fitted(values: Float64Array, place: Float64Array, degree: int) -> Float64Array:
+    """Coefficients (terms, C) of the polynomial in place through values (N, C)."""
+    dear = np.array([CUBIC_DOUBT * (i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(degree)])
+    design = np.concatenate([monomials(place, degree), np.diag(dear)])
+    wanted = np.concatenate([values, np.zeros((len(dear), values.shape[1]))])
+    return np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0])
+
+
+def _apexes(balls: Sequence[tuple[NormalizedImage, Ball, float]]) -> _Apexes | None:
+    """What each ball shows around its apex; None where too few balls show enough."""
+    brightening, slants, place, elevation_px = [], [], [], []
+    for image, ball, apex_px in balls:
+        row, column = pixels_inside(ball, image.shape)
+        p, q = (s.astype(np.float64) for s in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
+        gentle = image.faithful[row, column] & (np.hypot(p, q) < GENTLE)
+        if gentle.sum() < MIN_PIXELS:
+            continue
+        p, q = p[gentle], q[gentle]
+        # Higher powers take up what is no plane: the skin's own law, and that the ball falls away from its apex.
+        terms = np.stack([p**i * q**j for i, j in ((0, 0), (1, 0), (0, 1))], axis=-1)
+        bends = np.stack([p**i * q**j for i, j in position_exponents(3) if i + j > 1], axis=-1)
+        lit = image.values[row[gentle], column[gentle]] * np.sqrt(1.0 + p**2 + q**2)[:, None]
+        found = np.linalg.lstsq(np.concatenate([terms, bends], axis=-1), lit.astype(np.float64), rcond=None)[0]
+        brightening.append((found[0] - 1.0) / apex_px)
+        slants.append(found[1:3])
+        elevation_px.append(apex_px)
+        place.append(field_position(np.array([ball.column]), np.array([ball.row]), image.shape)[0])
+    if len(place) < MIN_BALLS:
+        return None
+    return _Apexes(np.stack(brightening), np.stack(slants), np.stack(place), np.array(elevation_px))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Foretold:
+    """a (N, 2, 3), b (N, 3) and c (N, 2, 3) at places of the field, but for vignetting."""
+
+    directions: Float64Array
+    brightening: Float64Array
+    slanting: Float64Array
+
+
+def _foretold(directions: Float64Array, light: Float64Array, place: Float64Array, shape: tuple[int, int]) -> _Foretold:
+    a = np.einsum("nk,kdc->ndc", monomials(place, PLACE_DEGREE), directions)
+    across, down = _derivatives(place, PLACE_DEGREE, shape)
+    spreading = across @ directions[:, 0] + down @ directions[:, 1]
+    ramp = np.stack([part @ light for part in _derivatives(place, LIGHT_DEGREE, shape)], axis=1)
+    return _Foretold(a, spreading + (a * ramp).sum(axis=1), -ramp)
+
+
+def _light(flat_field: Float32Array) -> Float64Array:
+    """ln R as a polynomial in place: float64 array of shape (terms, 3)."""
+    step = max(1, min(LIGHT_STEP_PX, min(flat_field.shape[:2]) // 16))
+    sample = cv2.blur(flat_field, (step, step))[step // 2 :: step, step // 2 :: step]
+    row, column = np.mgrid[: sample.shape[0], : sample.shape[1]] * step + step // 2
+    place = field_position(column.ravel().astype(np.float64), row.ravel().astype(np.float64), flat_field.shape[:2])
+    logarithm = np.log(np.maximum(sample.reshape(-1, 3).astype(np.float64), DARK_FLOOR))
+    return np.asarray(np.linalg.lstsq(monomials(place, LIGHT_DEGREE), logarithm, rcond=None)[0])
+
+
+def _derivatives(place: Float64Array, degree: int, shape: tuple[int, int]) -> tuple[Float64Array, Float64Array]:
+    """Derivatives of the monomials of place by column and by row, per pixel: float64 arrays of shape (N, terms)."""
+    x, y = place.T
+    terms = position_exponents(degree)
+    across = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in terms], axis=-1)
+    down = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in terms], axis=-1)
+    return across * (2.0 / shape[1]), down * (2.0 / shape[0])
+
+
+def _system(directions: Float64Array) -> Float64Array:
+    """(N, channels, 3): what a common brightness, p and q do to each channel."""
+    return np.stack([np.ones_like(directions[:, 0]), directions[:, 0], directions[:, 1]], axis=-1)
+
+
+def _parts(directions: Float64Array, brightening: Float64Array) -> Float64Array:
+    """b (N, 3) as a common brightening and what is like a tilt p, q: float64 array of shape (N, 3)."""
+    return np.asarray(np.linalg.solve(_system(directions), brightening[..., None])[..., 0])

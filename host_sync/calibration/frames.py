@@ -1,0 +1,38 @@
+"""The frames that a calibration is made from, wherever they came from; whole, or with one ball kept out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from device.balls.sphere import Ball
+from device.imaging.flat_field import LinearFrame
+from host_sync.calibration.balls import PressFrame
+from host_sync.calibration.calibrate import Calibration, calibrate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationFrames:
+    """Frames of presses, the reference if there is one, and the pixel pitch (µm).
+
+    others : frames that help to stand in for a missing reference
+    """
+
+    presses: tuple[PressFrame, ...]
+    reference: LinearFrame | None
+    pixel_pitch_um: float
+    others: tuple[LinearFrame, ...] = ()
+
+    def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
+        """The same without one ball; the other balls are those of a calibration that was made from all of them."""
+        presses = []
+        for number, (frame, used) in enumerate(zip(self.presses, calibration.presses, strict=True)):
+            balls = tuple(ball for ball in used.balls if not (number == press and ball == held))
+            if balls:
+                presses.append(replace(frame, balls=balls, labelled_by_hand=False))
+        return replace(self, presses=tuple(presses))
+
+
+def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
+    """The calibration that the frames carry; errors as for `calibrate`."""
+    return calibrate(frames.presses, frames.reference, frames.pixel_pitch_um, others=frames.others, tell=tell)

@@ -1,0 +1,1 @@
+"""Report of a calibration: record, figures and summary."""

@@ -1,0 +1,133 @@
+"""The calibration report: a record and the pictures by which a person judges it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from device.io.atomic import atomic_directory
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
+from host_sync.calibration_report.paper_figures import ambiguity_figure, reflectance_figure
+
+SCHEMA = "retrograph.calibration-report/1"
+REPORT_FILE = "report.json"
+
+
+def write_report(target: Path, calibration: Calibration) -> None:
+    """Write `report.json` and the pictures to the directory `target`, replacing its contents.
+
+    Raises
+    ------
+    OutputError
+        The directory cannot be written.
+    """
+    with atomic_directory(target, REPORT_FILE) as folder:
+        record = msgspec.json.encode(report_record(calibration))
+        (folder / REPORT_FILE).write_bytes(msgspec.json.format(record, indent=2))
+        balls_figure(calibration.presses).savefig(folder / "balls.png", dpi=120)
+        residuals_figure(calibration).savefig(folder / "residuals.png", dpi=120)
+        reflectance_figure(calibration.paper).savefig(folder / "reflectance-maps.png", dpi=120)
+        ambiguity_figure(calibration.paper).savefig(folder / "ambiguous-bins.png", dpi=120)
+
+
+def report_record(calibration: Calibration) -> dict[str, Any]:
+    """Contents of `report.json`: angles in degrees, positions in pixels, unknown values null."""
+    inverse = calibration.inverse
+    paper = calibration.paper
+    assessment = calibration.assessment
+    return {
+        "schema": SCHEMA,
+        "calibration_id": calibration.calibration_id,
+        "passed": assessment.passed,
+        "checks": [
+            {"name": c.name, "value": c.value, "limit": c.limit, "kind": c.kind, "passed": c.passed}
+            for c in assessment.checks
+        ],
+        "notes": assessment.notes,
+        "frames_cannot_be_checked_for": calibration.frame_model.blind,
+        "next_presses": assessment.coverage.next_presses(),
+        "coverage": assessment.coverage,
+        "pixel_pitch_um": calibration.pitch_um,
+        "scale_uncertainty": assessment.scale,
+        "measured_pixel_pitch": _pitch_record(assessment.pitch),
+        "reference": "frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
+        "ball_centres": calibration.centres,
+        "preferred_method": calibration.preferred,
+        "held_out_error_deg": {method: _number(error) for method, error in calibration.held_out_deg.items()},
+        "held_out_error_by_slope": [
+            {"from_deg": band.from_deg, "to_deg": band.to_deg, "error_deg": band.error_deg, "pixels": band.pixels}
+            for band in inverse.bands
+        ],
+        "gain_by_slope": [
+            {"from_deg": band.from_deg, "to_deg": band.to_deg, "gain": band.gain, "sigma": band.sigma}
+            for band in inverse.gains
+        ],
+        "gain_of": "held-out balls" if inverse.of_another_radius is None else "balls of another radius",
+        "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.steepest))),
+        "reads": "intensity" if inverse.map.near is None else "slopes of a matt skin under near lights",
+        "degree_in_colour": inverse.map.own.colour_degree,
+        "waves_of_colour": inverse.map.own.waves.count,
+        "degree_in_position": inverse.map.own.position_degree,
+        "share_of_light": inverse.map.light.share if inverse.map.light else 0.0,
+        "share_of_root": inverse.map.root.share if inverse.map.root else 0.0,
+        "slope_error": calibration.slope_error,
+        "shrinkage": calibration.shrinkage.record() if calibration.shrinkage else None,
+        "slope_noise": calibration.slope_noise,
+        "paper": {
+            "residual_order_2": paper.residual_order_2,
+            "residual_order_5": paper.residual_order_5,
+            "ambiguous_bin_share": paper.table.ambiguous_fraction,
+            "filled_bins": paper.table.filled_bins,
+        },
+        "presses": [
+            {
+                "name": press.name,
+                "image": press.source or None,
+                "fault": press.fault or None,
+                "balls": [
+                    {"x": ball.column, "y": ball.row, "r": ball.contact_radius_px, "radius_px": ball.radius_px}
+                    for ball in press.balls
+                ],
+                "rejected": [{"x": ball.column, "y": ball.row, "reason": ball.reason} for ball in press.rejected],
+            }
+            for press in calibration.presses
+        ],
+    }
+
+
+def _pitch_record(pitch: PixelPitch | None) -> dict[str, Any] | None:
+    """Pixel pitch from ball grids; lengths in µm per pixel unless the name says otherwise."""
+    if pitch is None:
+        return None
+    return {
+        "stated_um": pitch.stated_um,
+        "pitch_um": pitch.pitch_um,
+        "sigma_um": pitch.sigma_um,
+        "readings": [
+            {
+                "press": reading.press,
+                "grid_pitch_mm": reading.grid.pitch_mm,
+                "grid_pitch_tolerance_mm": reading.grid.tolerance_mm,
+                "pitch_um": reading.pitch_um,
+                "sigma_um": reading.sigma_um,
+                "scatter_um": reading.scatter_um,
+                "bias_um": reading.bias_um,
+                "least_um": reading.least_um,
+                "most_um": reading.most_um,
+                "balls": reading.balls,
+                "pose": reading.pose.model.name,
+                "fitted_px": reading.pose.fitted_px,
+                "held_out_px": reading.pose.held_out_px,
+            }
+            for reading in pitch.readings
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Judges an instrument by certified specimens, and writes its calibration certificate."""

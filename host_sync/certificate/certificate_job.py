@@ -1,0 +1,128 @@
+"""Calibrates, reconstructs and measures every specimen, and writes the certificate as JSON and PDF."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from device.errors import DeviceError
+from device.io.atomic import check_replaceable, write_output
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration_report.report import REPORT_FILE, write_report
+from host_sync.certificate.certificate import Certificate, HashedFile, certify
+from host_sync.certificate.certificate_pages import pages_of
+from host_sync.certificate.characteristics import CheckedSpecimen
+from host_sync.certificate.specimen_file import ScanTable, SpecimenFile, read_specimen
+from host_sync.certificate.specimen_measurement import judge, measured_quantity
+from host_sync.errors import HostError, MeasurementError
+from host_sync.frames.frame_set import FrameSet, FrameSpec
+from host_sync.frames.frame_set_file import Encoding, read_frame_set_file
+from host_sync.frames.linear_light import read_frame
+from host_sync.measurement.quantity import Quantity
+from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER, calibrate_frame_set
+from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.result_writer import write_result
+from host_sync.results.reader import ResultSurface, read_result
+
+RECORD_FILE = "certificate.json"
+PAGES_FILE = "certificate.pdf"
+Tell = Callable[[str], None]
+
+
+def certificate_of_frame_set(
+    frame_set: FrameSet, specimens: Sequence[Path], out: Path, tell: Tell = lambda _: None
+) -> Certificate:
+    """Judge the instrument that a frame set calibrates; everything is written to `out`.
+
+    specimens : files as `read_specimen` reads them
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        There is no calibration to judge.
+    MeasurementError
+        A specimen's file cannot be used.
+    ResultError, OSError
+        Nothing can be written to `out`.
+    """
+    read = [(path, read_specimen(path)) for path in specimens]  # before minutes of work
+    check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)
+    calibration = calibrate_frame_set(frame_set, tell)
+    write_report(out / CALIBRATION_FOLDER, calibration)
+    encoding = read_frame_set_file(frame_set.path).encoding
+    checked = [
+        check_specimen(path, one, calibration, encoding, out / f"{number:02d}-{path.stem}", tell)
+        for number, (path, one) in enumerate(read, start=1)
+    ]
+    certificate = certify(frame_set.name, calibration, checked, list(_hashed(frame_set.path, read)))
+    write_certificate(certificate, out)
+    return certificate
+
+
+def write_certificate(certificate: Certificate, out: Path) -> None:
+    """Write `certificate.json` and `certificate.pdf` to a folder."""
+    from host_sync.report.pdf_pages import pdf_pages  # reportlab takes a while to load
+
+    write_output(out / RECORD_FILE, msgspec.json.format(msgspec.json.encode(certificate), indent=2))
+    write_output(out / PAGES_FILE, pdf_pages(pages_of(certificate)))
+
+
+def check_specimen(
+    path: Path, specimen: SpecimenFile, calibration: Calibration, encoding: Encoding, out: Path, tell: Tell
+) -> CheckedSpecimen:
+    """Reconstruct and measure every scan of a specimen; a scan that fails is named in its result."""
+    surfaces: list[ResultSurface] = []
+    quantities: list[Quantity] = []
+    failures: list[str] = []
+    for number, scan in enumerate(specimen.scan, start=1):
+        tell(f"{specimen.name}: scan {number} of {len(specimen.scan)}")
+        try:
+            surface = _surface(path.parent, scan, calibration, encoding, out / f"scan-{number:02d}", specimen.name)
+            quantity = measured_quantity(specimen, surface)
+        except (DeviceError, HostError) as error:
+            failures.append(str(error))
+            continue
+        surfaces.append(surface)
+        quantities.append(quantity)
+    return CheckedSpecimen(specimen, judge(specimen, quantities, failures), tuple(surfaces))
+
+
+def _surface(
+    folder: Path, scan: ScanTable, calibration: Calibration, encoding: Encoding, out: Path, name: str
+) -> ResultSurface:
+    """The surface of one scan: read where it was reconstructed before, else reconstructed now."""
+    if scan.result is not None:
+        surface = read_result(folder / scan.result)
+        if surface.record.calibration_id != calibration.calibration_id:
+            raise MeasurementError(
+                f"{folder / scan.result}: was reconstructed with calibration {surface.record.calibration_id} and "
+                f"{calibration.calibration_id} is to be judged: name the image, or reconstruct it again"
+            )
+        return surface
+    frame = FrameSpec(tuple(folder / image for image in _images(scan)), encoding)
+    reconstruction = reconstruct(read_frame(frame), calibration, frame.name)
+    write_result(out, reconstruction, calibration, name)
+    return read_result(out)
+
+
+def _images(scan: ScanTable) -> tuple[str, ...]:
+    assert scan.image is not None  # noqa: S101 - checked where the file was read
+    return (scan.image,) if isinstance(scan.image, str) else scan.image
+
+
+def _hashed(frame_set: Path, specimens: Sequence[tuple[Path, SpecimenFile]]) -> Iterator[HashedFile]:
+    """The files that were judged: the frame set's description, each specimen's, and its images."""
+    yield _hash(frame_set)
+    for path, specimen in specimens:
+        yield _hash(path)
+        for scan in specimen.scan:
+            if scan.image is not None:
+                yield from (_hash(path.parent / image) for image in _images(scan) if (path.parent / image).is_file())
+
+
+def _hash(path: Path) -> HashedFile:
+    data = path.read_bytes()
+    return HashedFile(path.name, len(data), hashlib.sha256(data).hexdigest())

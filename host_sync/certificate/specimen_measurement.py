@@ -1,0 +1,150 @@
+"""Measures scans of a specimen with the measurement package, and compares the mean with the certified value.
+
+The E_n number of ISO 13528 and ISO/IEC 17043, (x - X) / sqrt(U_x² + U_X²) with both U at k = 2, is at most one in
+magnitude where instrument and certificate agree within what they state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from host_sync.certificate.period import measured_period
+from host_sync.certificate.specimen_file import SpecimenFile
+from host_sync.errors import MeasurementError
+from host_sync.measurement.height_draws import StatedScale
+from host_sync.measurement.measure import measure
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.recipe import Place, RadiusTable, Recipe, StepTable
+from host_sync.profile.step_height import StepKind
+from host_sync.results.reader import ResultSurface
+
+COVERAGE: Final = 2.0
+MAX_E_N: Final = 1.0
+SPHERE_SHARE: Final = 0.02
+"""Standard uncertainty of the shape of what is a ball, as a fraction: see `height_draws`."""
+
+SUBJECT: Final = "specimen"
+
+
+class SpecimenResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What the scans of a specimen say; lengths µm, uncertainties expanded with k = 2.
+
+    values_um : of every scan that shows the specimen
+    expanded_um : of their mean; None where a scan's ± is not known
+    error_um : mean over certified
+    e_n : None where it cannot be judged
+    agrees : whether |E_n| is at most one; None likewise
+    words : what cannot be judged and why, or which scan failed
+    """
+
+    name: str
+    kind: str
+    serial: str
+    certificate: str
+    quantity: str
+    certified_um: float
+    certified_expanded_um: float
+    values_um: tuple[float, ...]
+    mean_um: float | None
+    expanded_um: float | None
+    error_um: float | None
+    e_n: float | None
+    agrees: bool | None
+    words: tuple[str, ...] = ()
+
+
+def recipe_of(specimen: SpecimenFile) -> Recipe:
+    """The recipe that measures a specimen; standard uncertainties."""
+    how = specimen.measure
+    scale = StatedScale(pixel_pitch_share=how.pixel_pitch_share, ball_radius_share=how.ball_radius_share)
+    plain = Recipe(name=specimen.name, parameters=("Sq",), scale=scale)
+    if specimen.kind in ("step", "groove"):
+        kind: StepKind = "step" if specimen.kind == "step" else "groove"
+        start, end = _ends(specimen)
+        table = StepTable(
+            name=SUBJECT, from_um=start, to_um=end, width_um=how.width_um, kind=kind, edges_um=how.edges_um
+        )
+        return msgspec.structs.replace(plain, step=(table,))
+    if specimen.kind == "sphere" and how.region_um is not None:
+        ball = RadiusTable(name=SUBJECT, region_um=how.region_um)
+        sphere = msgspec.structs.replace(scale, unlike_balls_share=min(SPHERE_SHARE, scale.unlike_balls_share))
+        return msgspec.structs.replace(plain, radius=(ball,), region_um=how.region_um, form="none", scale=sphere)
+    return msgspec.structs.replace(
+        plain,
+        region_um=how.region_um,
+        s_filter_um=how.s_filter_um,
+        l_filter_um=how.l_filter_um,
+        parameters=(how.parameter if specimen.kind == "roughness" else "Sz",),
+    )
+
+
+def measured_quantity(specimen: SpecimenFile, surface: ResultSurface) -> Quantity:
+    """The certified number as one scan shows it.
+
+    Raises
+    ------
+    MeasurementError
+        The scan does not show it.
+    """
+    if specimen.kind == "period":
+        return measured_period(specimen, surface, recipe_of(specimen).scale)
+    found = measure(surface, recipe_of(specimen)).quantities
+    wanted = {"sphere": "radius", "flat": "Sz", "roughness": specimen.measure.parameter}
+    name = wanted.get(specimen.kind)
+    for quantity in found:
+        own = quantity.subject == SUBJECT or specimen.kind in ("roughness", "flat")
+        if own and name in (None, quantity.name) and quantity.value is not None:
+            return quantity
+    raise MeasurementError(f"{surface.folder}: does not show the {specimen.kind} that is to be measured")
+
+
+def judge(specimen: SpecimenFile, quantities: Sequence[Quantity], failures: Sequence[str]) -> SpecimenResult:
+    """The comparison of all scans of a specimen with its certificate.
+
+    What scans share (the calibration) does not average out: the mean of the scans' own standard uncertainties stays,
+    and their scatter, divided by the root of their number, comes beside it.
+    """
+    values = tuple(float(quantity.value) for quantity in quantities if quantity.value is not None)
+    sigmas = [quantity.uncertainty / quantity.coverage_factor for quantity in quantities if quantity.uncertainty]
+    certified_expanded_um = COVERAGE * specimen.standard_uncertainty_um
+    words = tuple(failures)
+    mean = expanded = error = e_n = None
+    if values:
+        mean = float(np.mean(values))
+        error = mean - specimen.certified_um
+        if len(sigmas) == len(values):
+            scatter = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+            expanded = COVERAGE * float(np.hypot(np.mean(sigmas), scatter))
+            e_n = error / float(np.hypot(expanded, certified_expanded_um))
+        else:
+            words += ("its E_n is not judged: the result states no uncertainty of this number",)
+    if specimen.kind == "flat":
+        e_n = None  # a maximum of noise has no error that could be judged: it is the flatness deviation itself
+    return SpecimenResult(
+        name=specimen.name,
+        kind=specimen.kind,
+        serial=specimen.serial,
+        certificate=specimen.certificate,
+        quantity=f"{quantities[0].name}" if quantities else "",
+        certified_um=specimen.certified_um,
+        certified_expanded_um=certified_expanded_um,
+        values_um=values,
+        mean_um=mean,
+        expanded_um=expanded,
+        error_um=error,
+        e_n=e_n,
+        agrees=None if e_n is None else abs(e_n) <= MAX_E_N,
+        words=words,
+    )
+
+
+def _ends(specimen: SpecimenFile) -> tuple[Place, Place]:
+    """Both ends of the specimen's line."""
+    how = specimen.measure
+    assert how.from_um is not None  # noqa: S101 - checked where the file was read
+    assert how.to_um is not None  # noqa: S101 - likewise
+    return how.from_um, how.to_um

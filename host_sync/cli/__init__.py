@@ -1,0 +1,1 @@
+"""The commands of retrosync, one module for each family."""

@@ -1,0 +1,128 @@
+"""`retrosync discover`, `pair`, `status`: the devices of this workstation."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cyclopts import App
+
+from device.pairing.exchange import PAIRING_PORT
+from host_sync.cli.console import CONNECTION, DONE, Folder, print_error, print_line
+from host_sync.errors import PairingError
+from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
+from host_sync.offload.resolve import MAX_PORT
+
+CLOCK_SEEN_S: Final = 2.0
+UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
+
+
+def register(app: App) -> None:
+    """Add these commands."""
+    app.command(discover_command, name="discover")
+    app.command(pair_command, name="pair")
+    app.command(status_command, name="status")
+
+
+def known_devices() -> PairedDevices:
+    """The devices in this user's settings."""
+    return PairedDevices(default_devices_folder())
+
+
+def discover_command(*, seconds: float = 3.0) -> int:
+    """List the devices that announce themselves on the local network.
+
+    Parameters
+    ----------
+    seconds
+        How long to listen.
+    """
+    from host_sync.offload.discovery import discover
+
+    found = discover(seconds)
+    for one in found:
+        print_line(f"{one.name}  {one.host}:{one.port}  {' '.join(one.addresses)}")
+    if not found:
+        return print_error("no device was found: check cable or network, or give its address to `pair`", CONNECTION)
+    return DONE
+
+
+def pair_command(
+    host: str | None = None,
+    *,
+    code: str | None = None,
+    card: Folder | None = None,
+    port: int = PAIRING_PORT,
+    replace: bool = False,
+) -> int:
+    """Pair with a device whose pairing window is open, by the code on its screen; or by files on its memory card.
+
+    Parameters
+    ----------
+    host
+        The device's address.
+    code
+        The code on its screen; prompted for when not given.
+    card
+        Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
+    port
+        Port of its pairing window.
+    replace
+        Accept a new key of a known device, because you set it up again.
+    """
+    from host_sync.offload import pairing
+
+    devices = known_devices()
+    own = pairing.own_card(devices, this_host())
+    if card is not None:
+        device = pairing.pair_by_card(card, own, host)
+        if device is None:
+            print_line(f"This workstation's key is on {card} now: start the device with it, then run this again.")
+            return DONE
+    elif host:
+        device = pairing.pair_over_network(host, _checked_port(port), code or _asked_code(), own)
+    else:
+        raise PairingError("name the device's address, or --card with its memory card")
+    pairing.keep(devices, device, replace=replace)
+    print_line(f"Paired with {device.device_id} at {device.host}:{device.port}.")
+    return DONE
+
+
+def _asked_code() -> str:
+    try:
+        return input("Code on the device's screen: ")
+    except EOFError as error:
+        raise PairingError("no code was typed: repeat in a terminal, or give it with --code") from error
+
+
+def _checked_port(port: int) -> int:
+    if not 1 <= port <= MAX_PORT:
+        raise PairingError(f"--port {port}: is no port: give 1 to {MAX_PORT}")
+    return port
+
+
+def status_command() -> int:
+    """List the paired devices and how the last sync with each went."""
+    devices = known_devices()
+    known = devices.all()
+    for device in known:
+        state = devices.sync_state(device.device_id)
+        print_line(f"{device.device_id}  {device.host}:{device.port}")
+        if state is None:
+            print_line("  never synced")
+            continue
+        clock = _describe_clock(state.clock_offset_s)
+        counted = f"{state.verified} in the library, {state.failed} failed"
+        print_line(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {counted}; {clock}")
+    if not known:
+        print_line("No device is paired: `retrosync pair HOST` makes one known.")
+    return DONE
+
+
+def _describe_clock(offset_s: float | None) -> str:
+    """How far a device's clock was off; measured to about a second."""
+    if offset_s is None:
+        return "its clock was not measured"
+    if abs(offset_s) < CLOCK_SEEN_S:
+        return "its clock was right"
+    unit, length_s = next((name, size_s) for name, size_s in UNITS_S if abs(offset_s) >= 2 * size_s)
+    return f"its clock was {abs(offset_s) / length_s:.0f} {unit} {'ahead' if offset_s > 0.0 else 'behind'}"

@@ -1,0 +1,105 @@
+"""`retrosync export`: exports a scan or its result for other programs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Final, Literal, cast, get_args
+
+from cyclopts import App, Parameter
+
+from device.bundles.scan import SCAN_MANIFEST
+from host_sync.cli.console import DONE, Folder, print_line
+from host_sync.errors import ExportError
+from host_sync.export.csv_profile import LineUm
+from host_sync.export.raw_scan import RawFormat, export_raw
+from host_sync.library.library import Library, default_library
+
+ExportFormat = Literal[
+    "dng", "tiff", "gsf", "gwy", "x3p", "sur", "sdf", "al3d", "tmd", "png", "npz", "csv", "ply", "stl", "obj", "glb"
+]
+
+
+RAW: Final = get_args(RawFormat)
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    app.command(export_command, name="export")
+
+
+def export_command(
+    source: str,
+    *,
+    to: Annotated[tuple[ExportFormat, ...], Parameter(consume_multiple=True)],
+    out: Folder,
+    library: Folder | None = None,
+    mesh_step: int | None = None,
+    line_um: LineUm | None = None,
+    overwrite: bool = False,
+) -> int:
+    """Export a result's surface, or the raw frame of a scan, for other programs.
+
+    Parameters
+    ----------
+    source
+        Folder that reconstruct wrote, or a GelSight TMD file; or a scan's id, its beginning or end, for
+        its newest result.
+    to
+        gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
+        are its raw frame, the counts as the sensor gave them.
+    out
+        Folder for the files.
+    library
+        The library; ~/Retrograph by default.
+    mesh_step
+        Row and column step of meshes.
+    line_um
+        Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
+        middle row when not given.
+    overwrite
+        Replace files of the same name.
+    """
+    forms = tuple(dict.fromkeys(to))
+    place, scan = Path(source), None
+    if os.sep not in source and not _is_surface(place):
+        shelf = Library(library or default_library())
+        scan = shelf.find(source)
+        if set(forms) - set(RAW):
+            place = shelf.newest_result(scan)
+    raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
+    of_surface = tuple(form for form in forms if form not in raw)
+    written = _export_surface(place, of_surface, out, mesh_step, line_um, overwrite) if of_surface else []
+    if scan:
+        written += [export_raw(scan, form, out, overwrite=overwrite) for form in raw]
+    for path in written:
+        print_line(str(path))
+    return DONE
+
+
+def _export_surface(
+    place: Path,
+    forms: tuple[ExportFormat, ...],
+    out: Path,
+    mesh_step: int | None,
+    line_um: LineUm | None,
+    overwrite: bool,
+) -> list[Path]:
+    # Pillow and the writers are loaded here, so that other commands start without them.
+    from host_sync.export.source_surface import read_surface
+    from host_sync.export.surface_export import ExportChoices, SurfaceFormat, export_surface
+    from host_sync.export.tmd import read_tmd
+
+    if "dng" in forms:
+        raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")
+    surface = read_surface(place) if place.is_dir() else read_tmd(place)
+    choices = ExportChoices(mesh_step, line_um, overwrite)
+    return list(export_surface(surface, cast(tuple[SurfaceFormat, ...], forms), out, choices))
+
+
+def _is_surface(place: Path) -> bool:
+    """Whether this is a file or a folder other than a scan; other names are looked up in the library."""
+    try:
+        return place.is_file() or (place.is_dir() and not (place / SCAN_MANIFEST).is_file())
+    except OSError:
+        return False

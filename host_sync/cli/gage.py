@@ -1,0 +1,117 @@
+"""`retrosync gage-rr`: gage repeatability and reproducibility."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+from cyclopts import App
+
+from host_sync.cli.console import DONE, Folder, add_renamed, print_line
+from host_sync.cli.measure import OutputFile, chosen_recipe, measured, write_text
+from host_sync.errors import MeasurementError
+from host_sync.library.library import Library
+
+if TYPE_CHECKING:
+    from host_sync.gage.gage_table import GageRow
+    from host_sync.measurement.recipe import Recipe
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    add_renamed(app, gage_command, old="gage", new="gage-rr")
+
+
+def gage_command(
+    *scans: str,
+    table: Path | None = None,
+    plan: Path | None = None,
+    library: Folder | None = None,
+    recipe: Path | None = None,
+    number: str = "surface/Sa",
+    tolerance: float | None = None,
+    json: OutputFile = None,
+) -> int:
+    """Gage R&R from repeated scans of the same parts (crossed ANOVA): repeatability, reproducibility, categories.
+
+    Parameters
+    ----------
+    scans
+        Scans of the library; all by default. Their annotations name part and operator.
+    table
+        CSV file of measured values, with the columns part, operator, value.
+    plan
+        CSV file of results, with the columns part, operator, result.
+    library
+        Folder of pulled scans, each with its newest results.
+    recipe
+        TOML file of the measurement recipe.
+    number
+        Quantity of the recipe: subject, slash, name.
+    tolerance
+        Tolerance width, in the quantity's unit.
+    json
+        Also write the study to this file; - writes only it, to the output.
+    """
+    if sum(one is not None for one in (table, plan, library)) != 1:
+        raise MeasurementError("name one source: --table FILE, --plan FILE or --library LIB")
+    if tolerance is not None and not 0.0 < tolerance < float("inf"):
+        raise MeasurementError(f"tolerance: {tolerance:g} is not a width: give a positive number")
+    from host_sync.gage.gage import study
+    from host_sync.gage.gage_table import crossed, numbers, read_rows
+    from host_sync.gage.gage_text import study_text
+
+    if table is not None:
+        unit, what = "", str(table)
+        rows = numbers(read_rows(table, "value"), str(table))
+    else:
+        chosen, what = chosen_recipe(recipe, {}), number
+        planned = read_rows(plan, "result") if plan else _annotated(Library(library), scans) if library else []
+        rows, unit = _measured(planned, chosen, number)
+    found = study(*crossed(rows), tolerance=tolerance)
+    if json != Path("-"):
+        for line in study_text(found, what, unit).splitlines():
+            print_line(line)
+    if json is not None:
+        record = msgspec.to_builtins(found) | {"number": what, "unit": unit, "schema": "retrograph.gage/1"}
+        write_text(json, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
+    return DONE
+
+
+def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
+    """Part, operator and newest results of each scan."""
+    from host_sync.gage.gage_table import GageRow
+
+    scans = [library.find(name) for name in names] if names else list(library.scans().bundles)
+    rows = []
+    for scan in scans:
+        notes = scan.record.annotations
+        if not (notes.part and notes.operator):
+            raise MeasurementError(f"{scan.scan_id}: has no annotated part or operator: name them in a --plan file")
+        rows.append(GageRow(notes.part, notes.operator, str(library.newest_result(scan))))
+    if not rows:
+        raise MeasurementError(f"{library.root} holds no scans: pull some first")
+    return rows
+
+
+def _measured(rows: Sequence[GageRow], recipe: Recipe, number: str) -> tuple[list[tuple[str, str, float]], str]:
+    """Part, operator and value of each row, and the values' unit."""
+    subject, _, name = number.rpartition("/")
+    found = []
+    unit = ""
+    # The spread of the repeats replaces the draws.
+    for row, measurement in zip(rows, measured([Path(row.value) for row in rows], recipe, draws=False), strict=True):
+        if isinstance(measurement, str):
+            raise MeasurementError(measurement)
+        known = {(one.subject, one.name): one for one in measurement.quantities}
+        quantity = known.get((subject, name))
+        if quantity is None:
+            accepted = ", ".join(f"{one}/{other}" for one, other in known)
+            raise MeasurementError(f"number: {number!r} is not in the recipe; accepted are {accepted}")
+        if quantity.value is None:
+            raise MeasurementError(f"{row.value}: {number} is not defined there: leave the result out, or correct it")
+        found.append((row.part, row.operator, quantity.value))
+        unit = quantity.unit
+    return found, unit

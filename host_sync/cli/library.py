@@ -1,0 +1,253 @@
+"""`retrosync search`, `list`, `verify`, `repair`, `mirror`, `forget`, `reprocess`."""
+
+from __future__ import annotations
+
+import re
+from contextlib import ExitStack
+from datetime import date
+from pathlib import Path
+from typing import Literal
+
+from cyclopts import App
+
+from device.errors import DeviceError
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.cli.devices import known_devices
+from host_sync.errors import HostError
+from host_sync.library.index import Query, damaged_bundles, search
+from host_sync.library.library import Library, default_library
+from host_sync.library.set_aside import list_set_aside
+from host_sync.library.verification import adopt as add_to_record
+from host_sync.library.verification import verify_library
+from host_sync.offload.resolve import open_source
+
+
+def register(app: App) -> None:
+    """Add the commands of this theme."""
+    app.command(search_command, name="search")
+    app.command(list_command, name="list")
+    app.command(verify_command, name="verify")
+    app.command(repair_command, name="repair")
+    app.command(mirror_command, name="mirror")
+    app.command(forget_command, name="forget")
+    app.command(reprocess_command, name="reprocess")
+
+
+def search_command(
+    *,
+    library: Folder | None = None,
+    job: str | None = None,
+    part: str | None = None,
+    operator: str | None = None,
+    verdict: Literal["good", "doubtful", "retake"] | None = None,
+    gel: str | None = None,
+    device: str | None = None,
+    since: date | None = None,
+    until: date | None = None,
+) -> int:
+    """List scans of a library; texts may use * and ?.
+
+    Parameters
+    ----------
+    library
+        Where; ~/Retrograph when not given.
+    job
+        Text of the annotation.
+    part
+        Text of the annotation.
+    operator
+        Text of the annotation.
+    verdict
+        Verdict of the quick look.
+    gel
+        Identity of the gel.
+    device
+        Id of the device.
+    since
+        First day, by the device's clock.
+    until
+        Last day, by the device's clock.
+    """
+    if since is not None and until is not None and since > until:
+        raise HostError(f"--since {since} is later than --until {until}: swap them")
+    query = Query(job, part, operator, verdict, gel, device, since, until)
+    target = Library(library or default_library())
+    for hit in search(target, query):
+        print_line("  ".join((hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel)))
+    damaged = damaged_bundles(target)
+    for reason in damaged:
+        print_error(reason, PARTLY)
+    return PARTLY if damaged else DONE
+
+
+def list_command(*, library: Folder | None = None, set_aside: bool = False) -> int:
+    """List the scans of a library, or what was refused and set aside.
+
+    Parameters
+    ----------
+    library
+        Which; ~/Retrograph when not given.
+    set_aside
+        List instead what was passed over or moved to set-aside/, with the reason.
+    """
+    target = Library(library or default_library())
+    if not set_aside:
+        return search_command(library=target.root)
+    target.require()
+    for entry in list_set_aside(target.root):
+        print_line(f"{entry.why.kind}/{entry.why.name}  {entry.why.time:%Y-%m-%d %H:%M} UTC: {entry.why.reason}")
+        if entry.folder is not None:
+            print_line(f"  kept in {entry.folder}")
+    return DONE
+
+
+def verify_command(*, library: Folder | None = None, partial: str | None = None, adopt: bool = False) -> int:
+    """Compare a library with its intake record and hash its files: names what is lost, changed or unknown.
+
+    Parameters
+    ----------
+    library
+        Which; ~/Retrograph when not given.
+    partial
+        Hash only this fraction, such as 5%; the next partial run continues after it. Loss is looked for everywhere.
+    adopt
+        Record whole bundles that the intake record lacks, such as an older release's; replaces a damaged record.
+    """
+    target = Library(library or default_library())
+    with status_spinner() as tell:
+        found = verify_library(target, tell, fraction=1.0 if partial is None else _fraction(partial))
+    skipped = f", {found.skipped} not hashed this time" if found.skipped else ""
+    print_line(f"{found.sound} of {found.total} verified{skipped}")
+    for path in found.unlisted_files:
+        print_line(f"Note: {path} is in no manifest.")
+    for path in found.unfinished:
+        print_line(f"Note: {path} waits for its transfer to continue.")
+    if adopt:
+        print_line(f"{add_to_record(target, found)} added to the intake record.")
+    else:
+        for path in found.unrecorded:
+            print_line(f"Note: {path} is not in the intake record: `retrosync verify --adopt` adds it.")
+    if found.record_fault is not None:
+        print_error(found.record_fault, PARTLY)
+    for bundle in (*found.lost, *found.damaged):
+        print_error(f"{bundle.directory.name}: {bundle.reason}", PARTLY)
+    if found.lost or found.damaged:
+        print_line("`retrosync repair SOURCE` fetches these again from a card, a device or a mirror.")
+        print_line("`retrosync forget SCAN` takes one that you removed yourself out of the record.")
+    return DONE if found.complete else PARTLY
+
+
+def _fraction(text: str) -> float:
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?%?", text.strip())
+    if found is None or not 0.0 < float(found[1]) <= 100.0:
+        raise HostError(f"--partial {text!r}: give a fraction of the library, such as 5%")
+    return float(found[1]) / 100.0
+
+
+def forget_command(*names: str, library: Folder | None = None) -> int:
+    """Take bundles that you removed yourself out of the intake record, so that `verify` no longer misses them.
+
+    Parameters
+    ----------
+    names
+        Their whole ids.
+    library
+        Which; ~/Retrograph when not given.
+    """
+    target = Library(library or default_library())
+    target.require()
+    with target.writing():
+        for name in names:
+            target.forget(name)
+            print_line(f"{name} is no longer expected.")
+    return DONE
+
+
+def repair_command(*sources: str, library: Folder | None = None) -> int:
+    """Fetch lost and damaged bundles again; damaged copies move to set-aside/.
+
+    Parameters
+    ----------
+    sources
+        Cards, folders, mirrors or paired devices, tried in this order.
+    library
+        Which; ~/Retrograph when not given.
+    """
+    from host_sync.offload.repair import repair
+
+    target = Library(library or default_library())
+    target.require()
+    if not sources:
+        raise HostError("name a card, folder, mirror or paired device to fetch from")
+    with ExitStack() as stack, status_spinner() as tell:
+        opened = [stack.enter_context(open_source(source, known_devices())) for source in sources]
+        report = repair(target, opened, tell)
+    print_line(f"{len(report.repaired)} repaired, {len(report.failed)} not: {target.root}")
+    for failure in report.failed:
+        print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
+    if report.before.record_fault is not None:
+        print_error(report.before.record_fault, PARTLY)
+    return PARTLY if report.failed or report.before.record_fault else DONE
+
+
+def mirror_command(library: Folder, destination: str, *, verify: bool = False) -> int:
+    """Copy what another disk or an SFTP server lacks, and read back every file there.
+
+    Parameters
+    ----------
+    library
+        The library to copy.
+    destination
+        A folder, or sftp://USER@HOST:PORT/FOLDER.
+    verify
+        Hash again what is there already.
+    """
+    from host_sync.offload.mirror import SftpPlace, mirror_to_folder, mirror_to_sftp
+
+    target, place = Library(library), SftpPlace.parse(destination)
+    with status_spinner() as tell:
+        if place is None:
+            report = mirror_to_folder(target, Path(destination), tell, verify=verify)
+        else:
+            report = mirror_to_sftp(target, place, tell, verify=verify)
+    print_line(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {destination}")
+    for failure in report.failed:
+        print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
+    return PARTLY if report.failed else DONE
+
+
+def reprocess_command(*names: str, library: Folder | None = None) -> int:
+    """Reconstruct scans with results again: the same version must give the same bits; across versions, list changes.
+
+    Parameters
+    ----------
+    names
+        Scans of the library; all that have results when none is named.
+    library
+        Which; ~/Retrograph when not given.
+    """
+    from host_sync.evaluation.reprocess import reprocess
+    from host_sync.reconstruction.from_library import LibraryReconstructor
+
+    target = Library(library or default_library())
+    scans = [target.find(name) for name in names] or list(target.scans().bundles)
+    job = LibraryReconstructor(target)
+    identical, broken = 0, 0
+    for scan in scans:
+        try:
+            comparisons = reprocess(target, job, scan)
+        except (DeviceError, HostError) as error:
+            print_error(error, PARTLY)
+            broken += 1
+            continue
+        for comparison in comparisons:
+            identical += not comparison.differences
+            broken += not comparison.as_promised
+            verdict = "identical" if not comparison.differences else "differs"
+            print_line(f"{comparison.results}: {verdict}")
+            for difference in comparison.differences:
+                print_line(f"  {difference}")
+    print_line(f"{identical} identical, {broken} not as expected")
+    if broken:
+        return PARTLY if identical else BAD_INPUT
+    return DONE

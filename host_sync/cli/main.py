@@ -1,0 +1,73 @@
+"""`retrosync`: the workstation's command line.
+
+Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from cyclopts import App, CycloptsError, Parameter
+
+from device.errors import DeviceError
+from device.shutdown import signals_as_keyboard_interrupt
+from host_sync.cli import (
+    calibrate,
+    devices,
+    export,
+    gage,
+    library,
+    measure,
+    offload,
+    reconstruct,
+    render,
+    report,
+    video,
+    view,
+)
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error
+from host_sync.errors import HostError, SourceError
+
+app = App(
+    name="retrosync",
+    version=lambda: f"retrograph {version('retrograph')}",
+    help="Fetch scans from a handheld, verify them, reconstruct, measure and show their surfaces. "
+    "Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.",
+    help_format="plaintext",
+    default_parameter=Parameter(negative_iterable=()),
+    suppress_keyboard_interrupt=False,
+)
+for room in (offload, devices, library, export, measure, calibrate, gage, report, view, render, reconstruct, video):
+    room.register(app)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    try:
+        with signals_as_keyboard_interrupt(signal.SIGTERM):
+            result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        sys.stdout.flush()
+    except SourceError as error:
+        return print_error(error, CONNECTION)
+    except (DeviceError, HostError) as error:
+        return print_error(error, BAD_INPUT)
+    except CycloptsError:
+        return BAD_INPUT  # cyclopts has printed which argument is wrong
+    except KeyboardInterrupt:
+        return print_error("stopped: unfinished results are not kept", 130)
+    except BrokenPipeError:
+        _discard_output()
+        return 141
+    except OSError as error:
+        _discard_output()
+        return print_error(f"the output cannot be written ({error.strerror or error}): redirect it elsewhere", PARTLY)
+    return int(result or DONE)
+
+
+def _discard_output() -> None:
+    """Send the interpreter's last flush nowhere: the reader of the output has gone, or it is full."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,195 @@
+"""`retrosync measure`: measures results by a recipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+from cyclopts import App, Parameter
+
+from device.errors import DeviceError
+from device.io.atomic import write_output
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.errors import HostError, MeasurementError, MissingResult
+from host_sync.library.library import Library
+from host_sync.results.detail_name import DetailName
+
+if TYPE_CHECKING:
+    from host_sync.measurement.measurement import Measurement
+    from host_sync.measurement.recipe import Recipe
+
+OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
+"""A file to write; - is standard output."""
+
+Region = tuple[float, float, float, float]
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    app.command(measure_command, name="measure")
+
+
+def measure_command(
+    *results: Path,
+    recipe: Path | None = None,
+    library: Folder | None = None,
+    form: str | None = None,
+    s_filter_um: float | None = None,
+    l_filter_um: float | None = None,
+    region_um: Region | None = None,
+    parameters: Annotated[tuple[str, ...] | None, Parameter(consume_multiple=True)] = None,
+    spectrum: bool | None = None,
+    detail: DetailName | None = None,
+    coverage_factor: Annotated[Literal[1, 2] | None, Parameter(name=("--coverage-factor", "-k"))] = None,
+    json: OutputFile = None,
+    csv: OutputFile = None,
+) -> int:
+    """Measure results: form removal, S-filter, L-filter, ISO 25178 parameters and a recipe's quantities, each with its
+    ±.
+
+    Parameters
+    ----------
+    results
+        Folders that reconstruct wrote. With --library, scans of it; all by default.
+    recipe
+        TOML file of the measurement recipe; the options below change it.
+    library
+        Folder of pulled scans, each with its newest results.
+    form
+        none, mean, plane, sphere, polynomial-2 … polynomial-10.
+    s_filter_um
+        Nesting index of the Gaussian filter that removes shorter wavelengths.
+    l_filter_um
+        Nesting index of the Gaussian filter that removes longer wavelengths.
+    region_um
+        Left, top, right, bottom, from the centre of the first pixel.
+    parameters
+        Groups (height, hybrid, spatial, functional) or single names.
+    spectrum
+        Also measure the power spectral density.
+    detail
+        Measure everything on raw or on shrunk detail. Default: roughness on raw detail with its noise subtracted, steps
+        and radii on shrunk detail.
+    coverage_factor
+        1 for standard uncertainties, 2 for about 95 %.
+    json
+        Also write everything to this file; - writes only it, to the output.
+    csv
+        Also write all quantities to this file; - writes only them, to the output.
+    """
+    given = {
+        "form": form,
+        "s_filter_um": s_filter_um,
+        "l_filter_um": l_filter_um,
+        "region_um": region_um,
+        "parameters": parameters,
+        "spectrum": spectrum,
+        "detail": detail,
+        "coverage_factor": coverage_factor,
+    }
+    chosen = chosen_recipe(recipe, {name: value for name, value in given.items() if value is not None})
+    done: list[Measurement] = []
+    failed = False
+    alone = Path("-") in (json, csv)
+    for found in measured(result_folders(results, library), chosen):
+        if isinstance(found, str):
+            failed = True
+            print_error(found, PARTLY)
+            continue
+        from host_sync.measurement.measurement_text import as_text
+
+        done.append(found)
+        if not alone:
+            for line in (*as_text(found).splitlines(), ""):
+                print_line(line)
+    _write_files(done, json, csv)
+    if failed:
+        return PARTLY if done else BAD_INPUT
+    return DONE
+
+
+def chosen_recipe(path: Path | None, given: dict[str, object]) -> Recipe:
+    """The recipe of a file, or the default, with the options of the command line.
+
+    Raises
+    ------
+    MeasurementError
+        Names the key and what is accepted.
+    """
+    from host_sync.measurement.recipe import Recipe, checked, from_options, read_recipe
+
+    recipe = read_recipe(path) if path else Recipe()
+    return checked(from_options(recipe, given), "options") if given else recipe
+
+
+def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | str]:
+    """Result folders in order; a sentence for a scan without results.
+
+    Raises
+    ------
+    MeasurementError
+        No result is named.
+    LibraryError, NoSuchBundle
+        The library cannot be read or has no such scan.
+    """
+    if library is None:
+        if not names:
+            raise MeasurementError("name folders that retrosync reconstruct wrote, or --library LIB")
+        return list(names)
+    held = Library(library)
+    listing = held.scans()
+    scans = [held.find(str(name)) for name in names] if names else list(listing.bundles)
+    found: list[Path | str] = []
+    for scan in scans:
+        try:
+            found.append(held.newest_result(scan))
+        except MissingResult as error:
+            found.append(str(error))
+    if not names:
+        found += [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
+    if not found:
+        raise MeasurementError(f"{library} holds no scans: pull some first")
+    return found
+
+
+def measured(folders: Sequence[Path | str], recipe: Recipe, *, draws: bool = True) -> Iterator[Measurement | str]:
+    """The measurement of each folder in turn, or a sentence that says why there is none."""
+    with status_spinner() as tell:
+        tell("loading compiled code")
+        from host_sync.measurement.measure import measure_result
+
+        for folder in folders:
+            if isinstance(folder, str):
+                yield folder
+                continue
+            try:
+                yield measure_result(folder, recipe, tell, draws=draws)
+            except (DeviceError, HostError) as error:
+                words = str(error)
+                yield words if words.startswith(str(folder)) else f"{folder}: {words}"
+
+
+def _write_files(done: Sequence[Measurement], json: Path | None, csv: Path | None) -> None:
+    from host_sync.measurement.measurement_text import as_csv, as_record
+
+    if json is not None:
+        write_text(json, msgspec.json.format(msgspec.json.encode([as_record(one) for one in done]), indent=2).decode())
+    if csv is not None:
+        write_text(csv, as_csv(done))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text to a file atomically, or to standard output if it is -.
+
+    Raises
+    ------
+    OutputError
+        The place cannot be written.
+    """
+    if path == Path("-"):
+        sys.stdout.write(text.rstrip("\n") + "\n")
+        return
+    write_output(path, text.encode())

@@ -1,0 +1,177 @@
+"""`retrosync pull`, `sync`, `push-calibration`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cyclopts import App
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
+
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, print_error, print_line
+from host_sync.cli.devices import known_devices
+from host_sync.errors import PairingError, SourceError
+from host_sync.library.library import Library, default_library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ingest import ReceiptWriter
+from host_sync.offload.ledger import PullReport
+from host_sync.offload.paired_devices import this_host
+from host_sync.offload.pull import PullProgress, pull, sync, sync_one, utc_now
+from host_sync.offload.resolve import Address, is_folder, open_device, open_source
+
+Show = Callable[[str, PullProgress], None]
+
+
+def register(app: App) -> None:
+    """Add these commands."""
+    app.command(pull_command, name="pull")
+    app.command(sync_command, name="sync")
+    app.command(push_command, name="push-calibration")
+
+
+def pull_command(source: str, *, library: Folder | None = None, at: str | None = None, verify: bool = False) -> int:
+    """Copy every scan and calibration that the library lacks, read each one back, and leave receipts.
+
+    Parameters
+    ----------
+    source
+        A paired device, or a card, mount or folder that holds a device's store.
+    library
+        Where to; ~/Retrograph when not given.
+    at
+        The device's present address, HOST or HOST:PORT, if it has changed since pairing.
+    verify
+        Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
+    """
+    target = Library(library or default_library())
+    devices = known_devices()
+    address = Address.parse(at) if at else None
+    with _progress() as show:
+        if is_folder(source):
+            opened = DirectorySource(Path(source))
+            report = pull(
+                opened,
+                target,
+                lambda state: show(opened.name, state),
+                ReceiptWriter(this_host(), utc_now),
+                verify=verify,
+            )
+        else:
+            device = devices.find(source)
+            with target.writing():
+                report = sync_one(
+                    device,
+                    target,
+                    devices,
+                    lambda device: open_device(device, devices, address),
+                    lambda state: show(device.device_id, state),
+                    verify=verify,
+                )
+    return _print_report(report, str(target.root))
+
+
+def sync_command(*names: str, library: Folder | None = None, verify: bool = False) -> int:
+    """Pull from every paired device, or from those named, side by side.
+
+    Parameters
+    ----------
+    names
+        Paired devices; all when none is named.
+    library
+        Where to; ~/Retrograph when not given.
+    verify
+        Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
+    """
+    target, devices = Library(library or default_library()), known_devices()
+    wanted = [devices.find(name) for name in names] or devices.all()
+    if not wanted:
+        raise PairingError("no device is paired: `retrosync pair HOST` first")
+    with _progress() as show:
+        outcomes = sync(
+            wanted,
+            target,
+            devices,
+            lambda device: open_device(device, devices),
+            lambda device, state: show(device.device_id, state),
+            verify=verify,
+        )
+    codes = []
+    for device, outcome in zip(wanted, outcomes, strict=True):
+        if isinstance(outcome, PullReport):
+            codes.append(_print_report(outcome, f"{device.device_id}, {target.root}"))
+        else:
+            codes.append(print_error(outcome, CONNECTION if isinstance(outcome, SourceError) else BAD_INPUT))
+    return PARTLY if DONE in codes and max(codes) > DONE else max(codes)
+
+
+def push_command(source: str, calibration: str, *, library: Folder | None = None, at: str | None = None) -> int:
+    """Put a calibration of the library into a device's inbox; the device verifies it on import.
+
+    Parameters
+    ----------
+    source
+        A paired device, or the folder of a store.
+    calibration
+        Its id, or the beginning or end of it.
+    library
+        Where from; ~/Retrograph when not given.
+    at
+        Where the device is now, HOST or HOST:PORT.
+    """
+    from host_sync.offload.push import push_calibration
+
+    bundle = Library(library or default_library()).find_calibration(calibration)
+    with open_source(source, known_devices(), Address.parse(at) if at else None) as opened:
+        push_calibration(opened, bundle)
+    print_line(f"{bundle.calibration_id} is in the inbox of {source}: `retroscan import-inbox --activate` imports it.")
+    return DONE
+
+
+def _print_report(report: PullReport, where: str) -> int:
+    """Print what a pull did; returns the exit code."""
+    total = report.here + len(report.failed)
+    print_line(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {where}")
+    earlier = f", {len(report.unread)} by an earlier pull (--verify hashes them again)" if report.unread else ""
+    print_line(f"{report.here - len(report.unread)} of {total} verified{earlier}")
+    for scan in report.without_calibration:
+        print_line(f"Note: scan {scan} has no calibration here.")
+    if report.unreceipted is not None:
+        print_line(f"Note: no receipts were left, so the device keeps its scans: {report.unreceipted}")
+    for failure in (*report.failed, *report.refused_receipts):
+        print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
+    if report.lost is not None:
+        return print_error(report.lost, CONNECTION)
+    return DONE if report.complete else PARTLY
+
+
+@contextmanager
+def _progress() -> Iterator[Show]:
+    """A progress bar for each source, on stderr."""
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bars: dict[str, TaskID] = {}
+
+        def show(source: str, state: PullProgress) -> None:
+            if source not in bars:
+                bars[source] = progress.add_task(source, total=None)
+            words = f"{source}: {state.bundle_id}"
+            progress.update(bars[source], description=words, completed=state.done_bytes, total=state.total_bytes)
+
+        yield show

@@ -1,0 +1,100 @@
+"""`retrosync report`: writes an HTML file and a PDF per result, by a recipe."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from cyclopts import App
+
+from device.errors import DeviceError
+from device.io.atomic import write_output
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line
+from host_sync.cli.measure import chosen_recipe, measured, result_folders
+from host_sync.errors import HostError, ResultError
+
+MAX_NAME = 80
+NUMBERS_FILE = "numbers.csv"
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    app.command(report_command, name="report")
+
+
+def report_command(
+    *results: Path, out: Folder, recipe: Path | None = None, library: Folder | None = None, force: bool = False
+) -> int:
+    """Report on results: relief, frame, profiles, numbers with their ±, calibration and provenance, as HTML and PDF.
+
+    Parameters
+    ----------
+    results
+        Folders that reconstruct wrote. With --library, scans of it; all by default.
+    out
+        Folder for NAME.html and NAME.pdf of each result, and numbers.csv with all quantities.
+    recipe
+        TOML file of the measurement recipe.
+    library
+        Folder of pulled scans, each with its newest results.
+    force
+        Replace existing reports.
+    """
+    chosen = chosen_recipe(recipe, {})
+    folders = result_folders(results, library)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f"{out} cannot be written ({error.strerror}): choose another place") from error
+    _check_free([out / NUMBERS_FILE], replace=force)
+    done = []
+    failed = False
+    taken: set[str] = set()
+    for found in measured(folders, chosen):
+        if isinstance(found, str):
+            failed = True
+            print_error(found, PARTLY)
+            continue
+        from host_sync.report.composing import compose
+        from host_sync.report.html_page import html_page
+        from host_sync.report.pdf_pages import pdf_pages
+
+        name = file_name(found.record.scan_id or found.record.name, taken)
+        try:
+            report = compose(found)
+            pages = {".html": html_page(report).encode(), ".pdf": pdf_pages(report)}
+            places = {ending: out / f"{name}{ending}" for ending in pages}
+            _check_free(places.values(), replace=force)
+            for ending, data in pages.items():
+                write_output(places[ending], data)
+                print_line(str(places[ending]))
+        except (DeviceError, HostError) as error:
+            failed = True
+            print_error(error, PARTLY)
+        else:
+            done.append(found)
+    if done:
+        from host_sync.measurement.measurement_text import as_csv
+
+        write_output(out / NUMBERS_FILE, as_csv(done).encode())
+    if failed:
+        return PARTLY if done else BAD_INPUT
+    return DONE
+
+
+def file_name(text: str, taken: set[str]) -> str:
+    """A new file name from any text: letters, digits and . _ - only, not hidden; it is added to those taken."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", text).strip("._-")[:MAX_NAME] or "result"
+    name, number = plain, 2
+    while name.casefold() in taken:
+        name, number = f"{plain}-{number}", number + 1
+    taken.add(name.casefold())
+    return name
+
+
+def _check_free(places: Iterable[Path], *, replace: bool) -> None:
+    """Refuse to replace existing files without --force."""
+    for path in places:
+        if path.exists() and not replace:
+            raise ResultError(f"{path} exists already: choose another folder, or --force to replace it")

@@ -1,0 +1,142 @@
+"""`retrosync video`: reconstructs a video of the surface under the gel (paper, section 6.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclopts import App
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from device.bundles.calibration import read_calibration
+from device.io.atomic import check_replaceable
+from host_sync.cli.compile_notice import tell_of_compiling
+from host_sync.cli.console import print_error, print_line
+from host_sync.cli.reconstruct import MethodName
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.frame_set_file import Encoding
+from host_sync.frames.sequence import open_sequence
+from host_sync.library.library import Library
+from host_sync.text import printable
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Calibration
+    from host_sync.video.reconstruct import SequenceReport
+
+DONE, PARTLY = 0, 1
+
+Tell = Callable[[str, int | None, int | None], None]
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    app.command(video)
+
+
+def video(
+    sequence: Path,
+    *,
+    calibration: str,
+    out: Path,
+    library: Path | None = None,
+    encoding: Encoding | None = None,
+    rate_hz: float | None = None,
+    method: MethodName | None = None,
+    weighted: bool = True,
+    mp4: bool = True,
+    gif: bool = True,
+    force: bool = False,
+) -> int:
+    """Reconstruct every frame of a sequence and draw the moving relief.
+
+    Parameters
+    ----------
+    sequence
+        A folder of RGB images or raw frames in natural order, a TIFF of many pages, or an AVI, MP4 or MKV movie.
+    calibration
+        A FRAMESET.toml or a calibration's folder; with --library, a calibration's id or its beginning or end.
+    out
+        Folder for heights_um.tif, relief.mp4, relief.gif and result.json.
+    library
+        Folder of pulled scans and calibrations.
+    encoding
+        Encoding of light in the frames' values; that of the frame set by default.
+    rate_hz
+        Frames per second; that of the movie by default, else 25.
+    method
+        Method of reconstruction; the one with the smaller held-out error by default.
+    weighted
+        Weight each pixel by its confidence; without, all pixels count alike, which is faster.
+    mp4
+        Write the MP4.
+    gif
+        Write the GIF.
+    force
+        Also solve frames that do not fit the calibration.
+    """
+    if rate_hz is not None and not 1e-6 <= rate_hz <= 1e6:
+        raise FrameSetError(f"--rate-hz {rate_hz:g} is not a rate: give frames per second, such as 25")
+    frames = open_sequence(sequence)
+    with _telling() as tell:
+        tell_of_compiling()
+        tell("loading compiled code", None, None)
+        from host_sync.results.files import RECORD_FILE
+        from host_sync.video.frame_solver import FrameSolver
+        from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
+
+        check_replaceable(out, RECORD_FILE)  # before minutes of work
+        known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
+        solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
+        facts = (("sequence", printable(sequence.name)), ("calibration", printable(calibration)))
+        order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, facts)
+        report = reconstruct_sequence(frames, known, solver, out, order, tell)
+    return _tell_report(report, out)
+
+
+def _calibration(name: str, library: Path | None, tell: Callable[[str], None]) -> tuple[Calibration, Encoding | None]:
+    """The calibration of that name, and the encoding of its frame set.
+
+    Raises
+    ------
+    HostError, DeviceError
+        There is none, or it is damaged.
+    """
+    path = Path(name)
+    if library is None and not path.is_dir():
+        frame_set = load_frame_set(path)
+        from host_sync.reconstruction.from_frame_set import calibrate_frame_set
+
+        return calibrate_frame_set(frame_set, tell), frame_set.presses[0].frame.encoding
+    bundle = Library(library).find_calibration(name) if library else read_calibration(path)
+    from host_sync.reconstruction.from_library import calibration_of
+
+    return calibration_of(bundle, tell), None
+
+
+def _tell_report(report: SequenceReport, out: Path) -> int:
+    for failure in report.failures:
+        print_error(failure.reason, PARTLY)
+    total = len(report.outcomes)
+    drawn = f", {report.pictures_per_s:.1f} pictures/s" if report.pictures_per_s else ""
+    done = total - len(report.failures)
+    print_line(f"{done} of {total} frames into {out}: {report.heights_per_s:.1f} heights/s{drawn}")
+    return PARTLY if report.failures else DONE
+
+
+@contextmanager
+def _telling() -> Iterator[Tell]:
+    """A progress line, on a terminal only."""
+    console = Console(stderr=True)
+    words = TextColumn("{task.description}", markup=False)
+    columns = (words, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=None)
+
+        def tell(step: str, done: int | None, total: int | None) -> None:
+            progress.update(task, description=step, completed=done or 0, total=total)
+
+        yield tell

@@ -1,0 +1,75 @@
+"""`retrosync view`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+from cyclopts import App
+
+from host_sync.cli.console import DONE, Folder, print_error, print_line
+from host_sync.library.library import default_library
+
+
+def register(app: App) -> None:
+    """Add the command."""
+    app.command(view_command, name="view")
+
+
+def view_command(
+    what: Folder | None = None,
+    *,
+    frames: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    cache: Folder | None = None,
+    browser: bool = True,
+) -> int:
+    """Show scans in a browser: relight, turn, profiles, comparison. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    what
+        A library, a folder of results, or one result; ~/Retrograph by default.
+    frames
+        The FRAMESET.toml that the results were made from, to show their frames.
+    host
+        Address to listen on. Beyond this machine the connection is not encrypted.
+    port
+        Port to listen on; a free one by default.
+    cache
+        Cache folder, which can be deleted at any time; in the user's cache by default.
+    browser
+        Open the page in the desktop's browser.
+    """
+    from host_sync.frames.frame_set import load_frame_set
+    from host_sync.viewer.access import LOOPBACK, Access, redirect_file
+    from host_sync.viewer.app import make_app
+    from host_sync.viewer.cache import default_cache
+    from host_sync.viewer.catalogue import Catalogue
+    from host_sync.viewer.service import ViewerService
+    from host_sync.viewer.serving import listening, make_server
+
+    catalogue = Catalogue(what or default_library())
+    service = ViewerService(catalogue, cache or default_cache(), load_frame_set(frames) if frames else None)
+    with ExitStack() as stack:
+        listeners = stack.enter_context(listening(host, port))
+        access = Access(host, listeners[0].getsockname()[1])
+        server = make_server(make_app(service, access))
+        if host not in LOOPBACK:
+            print_error(f"listening on {host}: anyone on that network can read the link and the scans", DONE)
+        print_line(f"Open {access.new_link()} (this link opens once)")
+        sys.stdout.flush()
+        if browser and _has_desktop():
+            webbrowser.open(stack.enter_context(redirect_file(access.new_link())).as_uri())
+        with suppress(KeyboardInterrupt):  # the normal way to end it
+            server.run(sockets=listeners)
+    return DONE
+
+
+def _has_desktop() -> bool:
+    """Whether a browser would open in a window and not in the terminal."""
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,198 @@
+"""Wavelet shrinkage of an intensity image in one pass over memory; what it computes says `wavelet_shrinkage`.
+
+A tile of columns runs down its band of rows. Sixteen rows of the root image, of its three smoothed versions and of the
+three energies are held, so that a tile's working set stays in the second-level cache and every pixel is read and
+written once. What a pixel becomes depends on its neighbourhood alone, not on bands, tiles or threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEVELS, MIN_ENERGY, Shrinkage
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.kernels.planes import as_stored, colour_rows, empty_planes
+
+TILE_PX: Final = 480
+"""Columns that are worked on at a time."""
+
+_RING: Final = 16
+"""Rows held of every plane, a power of two above the 12 that are needed."""
+
+_LAST: Final = _RING - 1
+_PLANES: Final = LEVELS + 1
+_LAG: Final = (1 << LEVELS) - 1
+_ONE: Final = np.float32(1.0)
+_ZERO: Final = np.float32(0.0)
+_HALF: Final = np.float32(0.5)
+_QUARTER: Final = np.float32(0.25)
+_THIRD: Final = np.float32(1.0 / 3.0)
+_FIFTH: Final = np.float32(0.2)
+_CONTRACT: Final = {"contract", "nsz"}
+
+
+def shrink(image: NormalizedImage, shrinkage: Shrinkage, out: NormalizedImage | None = None) -> NormalizedImage:
+    """The image with its noise shrunk, in the pixels of `out` when it is given; validity and clipping stay."""
+    values = empty_planes(image.shape) if out is None else out.values
+    parallel_rows(
+        _shrink_rows, image.shape, *as_stored(image.values), np.moveaxis(values, -1, 0),
+        np.ascontiguousarray(shrinkage.whitening, np.float32), np.ascontiguousarray(shrinkage.threshold, np.float32),
+        np.ascontiguousarray(shrinkage.kept, np.float32),
+    )  # fmt: skip
+    return NormalizedImage(values, image.valid, image.clipped)
+
+
+@njit(cache=True, nogil=True)
+def _shrink_rows(
+    stored: Any, by_plane: bool, out: Any, whitening: Any, threshold: Any, kept: Any, first: int, last: int
+) -> None:
+    """Write the rows `first` to `last` - 1 of `out`, float32 array of shape (3, H, W)."""
+    rows, columns = out.shape[1:]
+    width = min(TILE_PX, columns) + 2 * HALO_PX
+    planes = np.empty((_PLANES, 3, _RING, width), np.float32)
+    energy = np.empty((LEVELS, _RING, width), np.float32)
+    spare, part, gain = np.empty((3, width), np.float32), np.empty(width, np.float32), np.empty((2, width), np.float32)
+    for start in range(0, columns, TILE_PX):
+        end = min(start + TILE_PX, columns)
+        size = end - start + 2 * HALO_PX
+        for r in range(first - HALO_PX, last + HALO_PX):
+            seen = min(max(r, 0), rows - 1)
+            _load(stored, by_plane, seen, start, end, columns, spare, planes[0, :, r & _LAST])
+            _smooth_step(planes, 0, r, size, part)
+            _smooth_step(planes, 1, r - 1, size, part)
+            _smooth_step(planes, 2, r - 3, size, part)
+            at = r - _LAG
+            for level in range(LEVELS):
+                fine, rest = planes[level, :, at & _LAST], planes[level + 1, :, at & _LAST]
+                _energy_row(fine, rest, whitening[level], size, energy[level, at & _LAST])
+            row = r - HALO_PX
+            if row >= first:
+                _write_row(planes, energy, threshold, kept, row, start, end, gain, out)
+
+
+@njit(cache=True)
+def _load(
+    stored: Any, by_plane: bool, row: int, start: int, end: int, columns: int, spare: Any, root: Any
+) -> None:  # fmt: skip
+    """Write the root of a row's three colours; beyond the border the outermost pixel repeats."""
+    left, right = max(start - HALO_PX, 0), min(end + HALO_PX, columns)
+    colours = colour_rows(stored, by_plane, row, left, right, spare)
+    before = left - (start - HALO_PX)
+    inside = right - left
+    size = end - start + 2 * HALO_PX
+    for channel in range(3):
+        values = colours[channel]
+        own = root[channel]
+        _root_row(values, own[before : before + inside])
+        own[:before] = own[before]
+        own[before + inside : size] = own[before + inside - 1]
+
+
+@njit(cache=True, error_model="numpy")
+def _root_row(values: Any, out: Any) -> None:
+    for c in range(out.size):
+        out[c] = np.sqrt(max(values[c], _ZERO))
+
+
+@njit(cache=True)
+def _smooth_step(planes: Any, level: int, newest: int, size: int, part: Any) -> None:
+    """Smooth a level's row at its hole's distance above the newest into the next level."""
+    hole = 1 << level
+    row = newest - hole
+    for channel in range(3):
+        plane, out = planes[level, channel], planes[level + 1, channel, row & _LAST]
+        _down(plane[(row - hole) & _LAST], plane[row & _LAST], plane[newest & _LAST], size, part)
+        _across(part, hole, size, out)
+
+
+@njit(cache=True, fastmath=_CONTRACT)
+def _down(above: Any, here: Any, below: Any, size: int, out: Any) -> None:
+    for c in range(size):
+        out[c] = _HALF * here[c] + _QUARTER * (above[c] + below[c])
+
+
+@njit(cache=True, fastmath=_CONTRACT)
+def _across(row: Any, hole: int, size: int, out: Any) -> None:
+    here, left, right, inner = row[hole : size - hole], row[: size - 2 * hole], row[2 * hole : size], out[hole:]
+    for c in range(here.size):
+        inner[c] = _HALF * here[c] + _QUARTER * (left[c] + right[c])
+    out[:hole] = _ZERO
+    out[size - hole : size] = _ZERO
+
+
+@njit(cache=True, fastmath=_CONTRACT)
+def _energy_row(fine: Any, rest: Any, w: Any, size: int, out: Any) -> None:
+    """Write the energy of the detail between two levels' rows, arrays of shape (3, n)."""
+    fine0, fine1, fine2 = fine[0], fine[1], fine[2]
+    rest0, rest1, rest2 = rest[0], rest[1], rest[2]
+    w00, w01, w02, w11, w12, w22 = w[0, 0], w[0, 1], w[0, 2], w[1, 1], w[1, 2], w[2, 2]
+    for c in range(size):
+        red, green, blue = fine0[c] - rest0[c], fine1[c] - rest1[c], fine2[c] - rest2[c]
+        first = w00 * red + w01 * green + w02 * blue
+        second = w11 * green + w12 * blue
+        third = w22 * blue
+        out[c] = (first * first + second * second + third * third) * _THIRD
+
+
+@njit(cache=True)
+def _write_row(
+    planes: Any, energy: Any, threshold: Any, kept: Any, row: int, start: int, end: int, gain: Any, out: Any
+) -> None:  # fmt: skip
+    """Write a row of a tile: the smooth rest and what is kept of each level's detail, squared."""
+    at = row & _LAST
+    count = end - start
+    inner = slice(HALO_PX, HALO_PX + count)
+    for level in range(LEVELS):
+        ring = energy[level]
+        _gain_row(
+            ring[(row - 2) & _LAST], ring[(row - 1) & _LAST], ring[at],
+            ring[(row + 1) & _LAST], ring[(row + 2) & _LAST],
+            threshold[level], kept[level], gain[0, :count],
+        )  # fmt: skip
+        for channel in range(3):
+            fine, rest = planes[level, channel, at, inner], planes[level + 1, channel, at, inner]
+            _add_detail(fine, rest, gain[0], level == 0, out[channel, row, start:end])
+    for channel in range(3):
+        _square_sum(planes[LEVELS, channel, at, inner], out[channel, row, start:end])
+
+
+@njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
+def _gain_row(
+    above2: Any, above: Any, here: Any, below: Any, below2: Any, threshold: Any, kept: Any, out: Any
+) -> None:  # fmt: skip
+    """Write what share of a level's detail is kept."""
+    first = HALO_PX - 2
+    size = out.size + 4
+    a2, a1, b1, b2 = above2[first:], above[first:], below[first:], below2[first:]
+    h = here[first : first + size]
+    for c in range(out.size):
+        middle = h[c + 2]
+        flat = h[c] + h[c + 1] + middle + h[c + 3] + h[c + 4]
+        upright = a2[c + 2] + a1[c + 2] + middle + b1[c + 2] + b2[c + 2]
+        falling = a2[c] + a1[c + 1] + middle + b1[c + 3] + b2[c + 4]
+        rising = a2[c + 4] + a1[c + 3] + middle + b1[c + 1] + b2[c]
+        largest = max(max(flat, upright), max(falling, rising)) * _FIFTH
+        lost = threshold / max(largest, MIN_ENERGY)
+        share = max(_ZERO, _ONE - lost * lost)
+        out[c] = kept + (_ONE - kept) * share
+
+
+@njit(cache=True, fastmath=_CONTRACT)
+def _add_detail(fine: Any, rest: Any, gain: Any, begin: bool, out: Any) -> None:
+    if begin:
+        for c in range(out.size):
+            out[c] = gain[c] * (fine[c] - rest[c])
+    else:
+        for c in range(out.size):
+            out[c] += gain[c] * (fine[c] - rest[c])
+
+
+@njit(cache=True, fastmath=_CONTRACT)
+def _square_sum(rest: Any, out: Any) -> None:
+    for c in range(out.size):
+        total = out[c] + rest[c]
+        out[c] = total * total

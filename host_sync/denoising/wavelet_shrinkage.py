@@ -1,0 +1,110 @@
+"""Wavelet shrinkage of an intensity image, written plainly; `shrinkage_kernel` does the same in one pass.
+
+The image's root has shot noise of the same variance everywhere. An à-trous transform of it (Starck, Murtagh & Fadili,
+"Sparse Image and Signal Processing", chapter 3; filter [1 2 1]/4, holes of 1, 2 and 4 pixels) leaves three planes of
+detail d_j and a smooth rest. At each pixel the energy of the three colours' detail, in units of its noise, is averaged
+along five pixels in four directions; the largest of the four decides how much of the detail is kept. A line keeps its
+energy along itself and survives, a speckle does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array
+
+LEVELS: Final = 3
+REACH_PX: Final = 2
+"""Pixels on either side of the one whose energy is averaged along a direction."""
+
+DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""(row, column) steps along which energy is averaged."""
+
+HALO_PX: Final = (1 << LEVELS) - 1 + REACH_PX
+"""How far around a pixel its shrunk value depends on the image."""
+
+SPLIT_PX: Final = 8.0
+"""Standard deviation of the Gaussian that parts fine from coarse: half of a sinusoid of 43 px is on either side.
+
+The coarsest detail that is shrunk has periods of about 10 to 30 px.
+"""
+
+MIN_ENERGY: Final = np.float32(1e-12)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shrinkage:
+    """How detail is shrunk.
+
+    whitening : float32 array of shape (3, 3, 3), one upper-triangular matrix W a level: |W d|² / 3 averages 1 on noise
+    threshold : float32 array of shape (3,), λ of each level: 1 - (λ / energy)² of the detail is kept
+    kept : float32 array of shape (3,), share of each level's detail that is kept in any case
+    """
+
+    whitening: Float32Array
+    threshold: Float32Array
+    kept: Float32Array
+
+
+def shrunk_values(values: Float32Array, shrinkage: Shrinkage) -> Float32Array:
+    """Intensities of shape (H, W, 3) with their noise shrunk; float32 array of the same shape.
+
+    Beyond the border the outermost pixels repeat.
+    """
+    root = np.sqrt(np.maximum(values, np.float32(0.0)))
+    padded = np.pad(root, ((HALO_PX, HALO_PX), (HALO_PX, HALO_PX), (0, 0)), mode="edge")
+    details, rest = detail_planes(padded)
+    inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
+    total = rest[inner]
+    for level, detail in enumerate(details):
+        energy = directional_energy(noise_energy(detail, shrinkage.whitening[level]))[inner]
+        gain = np.maximum(np.float32(0.0), np.float32(1.0) - (shrinkage.threshold[level] / energy) ** 2)
+        gain = shrinkage.kept[level] + (np.float32(1.0) - shrinkage.kept[level]) * gain
+        total = total + gain[..., None] * detail[inner]
+    return np.asarray(total * total, np.float32)
+
+
+def detail_planes(root: Float32Array) -> tuple[list[Float32Array], Float32Array]:
+    """Detail planes, finest first, and the smooth rest, of an image of shape (H, W, C); all of its shape.
+
+    Up to 7 pixels from the border they are not those of a larger image.
+    """
+    details, smooth = [], root
+    for level in range(LEVELS):
+        smoother = _smoothed(_smoothed(smooth, 1 << level, 0), 1 << level, 1)
+        details.append(smooth - smoother)
+        smooth = smoother
+    return details, smooth
+
+
+def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
+    """Energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
+    whitened = detail @ whitening.T
+    return np.asarray((whitened * whitened).sum(axis=-1) / np.float32(3.0), np.float32)
+
+
+def directional_energy(energy: Float32Array) -> Float32Array:
+    """The largest mean of energy along five pixels in four directions: float32 array of the shape of `energy`."""
+    best = np.full(energy.shape, MIN_ENERGY, np.float32)
+    for down, across in DIRECTIONS:
+        total = energy.copy()
+        for step in range(1, REACH_PX + 1):
+            total += _moved(energy, step * down, step * across) + _moved(energy, -step * down, -step * across)
+        best = np.maximum(best, total * np.float32(1.0 / (2 * REACH_PX + 1)))
+    return best
+
+
+def _smoothed(image: Float32Array, hole: int, axis: int) -> Float32Array:
+    shift = (hole, 0) if axis == 0 else (0, hole)
+    around = _moved(image, *shift) + _moved(image, -shift[0], -shift[1])
+    return np.asarray(np.float32(0.5) * image + np.float32(0.25) * around, np.float32)
+
+
+def _moved(image: Any, down: int, across: int) -> Any:
+    """The image moved by whole pixels; beyond the border the outermost pixels repeat."""
+    rows = np.clip(np.arange(image.shape[0]) + down, 0, image.shape[0] - 1)
+    columns = np.clip(np.arange(image.shape[1]) + across, 0, image.shape[1] - 1)
+    return image[rows][:, columns]

@@ -1,0 +1,1 @@
+"""Held-out error, figures of the paper, reprocessing."""

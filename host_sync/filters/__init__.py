@@ -1,0 +1,1 @@
+"""Form removal and filters before a measurement."""

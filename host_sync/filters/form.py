@@ -1,0 +1,98 @@
+"""Form removal by least squares on the valid pixels: mean, plane, polynomial (F-operator of ISO 25178-3).
+
+A polynomial of degree n has the terms column^i row^j with i + j <= n. Its normal equations are sums over rows and
+columns in the form of matrix products, a fraction of a second for 12 megapixels; the matrix depends on the mask only
+and is computed once for a surface and its draws.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+from host_sync.errors import MeasurementError
+
+MAX_DEGREE: Final = 10
+ROWS_AT_ONCE: Final = 256
+
+_MIN_EIGENVALUE: Final = 1e-12
+"""Smallest eigenvalue of determined normal equations, as a fraction of the largest."""
+
+
+class FormRemoval(Protocol):
+    """Removes the form of surfaces with one mask."""
+
+    def remove(self, z_um: Float32Array) -> Float32Array:
+        """Heights above the form: float32 array of shape (H, W), NaN where invalid."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Basis:
+    """Powers of the coordinate along one axis, from -1 to 1: float64 array of shape (side, count)."""
+
+    powers: Float64Array
+
+    @classmethod
+    def along(cls, side: int, count: int) -> _Basis:
+        return cls(np.linspace(-1.0, 1.0, side)[:, None] ** np.arange(count))
+
+
+class PolynomialForm:
+    """A polynomial in column and row.
+
+    Parameters
+    ----------
+    valid : bool array of shape (H, W)
+    degree : 0 removes the mean, 1 the plane
+
+    Raises
+    ------
+    MeasurementError
+        The degree is too high, or the valid pixels do not determine the polynomial.
+    """
+
+    def __init__(self, valid: MaskArray, degree: int) -> None:
+        if not 0 <= degree <= MAX_DEGREE:
+            raise MeasurementError(f"polynomial of degree {degree}: give 0 to {MAX_DEGREE}")
+        self._valid = valid
+        self._terms = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)])
+        self._down, self._across = (_Basis.along(side, 2 * degree + 1).powers for side in valid.shape)
+        moments = self._moments(valid, 2 * degree + 1)
+        i, j = self._terms.T
+        self._normal = moments[np.add.outer(i, i), np.add.outer(j, j)]
+        self._degree = degree
+        self._check_determined()
+
+    def remove(self, z_um: Float32Array) -> Float32Array:
+        """Heights above the polynomial: float32 array of shape (H, W), NaN where invalid."""
+        level = np.float32(z_um[self._valid].mean(dtype=np.float64))
+        filled = np.where(self._valid, z_um - level, np.float32(0.0))
+        i, j = self._terms.T
+        solution = np.linalg.solve(self._normal, self._moments(filled, self._degree + 1)[i, j])
+        grid = np.zeros((self._degree + 1, self._degree + 1))
+        grid[i, j] = solution
+        count = self._degree + 1
+        across = (grid @ self._across[:, :count].T).astype(np.float32)
+        filled -= self._down[:, :count].astype(np.float32) @ across
+        filled[~self._valid] = np.nan
+        return filled
+
+    def _moments(self, values: Float32Array | MaskArray, count: int) -> Float64Array:
+        """Sums of value times row^i column^j: float64 array of shape (count, count)."""
+        total = np.zeros((count, count))
+        for first in range(0, values.shape[0], ROWS_AT_ONCE):
+            rows = slice(first, first + ROWS_AT_ONCE)
+            total += self._down[rows, :count].T @ (values[rows].astype(np.float64) @ self._across[:, :count])
+        return total
+
+    def _check_determined(self) -> None:
+        eigenvalues = np.linalg.eigvalsh(self._normal)
+        if not eigenvalues[0] > _MIN_EIGENVALUE * eigenvalues[-1]:
+            raise MeasurementError(
+                f"{int(self._valid.sum())} valid pixels do not determine a polynomial of degree {self._degree}: "
+                "choose a lower degree or a larger region"
+            )

@@ -1,0 +1,140 @@
+"""Refuses a frame whose lights shine otherwise than in the calibration: all of them, or one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.frame_checks.lamp_levels import LevelSight, SlopeResponse, pressed_levels, untouched_levels
+from host_sync.results.frame_check import FrameCheck, not_checked
+
+NAME: Final = "light levels"
+MARGIN: Final = 0.05
+"""Log change of a channel, beyond those among the calibration's presses, up to which heights stay useful."""
+
+SIGMAS: Final = 2.5
+"""A change counts when it lies so many standard deviations outside of what is allowed."""
+
+MAX_REACH: Final = 0.15
+"""Where allowed range and uncertainty of all lights together reach farther, the check says nothing."""
+
+SECOND_LARGEST: Final = 0.25
+"""Where the largest patch of equal levels is outside, another one inside clears the frame from this fraction of it on:
+a flat object may cover more of the field than untouched skin does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelModel:
+    """What levels the calibration's own presses show.
+
+    low, high : float64 arrays of shape (3,), log levels that are allowed
+    common : lowest and highest allowed mean of the three
+    response : to slope, None where the presses do not tell it
+    """
+
+    low: Float64Array
+    high: Float64Array
+    common: tuple[float, float]
+    response: SlopeResponse | None
+
+    @classmethod
+    def of(cls, presses: Sequence[Float32Array], response: SlopeResponse | None) -> LevelModel:
+        """The model from log intensity of each press in cells."""
+        seen = [sights[0].levels for cells in presses if (sights := _sights(cells, response))]
+        levels = np.array([np.zeros(3), *seen])
+        spread = levels[1:].std(axis=0) if len(seen) > 1 else np.zeros(3)
+        mean = levels.mean(axis=1)
+        off = MARGIN + (float(mean[1:].std()) if len(seen) > 1 else 0.0)
+        return cls(
+            levels.min(axis=0) - MARGIN - spread,
+            levels.max(axis=0) + MARGIN + spread,
+            (float(mean.min()) - off, float(mean.max()) + off),
+            response,
+        )
+
+    @property
+    def reach(self) -> float:
+        """Largest change of all lights together, as a fraction, that presses of the calibration show or may have."""
+        return max(-self.common[0], self.common[1])
+
+    def check(self, cells: Float32Array) -> FrameCheck:
+        """The check of a frame's log intensity in cells."""
+        sights = _sights(cells, self.response)
+        if not sights:
+            return not_checked(NAME, "no untouched skin is seen, and the calibration does not tell slopes from levels")
+        largest = sights[0]
+        reach = self._reach(largest)
+        if reach > MAX_REACH:
+            return not_checked(
+                NAME,
+                f"a change of the lights below {np.expm1(reach):.0%} cannot be told from how the calibration's presses "
+                f"differ{'' if largest.untouched else ' and what is pressed'}",
+            )
+        outside = self._outside(largest)
+        cleared = any(
+            self._outside(other) <= SIGMAS and other.untouched > SECOND_LARGEST * largest.untouched
+            for other in sights[1:]
+        )
+        if outside <= SIGMAS or cleared or (largest.untouched and self._is_tilt(cells, largest)):
+            worst = float(np.abs(largest.levels).max())
+            return FrameCheck(NAME, "passed", float(np.expm1(worst)), float(np.expm1(reach)), "relative")
+        return self._refusal(largest)
+
+    def _outside(self, sight: LevelSight) -> float:
+        """Distance of levels from the allowed ones, standard deviations."""
+        allowed = self._excess_of_common(sight)
+        root = np.linalg.cholesky(np.linalg.inv(sight.covariance)).T
+        fit = lsq_linear(root, root @ sight.levels, (self.low, self.high))
+        return float(max(np.sqrt(2.0 * fit.cost), allowed))
+
+    def _excess_of_common(self, sight: LevelSight) -> float:
+        """Distance of the mean of the three levels from the allowed ones, standard deviations."""
+        mean = float(sight.levels.mean())
+        beyond = max(self.common[0] - mean, mean - self.common[1], 0.0)
+        return beyond / float(np.sqrt(sight.covariance.mean()))
+
+    def _is_tilt(self, cells: Float32Array, sight: LevelSight) -> bool:
+        """Whether levels that are not allowed may come from a flat object that lies tilted under the whole field."""
+        if self.response is None:
+            return False
+        answer = self.response.terms[0]
+        tilted = LevelSight(sight.levels, sight.covariance + self.response.tilt**2 * answer.T @ answer, sight.untouched)
+        if self._outside(tilted) > SIGMAS:
+            return False
+        return self._outside(pressed_levels(cells, self.response)) <= SIGMAS
+
+    def _reach(self, sight: LevelSight) -> float:
+        """Largest log change of all lights together that could pass."""
+        sigma = float(np.sqrt(sight.covariance.mean()))
+        return self.reach + SIGMAS * sigma
+
+    def _refusal(self, sight: LevelSight) -> FrameCheck:
+        """What is wrong in words: all lights, or the one that differs most."""
+        levels = sight.levels
+        where = "its untouched skin" if sight.untouched else "its light"
+        mean = float(levels.mean())
+        if np.abs(levels - mean).max() < 0.35 * abs(mean):
+            limit = self.common[0] if mean < 0.0 else self.common[1]
+            value, what = mean, "in all channels"
+        else:
+            beyond = np.maximum(self.low - levels, levels - self.high)
+            worst = int(beyond.argmax())
+            value, what = float(levels[worst]), f"in {('red', 'green', 'blue')[worst]}"
+            limit = float(self.low[worst] if value < 0.0 else self.high[worst])
+        change, most = float(np.expm1(value)), float(np.expm1(limit))
+        side = "brighter" if value > 0.0 else "darker"
+        words = f"{where} is {abs(change):.0%} {side} {what} than the calibration's (at most {abs(most):.0%})"
+        return FrameCheck(NAME, "refused", abs(change), abs(most), "relative", words)
+
+
+def _sights(cells: Float32Array, response: SlopeResponse | None) -> list[LevelSight]:
+    """What is seen of the levels: of untouched skin, else by the fit; empty where neither is possible."""
+    found = untouched_levels(cells)
+    if not found and response is not None:
+        found = [pressed_levels(cells, response)]
+    return found

@@ -1,0 +1,1 @@
+"""Images of any camera, frame sets and sequences."""

@@ -1,0 +1,168 @@
+"""A frame set: images from another camera, described by a `frameset.toml`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.balls.sphere import Ball
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set_file import Encoding, ImageNames, PressTable, read_frame_set_file
+from host_sync.frames.image_file import ImageInfo, read_info
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSpec:
+    """One frame: an RGB image, or three grey ones in R, G, B order, and how their values encode light."""
+
+    images: tuple[Path, ...]
+    encoding: Encoding
+
+    @property
+    def name(self) -> str:
+        """Path of the first image, for messages."""
+        return str(self.images[0])
+
+
+@dataclass(frozen=True, slots=True)
+class PressSpec:
+    """A calibration press.
+
+    name : "press-00" and so on, in the order of the file
+    balls : labelled balls in pixels, or None to detect them
+    radius_tolerance_mm : tolerance of the ball radius, None when not stated
+    grid_pitch_mm, grid_tolerance_mm : distance of neighbouring balls when they form a square grid, and its tolerance
+    """
+
+    name: str
+    frame: FrameSpec
+    ball_radius_mm: float
+    radius_px: float
+    balls: tuple[Ball, ...] | None
+    grid_pitch_mm: float | None
+    radius_tolerance_mm: float | None = None
+    grid_tolerance_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSpec:
+    """A frame to reconstruct; its name is valid for a folder."""
+
+    name: str
+    frame: FrameSpec
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSet:
+    """A checked frame set; every frame has the same (H, W) `shape`."""
+
+    path: Path
+    name: str
+    pixel_pitch_um: float
+    shape: tuple[int, int]
+    reference: FrameSpec | None
+    presses: tuple[PressSpec, ...]
+    scans: tuple[ScanSpec, ...]
+
+
+def load_frame_set(path: Path) -> FrameSet:
+    """Read and check a frame set file; only the headers of its images are read.
+
+    Raises
+    ------
+    FrameSetError
+        Names the file and the key, or the image, that is wrong.
+    """
+    file = read_frame_set_file(path)
+
+    def frame(image: ImageNames) -> FrameSpec:
+        names = (image,) if isinstance(image, str) else image
+        return FrameSpec(tuple(path.parent / name for name in names), file.encoding)
+
+    reference = frame(file.reference.image) if file.reference else None
+    press_frames = [frame(press.image) for press in file.press]
+    scans = tuple(ScanSpec(scan.name, frame(scan.image)) for scan in file.scan)
+    keyed = [("reference.image", reference)] if reference else []
+    keyed += [(f"press[{i}].image", spec) for i, spec in enumerate(press_frames)]
+    keyed += [(f"scan[{i}].image", scan.frame) for i, scan in enumerate(scans)]
+    shape = _common_shape(keyed, path)
+    presses = tuple(
+        _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
+    )
+    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans)
+
+
+def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[int, int]:
+    """(H, W) of all frames, each checked to be RGB or three grey images of one size."""
+    known: dict[Path, ImageInfo] = {}
+    first_key, shape = "", (0, 0)
+    for key, spec in frames:
+        for image in spec.images:
+            info = known.get(image) or known.setdefault(image, _info(image, key, path))
+            if not shape[0]:
+                first_key, shape = key, info.shape
+            if info.shape != shape:
+                raise FrameSetError(
+                    f"{path}: {key}: {image} is {_size(info.shape)} pixels and {first_key} is {_size(shape)}: "
+                    "use frames of one camera mode"
+                )
+            if len(spec.images) == 1 and info.channels == 1:
+                raise FrameSetError(f"{path}: {key}: {image} is grey: name an RGB image, or three grey ones (R, G, B)")
+            if len(spec.images) == 3 and info.channels == 3:
+                raise FrameSetError(f"{path}: {key}: {image} is RGB: name it alone, or three grey images (R, G, B)")
+    return shape
+
+
+def _info(image: Path, key: str, path: Path) -> ImageInfo:
+    try:
+        return read_info(image)
+    except FrameSetError as error:
+        raise FrameSetError(f"{path}: {key}: {error}") from error
+
+
+def _press(
+    number: int, press: PressTable, frame: FrameSpec, shape: tuple[int, int], pixel_pitch_um: float, path: Path
+) -> PressSpec:
+    """The press with lengths in pixels, its balls checked against frame and sphere."""
+    radius_px = press.ball_radius_mm * 1000.0 / pixel_pitch_um
+    balls = None if press.balls is None else tuple(Ball(b.x, b.y, b.r, radius_px) for b in press.balls)
+    for i, ball in enumerate(balls or ()):
+        key = f"press[{number}].balls[{i}]"
+        if not (0.0 <= ball.column <= shape[1] - 1 and 0.0 <= ball.row <= shape[0] - 1):
+            raise FrameSetError(
+                f"{path}: {key}: its centre ({ball.column:g}, {ball.row:g}) is outside the frame, {_size(shape)} pixels"
+            )
+        if not math.isfinite(radius_px) or ball.contact_radius_px >= radius_px:
+            raise FrameSetError(
+                f"{path}: {key}.r: a contact of {ball.contact_radius_px:g} px is not smaller than the ball, "
+                f"{radius_px:.1f} px: check ball_radius_mm and pixel_pitch_um"
+            )
+    _check_tolerances(press, f"{path}: press[{number}]")
+    return PressSpec(
+        name=f"press-{number:02d}",
+        frame=frame,
+        ball_radius_mm=press.ball_radius_mm,
+        radius_px=radius_px,
+        balls=balls,
+        grid_pitch_mm=press.grid_pitch_mm,
+        radius_tolerance_mm=press.ball_radius_tolerance_mm,
+        grid_tolerance_mm=press.grid_pitch_tolerance_mm,
+    )
+
+
+def _check_tolerances(press: PressTable, key: str) -> None:
+    """Refuse tolerances that are not smaller than their quantity, and a grid tolerance without a grid."""
+    tolerance = press.ball_radius_tolerance_mm
+    if tolerance is not None and tolerance >= press.ball_radius_mm:
+        raise FrameSetError(f"{key}.ball_radius_tolerance_mm: {tolerance:g} is not smaller than the radius")
+    tolerance = press.grid_pitch_tolerance_mm
+    if tolerance is not None and press.grid_pitch_mm is None:
+        raise FrameSetError(f"{key}.grid_pitch_tolerance_mm: needs grid_pitch_mm")
+    if tolerance is not None and press.grid_pitch_mm is not None and tolerance >= press.grid_pitch_mm:
+        raise FrameSetError(f"{key}.grid_pitch_tolerance_mm: {tolerance:g} is not smaller than the spacing")
+
+
+def _size(shape: tuple[int, int]) -> str:
+    return f"{shape[1]}x{shape[0]}"

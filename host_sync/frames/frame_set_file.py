@@ -1,0 +1,118 @@
+"""The file `frameset.toml`: its tables and keys, before any image is read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from device.bundles.record import explain_validation
+from host_sync.errors import FrameSetError
+
+Encoding = Literal["linear", "srgb"]
+CALIBRATION_FOLDER: Final = "calibration"
+"""Folder of the calibration report beside the scans; no scan may have this name."""
+
+_SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
+
+Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+ImagePath = Annotated[str, msgspec.Meta(pattern=r"^[^\0]+$")]
+ImageNames = ImagePath | tuple[ImagePath, ImagePath, ImagePath]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the file; unknown keys are refused."""
+
+
+class BallTable(_Table, frozen=True):
+    """A labelled ball: centre and radius of its trusted contact, pixels."""
+
+    x: float
+    y: float
+    r: Length
+
+
+class ReferenceTable(_Table, frozen=True):
+    """The frame of untouched skin."""
+
+    image: ImageNames
+
+
+class PressTable(_Table, frozen=True):
+    """A calibration press and its balls.
+
+    ball_radius_tolerance_mm : tolerance of the radius
+    grid_pitch_mm : distance of neighbouring balls when they form a square grid
+    grid_pitch_tolerance_mm : its tolerance
+    """
+
+    image: ImageNames
+    ball_radius_mm: Length
+    ball_radius_tolerance_mm: Tolerance | None = None
+    balls: Annotated[tuple[BallTable, ...], msgspec.Meta(min_length=1)] | None = None
+    grid_pitch_mm: Length | None = None
+    grid_pitch_tolerance_mm: Tolerance | None = None
+
+
+class ScanTable(_Table, frozen=True):
+    """A frame to reconstruct."""
+
+    name: str
+    image: ImageNames
+
+
+class FileTable(_Table, frozen=True):
+    """The whole file."""
+
+    name: str
+    pixel_pitch_um: Length
+    encoding: Encoding
+    reference: ReferenceTable | None = None
+    press: tuple[PressTable, ...] = ()
+    scan: tuple[ScanTable, ...] = ()
+
+
+def read_frame_set_file(path: Path) -> FileTable:
+    """Tables of a frame set, each key checked; no image is read.
+
+    Raises
+    ------
+    FrameSetError
+        Names the file, the key and what is wrong with it.
+    """
+    file = _decode(path)
+    _check_lists(file, path)
+    return file
+
+
+def _decode(path: Path) -> FileTable:
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=FileTable)
+    except OSError as error:
+        raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name a frameset.toml") from error
+    except msgspec.ValidationError as error:
+        problem = explain_validation(error)
+        accepted = "; accepted: 'linear', 'srgb'" if problem.startswith("encoding: ") else ""
+        raise FrameSetError(f"{path}: {problem}{accepted}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise FrameSetError(f"{path}: is not TOML: {error}") from error
+
+
+def _check_lists(file: FileTable, path: Path) -> None:
+    if not file.press:
+        raise FrameSetError(f"{path}: press: missing: add a [[press]] table for each calibration press")
+    if not file.scan:
+        raise FrameSetError(f"{path}: scan: missing: add a [[scan]] table for each frame to reconstruct")
+    seen: set[str] = set()
+    for i, scan in enumerate(file.scan):
+        if not _SCAN_NAME.fullmatch(scan.name) or scan.name.casefold() == CALIBRATION_FOLDER:
+            raise FrameSetError(
+                f"{path}: scan[{i}].name: {scan.name!r} cannot name a result folder: "
+                f"use letters, digits, hyphens and dots, and not {CALIBRATION_FOLDER!r}"
+            )
+        if scan.name.casefold() in seen:
+            raise FrameSetError(f"{path}: scan[{i}].name: {scan.name!r} is used twice: give each scan its own name")
+        seen.add(scan.name.casefold())

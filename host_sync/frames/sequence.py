@@ -1,0 +1,239 @@
+"""A sequence of frames that share one calibration: a folder of files, a multi-page TIFF, or a movie.
+
+Frames are decoded one by one on demand. An unreadable frame keeps its place in the sequence as a `BadFrame`, so that
+later frames keep their time.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import cv2
+import numpy as np
+import tifffile
+
+from device.bundles.raw_frame import read_raw
+from device.errors import RecordError
+from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
+from hal.frame import RawFrame
+from host_sync.errors import FrameSetError, SequenceError
+from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_pixels
+
+SUFFIXES: Final = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+_TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RAW_PAGES: Final = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredFrame:
+    """One frame as stored: RGB values, uint8 or uint16 array of shape (H, W, 3), or a raw frame."""
+
+    name: str
+    pixels: Pixels | RawFrame
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        rows, columns = self.pixels.shape[:2]
+        return rows, columns
+
+
+@dataclass(frozen=True, slots=True)
+class BadFrame:
+    """A frame that cannot be used, and the reason in one sentence."""
+
+    name: str
+    reason: str
+
+
+class FrameSequence(Protocol):
+    """Frames in order of time."""
+
+    @property
+    def count(self) -> int:
+        """Number of frames, as the source states it."""
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames per second, or None where the source does not state it."""
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """All frames, each decoded on demand."""
+
+
+def open_sequence(path: Path) -> FrameSequence:
+    """Open a folder, a multi-page TIFF or a movie.
+
+    Raises
+    ------
+    SequenceError
+        It does not exist or holds no frames; names it.
+    """
+    try:
+        if path.is_dir():
+            return FolderSequence(path)
+        with path.open("rb") as stream:
+            start = stream.read(12)
+    except OSError as error:
+        raise SequenceError(f"{path}: cannot be read ({error.strerror}): name a folder of frames or a movie") from error
+    if start[:4] in _TIFF:
+        return StackSequence(path)
+    if start[:4] == b"RIFF" or start[4:8] == b"ftyp" or start[:4] == b"\x1aE\xdf\xa3":
+        return MovieSequence(path)
+    raise SequenceError(f"{path}: is not a folder of frames, a multi-page TIFF or an AVI, MP4 or MKV movie")
+
+
+def natural_order(path: Path) -> tuple[tuple[int, int | str], ...]:
+    """Sort key that puts frame-2 before frame-10."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return tuple((0, int(part)) if part.isdecimal() else (1, part) for part in parts if part)
+
+
+class FolderSequence:
+    """Image files of a folder in natural order of their names: RGB images, or raw frames of a handheld."""
+
+    rate_hz = None
+
+    def __init__(self, folder: Path) -> None:
+        files = (entry for entry in folder.iterdir() if entry.suffix.lower() in SUFFIXES and entry.name[0] != ".")
+        self._files = sorted(files, key=natural_order)
+        if not self._files:
+            raise SequenceError(f"{folder}: holds no PNG, TIFF or JPEG images: name the folder of the frames")
+
+    @property
+    def count(self) -> int:
+        """Number of files."""
+        return len(self._files)
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Every file's frame."""
+        for path in self._files:
+            try:
+                yield StoredFrame(path.name, _read_file(path))
+            except (FrameSetError, RecordError) as error:
+                yield BadFrame(path.name, str(error))
+
+
+class StackSequence:
+    """Pages of a TIFF file, each an RGB image of 8 or 16 bit.
+
+    Each page states where the next one begins. Of a truncated file, the pages that can be found come first, then one
+    `BadFrame` for the rest, whose number is unknown.
+    """
+
+    rate_hz = None
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
+                self._whole_pages = len(tiff.pages)
+                self._is_cut = _promises_another_page(tiff)
+                first = tiff.pages.first
+                shape, dtype = first.shape, first.dtype
+        except TIFF_READ_ERRORS as error:
+            raise SequenceError(f"{path}: is truncated or damaged: fetch it again") from error
+        if len(shape) != 3 or shape[2] != 3 or dtype not in (np.uint8, np.uint16) or np.prod(shape[:2]) > MAX_PIXELS:
+            raise SequenceError(f"{path}: pages hold {dtype} of shape {shape}: save RGB pages of 8 or 16 bit")
+        self._shape, self._dtype = shape, dtype
+
+    @property
+    def count(self) -> int:
+        """Number of pages; lost ones count as one."""
+        return self._whole_pages + self._is_cut
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Every page's frame."""
+        with quiet_tiff_log(), tifffile.TiffFile(self._path) as tiff:
+            for number in range(self._whole_pages):
+                name = f"page {number + 1}"
+                try:
+                    page = tiff.pages[number]
+                    matches = page.shape == self._shape and page.dtype == self._dtype
+                    pixels = np.asarray(page.asarray(maxworkers=1)) if matches else None
+                except TIFF_READ_ERRORS:
+                    pixels = None
+                if pixels is None:
+                    reason = "is damaged or differs from the first page: fetch the file again"
+                    yield BadFrame(name, f"{self._path}: {name}: {reason}")
+                else:
+                    yield StoredFrame(name, pixels)
+        if self._is_cut:
+            rest = f"all after page {self._whole_pages}"
+            yield BadFrame(rest, f"{self._path}: {rest} is missing, the file is cut short: fetch it again")
+
+
+class MovieSequence:
+    """Frames of a movie that OpenCV decodes: 8 bit, with the losses of its codec."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        movie = _opened(path)
+        try:
+            self.count = int(movie.get(cv2.CAP_PROP_FRAME_COUNT)) if movie.isOpened() else 0
+            rate_hz = float(movie.get(cv2.CAP_PROP_FPS))
+            size = movie.get(cv2.CAP_PROP_FRAME_WIDTH) * movie.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        finally:
+            movie.release()
+        if self.count < 1 or not 0 < size <= MAX_PIXELS:
+            raise SequenceError(f"{path}: holds no frames that can be decoded: convert it, or fetch it again")
+        self.rate_hz = rate_hz if 0.0 < rate_hz < 1e5 else None
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Every frame, R, G, B."""
+        movie = _opened(self._path)
+        try:
+            for number in range(1, self.count + 1):
+                found, pixels = movie.read()
+                if not found:
+                    rest = f"frame {number}" if number == self.count else f"frames {number} to {self.count}"
+                    yield BadFrame(rest, f"{self._path}: {rest} cannot be decoded: fetch the file again")
+                    return
+                yield StoredFrame(f"frame {number}", np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8))
+        finally:
+            movie.release()
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    """Open the movie with the decoder's own messages silenced; errors are reported here instead."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.VideoCapture(str(path))
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _promises_another_page(tiff: tifffile.TiffFile) -> bool:
+    """Whether the last page found refers to a next one that does not exist."""
+    at = tiff.pages.next_page_offset
+    if at is None:
+        return True
+    tiff.filehandle.seek(at)
+    stored = tiff.filehandle.read(tiff.tiff.offsetsize)
+    return any(stored) or len(stored) < tiff.tiff.offsetsize
+
+
+def _read_file(path: Path) -> Pixels | RawFrame:
+    if path.exists() and not path.is_file():
+        raise FrameSetError(f"{path}: is not a file: remove it from the folder")
+    if path.suffix.lower() in (".tif", ".tiff") and _page_count(path) == _RAW_PAGES:
+        return read_raw(path)
+    pixels = read_pixels(path)
+    if pixels.ndim != 3:
+        raise FrameSetError(f"{path}: is grey: a sequence takes RGB images")
+    return pixels
+
+
+def _page_count(path: Path) -> int:
+    """Pages of a TIFF; 0 when it cannot be read."""
+    try:
+        with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
+            return len(tiff.pages)
+    except TIFF_READ_ERRORS:
+        return 0

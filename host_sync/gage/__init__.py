@@ -1,0 +1,1 @@
+"""Gage repeatability and reproducibility."""

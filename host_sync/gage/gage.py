@@ -1,0 +1,179 @@
+"""Gage R&R: the share of the gage in the spread of repeated measurements (crossed ANOVA, AIAG conventions).
+
+Every operator scans every part equally often. The mean squares of parts, operators, interaction and repeats give the
+variances. An interaction with p > 0.25 in the F-test is pooled with the repeats; a negative variance counts as zero.
+
+Confidence intervals are generalised: mean squares are drawn from their chi-squared distributions and every figure is
+computed for each draw. For repeatability this equals the chi-squared interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from device.surface.fields import Float64Array
+from host_sync.errors import MeasurementError
+
+POOLING_P: Final = 0.25
+CATEGORIES: Final = 1.41
+TOLERANCE_SIGMAS: Final = 6.0
+TRIALS: Final = 20_000
+CONFIDENCE: Final = 0.95
+SEED: Final = 5
+
+COPIES_SHARE: Final = 1e-15
+"""Sum of squares between repeats, as a fraction of all, that rounding alone explains."""
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """A figure with its confidence interval; None where it is unbounded."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+class MeanSquares(msgspec.Struct, frozen=True):
+    """The ANOVA table: sums of squares and degrees of freedom by source.
+
+    interaction_p : p of the F-test of the interaction; None with one operator
+    pooled : whether the interaction is pooled with the repeats
+    """
+
+    sums: dict[str, float]
+    freedoms: dict[str, int]
+    interaction_p: float | None
+    pooled: bool
+
+
+class GageStudy(msgspec.Struct, frozen=True, kw_only=True):
+    """Result of a study; standard deviations in the unit of the values.
+
+    percent_* : of the total variation; percent_tolerance: six standard deviations of the gage over the tolerance
+    ndc : number of distinct categories: 1.41 times part over gage, rounded down
+    """
+
+    parts: tuple[str, ...]
+    operators: tuple[str, ...]
+    repeats: int
+    anova: MeanSquares
+    confidence: float
+    repeatability: Estimate
+    reproducibility: Estimate
+    gage: Estimate
+    part_to_part: Estimate
+    total: Estimate
+    percent_gage: Estimate
+    percent_repeatability: Estimate
+    percent_reproducibility: Estimate
+    percent_part: Estimate
+    percent_tolerance: Estimate | None
+    ndc: Estimate
+
+
+class _Spread:
+    """Standard deviations from mean squares; each a float or an array of shape (TRIALS,)."""
+
+    def __init__(self, mean: dict[str, Float64Array], sizes: tuple[int, int, int], *, pooled: bool) -> None:
+        parts, operators, repeats = sizes
+        error = mean["repeats"]
+        between = error if pooled else mean["interaction"]
+        interaction = _positive(between - error) / repeats if not pooled else 0.0 * error
+        operator = _positive(mean["operators"] - between) / (parts * repeats) if operators > 1 else 0.0 * error
+        part = _positive(mean["parts"] - between) / (operators * repeats)
+        self.repeatability = np.sqrt(error)
+        self.reproducibility = np.sqrt(operator + interaction)
+        self.gage = np.sqrt(error + operator + interaction)
+        self.part = np.sqrt(part)
+        self.total = np.sqrt(error + operator + interaction + part)
+
+
+def study(
+    values: Float64Array, parts: Sequence[str], operators: Sequence[str], tolerance: float | None = None
+) -> GageStudy:
+    """The study of measured values.
+
+    values : float64 array of shape (parts, operators, repeats), each finite
+    tolerance : tolerance width, in the unit of the values
+
+    Raises
+    ------
+    MeasurementError
+        There are too few parts or repeats, or no spread at all.
+    """
+    sizes = (values.shape[0], values.shape[1], values.shape[2])
+    if sizes[0] < 2 or sizes[2] < 2:
+        raise MeasurementError(
+            f"a gage study needs two parts and two repeats, found {sizes[0]} and {sizes[2]}: scan more"
+        )
+    anova = _analyse(values)
+    if not anova.sums["repeats"] > COPIES_SHARE * sum(anova.sums.values()):
+        raise MeasurementError("repeats do not differ: they are copies, not repeated measurements")
+    names = [name for name in anova.sums if anova.freedoms[name]]
+    mean = {name: np.array(anova.sums[name] / anova.freedoms[name]) for name in names}
+    found = _Spread(mean, sizes, pooled=anova.pooled)
+    rng = np.random.default_rng(SEED)
+    drawn = {name: mean[name] * anova.freedoms[name] / rng.chisquare(anova.freedoms[name], TRIALS) for name in names}
+    trials = _Spread(drawn, sizes, pooled=anova.pooled)
+
+    def figure(of: Callable[[_Spread], Float64Array]) -> Estimate:
+        with np.errstate(divide="ignore"):
+            return _estimate(of(found), of(trials))
+
+    ndc = figure(lambda one: CATEGORIES * one.part / one.gage)
+    return GageStudy(
+        parts=tuple(parts),
+        operators=tuple(operators),
+        repeats=sizes[2],
+        anova=anova,
+        confidence=CONFIDENCE,
+        repeatability=figure(lambda one: one.repeatability),
+        reproducibility=figure(lambda one: one.reproducibility),
+        gage=figure(lambda one: one.gage),
+        part_to_part=figure(lambda one: one.part),
+        total=figure(lambda one: one.total),
+        percent_gage=figure(lambda one: 100.0 * one.gage / one.total),
+        percent_repeatability=figure(lambda one: 100.0 * one.repeatability / one.total),
+        percent_reproducibility=figure(lambda one: 100.0 * one.reproducibility / one.total),
+        percent_part=figure(lambda one: 100.0 * one.part / one.total),
+        percent_tolerance=figure(lambda one: 100.0 * TOLERANCE_SIGMAS * one.gage / tolerance) if tolerance else None,
+        ndc=Estimate(*(None if one is None else float(np.floor(one)) for one in (ndc.value, ndc.low, ndc.high))),
+    )
+
+
+def _analyse(values: Float64Array) -> MeanSquares:
+    """The analysis of variance of values of shape (parts, operators, repeats)."""
+    p, o, r = values.shape
+    grand = values.mean()
+    cells = values.mean(axis=2)
+    by_part, by_operator = values.mean(axis=(1, 2)), values.mean(axis=(0, 2))
+    sums = {
+        "parts": float(o * r * ((by_part - grand) ** 2).sum()),
+        "operators": float(p * r * ((by_operator - grand) ** 2).sum()),
+        "interaction": float(r * ((cells - by_part[:, None] - by_operator + grand) ** 2).sum()),
+        "repeats": float(((values - cells[..., None]) ** 2).sum()),
+    }
+    freedoms = {"parts": p - 1, "operators": o - 1, "interaction": (p - 1) * (o - 1), "repeats": p * o * (r - 1)}
+    interaction_p = None
+    if freedoms["interaction"] and sums["repeats"] > 0.0:
+        ratio = sums["interaction"] / freedoms["interaction"] / (sums["repeats"] / freedoms["repeats"])
+        interaction_p = float(f_distribution.sf(ratio, freedoms["interaction"], freedoms["repeats"]))
+    pooled = interaction_p is None or interaction_p > POOLING_P
+    if pooled:
+        sums["repeats"] += sums.pop("interaction")
+        freedoms["repeats"] += freedoms.pop("interaction")
+    return MeanSquares(sums, freedoms, interaction_p, pooled)
+
+
+def _positive(variance: Float64Array) -> Float64Array:
+    return np.maximum(variance, 0.0)
+
+
+def _estimate(value: Float64Array, trials: Float64Array) -> Estimate:
+    low, high = np.quantile(trials, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], method="nearest")
+    return Estimate(*(float(one) if np.isfinite(one) else None for one in (value, low, high)))

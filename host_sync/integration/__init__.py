@@ -1,0 +1,1 @@
+"""From slopes to a height map: weighted multigrid with holes."""

@@ -1,0 +1,113 @@
+"""Where a height map has its zero: skin that nothing touches.
+
+It is flat over a patch, not only at a pixel, and reaches the frame's border; the plateau of an object is flat too, and
+the skin that sinks towards rest around it is nearly so. As only patches count, the search works on cells of several
+pixels.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+
+FLAT_SLOPES: Final = (0.01, 0.05)
+"""Slopes under which a patch of skin counts as flat; the second is tried when the first finds too little."""
+
+PATCH_SHARE: Final = 1.0 / 64.0
+"""Size of a patch as a share of the frame's columns."""
+
+PATCH_CELLS: Final = 5
+"""Cells along a patch; where a patch has fewer pixels, they are the cells."""
+
+MIN_SHARE: Final = 0.02
+"""Share of the valid pixels that untouched skin must make up."""
+
+MAX_SAMPLES: Final = 200_000
+"""So many heights give a median to less than a thousandth of their spread."""
+
+
+def untouched_mask(gradients: GradientField) -> MaskArray:
+    """True where the skin is at rest: bool array of shape (H, W); every valid pixel when no such place is found."""
+    found = skin_at_rest(gradients)
+    return gradients.valid if found is None else found
+
+
+def skin_at_rest(gradients: GradientField) -> MaskArray | None:
+    """True where the skin is at rest: bool array of shape (H, W); None when no such place is found."""
+    rows, columns = gradients.valid.shape
+    cell = max(1, round(PATCH_SHARE * columns) // PATCH_CELLS)
+    patch = max(3, round(PATCH_SHARE * columns / cell) | 1)
+    p_sum, q_sum, count = cell_sums(gradients.p, gradients.q, gradients.valid, cell)
+    known = np.maximum(cv2.blur(count, (patch, patch)), np.float32(1e-3))
+    steepness = np.hypot(*(cv2.blur(total, (patch, patch)) / known for total in (p_sum, q_sum)))
+    for limit in FLAT_SLOPES:
+        flat = _reaching_the_border((count > 0) & (steepness < limit))
+        if count[flat].sum(dtype=np.float64) >= MIN_SHARE * count.sum(dtype=np.float64):
+            pixels = np.repeat(np.repeat(flat, cell, axis=1), cell, axis=0)
+            return gradients.valid & pixels[:rows, :columns]
+    return None
+
+
+def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
+    """Median height of the skin at rest, µm; 0 when none has a height."""
+    step = max(1, int(np.sqrt(at_rest.size / MAX_SAMPLES)))
+    sample = height.z_um[::step, ::step]
+    heights = sample[at_rest[::step, ::step] & np.isfinite(sample)]
+    return float(np.median(heights)) if heights.size else 0.0
+
+
+def zero_to_datum(height: HeightMap, at_rest: MaskArray) -> HeightMap:
+    """The height map with zero at the median of the skin at rest."""
+    return HeightMap(height.z_um - np.float32(height_of_rest_um(height, at_rest)), height.pitch_um)
+
+
+def cell_sums(
+    p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Sums of p and q, and number of valid pixels, in cells of `cell` x `cell` pixels: float32 arrays."""
+    rows, columns = valid.shape
+    sums = np.zeros((3, (rows + cell - 1) // cell, (columns + cell - 1) // cell), np.float32)
+    parallel_rows(_add_cells, (sums.shape[1], columns), p, q, valid, cell, *sums)
+    return sums[0], sums[1], sums[2]
+
+
+@njit(cache=True, nogil=True)
+def _add_cells(
+    p: Any, q: Any, valid: Any, cell: int, p_sum: Any, q_sum: Any, count: Any, first: int, last: int
+) -> None:
+    """Add up the rows `first` to `last` - 1 of cells."""
+    rows, columns = valid.shape
+    for i in range(first, last):
+        column = np.zeros((3, columns), np.float32)
+        for r in range(i * cell, min((i + 1) * cell, rows)):
+            _add_row(p[r], q[r], valid[r], column[0], column[1], column[2])
+        for j in range(count.shape[1]):
+            for c in range(j * cell, min((j + 1) * cell, columns)):
+                p_sum[i, j] += column[0, c]
+                q_sum[i, j] += column[1, c]
+                count[i, j] += column[2, c]
+
+
+@njit(cache=True)
+def _add_row(p: Any, q: Any, valid: Any, p_sum: Any, q_sum: Any, count: Any) -> None:
+    """Add a row's valid slopes and their number, column by column."""
+    for c in range(p.size):
+        p_sum[c] += p[c] if valid[c] else np.float32(0.0)
+        q_sum[c] += q[c] if valid[c] else np.float32(0.0)
+        count[c] += np.float32(valid[c])
+
+
+def _reaching_the_border(mask: MaskArray) -> MaskArray:
+    """The connected parts of a mask that touch the frame's border."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    reaching = np.zeros(labels.max() + 1, np.bool_)
+    reaching[border] = True
+    reaching[0] = False
+    return np.asarray(reaching[labels])

@@ -1,0 +1,196 @@
+"""Full multigrid: solve the coarsest level, then go up level by level, then V-cycles until the error is small enough.
+
+Edges are coarsened level by level (`coarsen`) and the coarsest level is solved directly. Each level starts from the one
+below it plus prolongation offsets. Coarse levels are then improved by V-cycles: smooth, restrict the residual, solve
+for the correction one level down, interpolate it, smooth. The finest level is smoothed; it takes V-cycles only where
+the estimated error requires them (`error_estimate`), and conjugate gradients around V-cycles where these converge too
+slowly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.integration.coarse_solver import DirectSolver, direct_solver, write_divergence
+from host_sync.integration.coarsening import coarsen, coarsen_pixels
+from host_sync.integration.components import Components, center_cells
+from host_sync.integration.conjugate_gradients import conjugate_gradients
+from host_sync.integration.error_estimate import NOISE_FRACTION, START_FRACTION, remaining_error, stalls
+from host_sync.integration.levels import FineLevel, GridLevel
+from host_sync.integration.matrix_free_rows import build_level
+from host_sync.integration.sweep import root_mean_square, sweep
+from host_sync.integration.transfer import add_correction, add_weighted_correction
+from host_sync.integration.v_cycle import nested_cycles, smoothing, v_cycle
+from host_sync.kernels.parallel_rows import BackgroundCall
+
+COARSE_WEIGHT_DAMPING: Final = 0.5
+"""Weight of the series bound in coarse edge weights (see `conductance`)."""
+
+COARSE_CYCLES: Final = 0, 0, 3
+WEIGHTED_CYCLES: Final = 1, 2, 3
+"""V-cycles per coarse level, finest first (the last value repeats): unweighted, weighted.
+
+Where levels of odd size do not end in a transform, inconsistent slopes of long wavelength need three cycles: after one,
+the error was several times the estimate, which sees only the pixels.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Result of full multigrid.
+
+    z : float32 array of shape (H, W), heights
+    residuals : root mean square residual in each V-cycle on the finest level, heights times weight
+    error : estimated algebraic error of the heights, root mean square; NaN where slopes were not finite
+    tolerance : the error at which cycles ended or should have ended
+    centered : whether a full rectangle has mean zero already
+    moments : Σ w z of each run of the components (see `Components`), where known
+    """
+
+    z: Float32Array
+    residuals: tuple[float, ...]
+    error: float
+    tolerance: float
+    centered: bool = False
+    moments: Float64Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseSolution:
+    """State after the level below the pixels is solved.
+
+    solve : direct solver of the coarsest level
+    error : estimated error of the finest level that had several cycles; 0 where none had
+    """
+
+    solve: DirectSolver
+    error: float
+
+
+def full_multigrid(
+    field: FineLevel,
+    levels: list[GridLevel],
+    heights: tuple[Float32Array, Float32Array],
+    components: BackgroundCall[Components] | None,
+    tolerance: float | None,
+    max_cycles: int,
+) -> Solution:
+    """Least-squares heights, in one of the two arrays `heights` or in a new one.
+
+    levels : coarse levels, finest first
+    components : those of a weighted field; started when coarse levels leave a thread idle
+    tolerance : estimated error of heights at which V-cycles end; None for a fraction of what noise does
+    """
+    if not levels:
+        return _solve_directly(field, tolerance)
+    coarse = _coarse_solution(field, levels, COARSE_WEIGHT_DAMPING, components)
+    solution = _finest_cycles(field, levels, coarse, heights, components, tolerance, max_cycles)
+    cycles = max_cycles - len(solution.residuals)
+    if not solution.error > solution.tolerance or cycles <= 0:
+        return solution
+    return _conjugate_gradients(field, levels, components, solution, cycles)
+
+
+def _conjugate_gradients(
+    field: FineLevel,
+    levels: list[GridLevel],
+    components: BackgroundCall[Components] | None,
+    solution: Solution,
+    max_cycles: int,
+) -> Solution:
+    """The solution by conjugate gradients, preconditioned by V-cycles on undamped levels, which cannot diverge."""
+    finest = build_level(field)
+    solve = _coarse_solution(field, levels, 0.0).solve
+    sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
+    rhs = finest.rhs.astype(np.float64)
+    if components is None:
+        rhs -= rhs.mean()
+    else:
+        components.result().project_rhs(rhs)
+    start = finest.z.astype(np.float64)
+    all_levels = [finest, *levels]
+    found = conjugate_gradients(finest, rhs, start, lambda: v_cycle(all_levels, solve), solution.tolerance, max_cycles)
+    return Solution(found.z, solution.residuals + found.residuals, found.error, solution.tolerance)
+
+
+def _solve_directly(field: FineLevel, tolerance: float | None) -> Solution:
+    """The solution of a field so small that it is its own coarsest level."""
+    level = build_level(field)
+    direct_solver(level)(level)
+    error = 0.0 if np.isfinite(level.z).all() else float("nan")
+    return Solution(level.z, (), error, field.min_tolerance if tolerance is None else tolerance)
+
+
+def _coarse_solution(
+    field: FineLevel,
+    levels: list[GridLevel],
+    coarse_weight_damping: float,
+    components: BackgroundCall[Components] | None = None,
+) -> CoarseSolution:
+    """Solve the level below the pixels, coarsest level first; start labelling `components` meanwhile."""
+    coarsen_pixels(field, levels[0], coarse_weight_damping)
+    for level, coarse in pairwise(levels):
+        coarsen(level, coarse, coarse_weight_damping)
+    if components is not None:
+        components.start()
+    write_divergence(levels[-1])
+    solve = direct_solver(levels[-1])
+    solve(levels[-1])
+    cycles = COARSE_CYCLES if field.weight is None else WEIGHTED_CYCLES
+    error = 0.0
+    for depth in range(len(levels) - 2, -1, -1):
+        times, after = cycles[min(depth, len(cycles) - 1)], 1 if depth else 0
+        error = nested_cycles(levels[depth:], solve, times, after) or error
+    return CoarseSolution(solve, error)
+
+
+def _finest_cycles(
+    field: FineLevel,
+    levels: list[GridLevel],
+    solved: CoarseSolution,
+    heights: tuple[Float32Array, Float32Array],
+    components: BackgroundCall[Components] | None,
+    tolerance: float | None,
+    max_cycles: int,
+) -> Solution:
+    """Start the finest level and improve it until it is accurate enough or a cycle gains too little.
+
+    The last sweeps of a cycle and the first of the next share one pass over memory; those after the last cycle are
+    skipped.
+    """
+    weighted = field.weight is not None
+    coarse, steps, both = levels[0], smoothing(), smoothing(2)
+    before, after = heights
+    rhs = coarse.rhs if weighted else None
+    if not weighted and levels[-1].weight_x is not None:
+        center_cells(coarse.z, (field.p.shape[0], field.p.shape[1]))
+    first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs, measured=True)
+    tolerance = max(NOISE_FRACTION * first.change, field.min_tolerance) if tolerance is None else tolerance
+    error = START_FRACTION * first.change + solved.error
+    if not np.isfinite(first.change):
+        return Solution(before, (), float("nan"), tolerance)
+    if max_cycles == 0 or (not weighted and error <= tolerance):
+        return Solution(before, (), error, tolerance, centered=not weighted)
+    if not weighted:
+        first = sweep(field, smoothing(0), before, after, coarse_rhs=coarse.rhs, measured=True)
+        before, after = after, before
+    residuals = [first.residual]
+    corrections: list[float] = []
+    while True:
+        v_cycle(levels, solved.solve, after=0)
+        corrections.append(root_mean_square(coarse.z))
+        error = remaining_error(corrections, solved.error)
+        if error <= tolerance or len(corrections) >= max_cycles or stalls(corrections):
+            if field.weight is None or components is None:
+                add_correction(before, coarse.z)
+                return Solution(before, tuple(residuals), error, tolerance)
+            moments = add_weighted_correction(before, coarse.z, field.weight, components.result())
+            return Solution(before, tuple(residuals), error, tolerance, moments=moments)
+        figures = sweep(field, both, before, after, coarse=coarse.z, coarse_rhs=coarse.rhs, measured=True)
+        residuals.append(figures.residual)
+        before, after = after, before

@@ -1,0 +1,152 @@
+"""The zero of a height map: all skin at rest that lies far from what was touched, and how far it agrees with itself.
+
+Flat skin that reaches the border is at rest or lies on an object that reaches beyond the border. Objects press the skin
+towards the camera, so that of flat parts the lowest ones are at rest. Around an object skin sinks towards rest over a
+long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ from
+place to place by what errors of slopes add up to: that spread is the zero's uncertainty. Where no skin is at rest a
+height map has no zero: its heights are relative to each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import trim_mean
+
+from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from host_sync.integration.datum import height_of_rest_um, skin_at_rest
+
+NO_ZERO: Final = "no zero: heights are relative, for no skin lies at rest"
+"""The warning where nothing was taken for zero."""
+
+FAR_SHARE: Final = 0.2
+"""Of the largest distance from touched skin; skin farther off is far."""
+
+MIN_SHARE: Final = 0.02
+"""Share of the field that a flat part must make up to be the lowest, and far skin to do without the rest of it."""
+
+ALIKE_SHARE: Final = 0.1
+"""Flat parts this share of the map's height above the lowest are at rest too: long waves are known least."""
+
+HEIGHT_PERCENT: Final = (1.0, 99.0)
+"""Percentiles between which a map's heights lie."""
+
+TRIMMED: Final = 0.2
+"""Share of the blocks that is left out at either end of their heights when the zero is taken."""
+
+WIDEST_CELLS: Final = 256
+"""Cells along the reduced field's columns, at most: distances need no more."""
+
+BLOCKS: Final = 8
+"""Blocks along the field's columns whose heights are compared."""
+
+MIN_CELLS: Final = 8
+"""Far cells of a block that is compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Datum:
+    """What a height map's zero is taken from.
+
+    skin : bool array of shape (H, W), True where heights are zero but for their errors; every valid pixel where no
+        skin lies at rest
+    zero_um : trimmed mean of the median heights of its blocks, µm
+    spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin lies at rest
+    share : of the field that it makes up; 0 where no skin lies at rest
+    blocks : how many parts of the field it was compared in
+    """
+
+    skin: MaskArray
+    zero_um: float
+    spread_um: float
+    share: float
+    blocks: int = 1
+
+    @property
+    def zero_sigma_um(self) -> float:
+        """Standard uncertainty of the zero, µm: the spread of the skin it is taken from.
+
+        It is not divided by a number of blocks: slope errors add up over the field, so blocks do not err independently.
+        """
+        return self.spread_um
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether no skin lies at rest, so that heights have no zero."""
+        return self.share <= 0.0
+
+    def level(self, height: HeightMap) -> HeightMap:
+        """The height map above this zero."""
+        return HeightMap(height.z_um - np.float32(self.zero_um), height.pitch_um)
+
+
+def find_datum(height: HeightMap, gradients: GradientField) -> Datum:
+    """The datum of a height map that has these slopes."""
+    at_rest = skin_at_rest(gradients)
+    far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
+    if far is None:
+        known = height.z_um[gradients.valid]
+        spread_um = float(np.nanstd(known)) if known.size else 0.0
+        return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
+    blocks_um = block_heights_um(height.z_um, far)
+    zero_um = float(trim_mean(blocks_um, TRIMMED)) if blocks_um.size else height_of_rest_um(height, far)
+    spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
+    return Datum(far, zero_um, spread_um, float(far.mean()), blocks_um.size)
+
+
+def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskArray | None:
+    """Of flat skin the lowest large parts, far from all other valid skin: bool array (H, W), None without such."""
+    rows, columns = flat.shape
+    here = _cells(flat.shape)
+    resting = _lowest_parts(flat[here], z_um[here])
+    if not resting.any():
+        return None
+    other = valid[here] & ~resting
+    if other.any():
+        distance = cv2.distanceTransform((~other).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        away = resting & (distance >= FAR_SHARE * float(distance[resting].max(initial=0.0)))
+        resting = away if away.mean() >= MIN_SHARE else resting
+    full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    return np.asarray(full & flat)
+
+
+def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
+    """Index of the pixels at the middles of the cells of the reduced field."""
+    rows, columns = shape
+    across = min(columns, WIDEST_CELLS)
+    sizes = (max(1, round(rows * across / columns)), rows), (across, columns)
+    return np.ix_(*(((np.arange(count) + 0.5) * (full / count)).astype(np.intp) for count, full in sizes))
+
+
+def _lowest_parts(flat: MaskArray, z_um: Float32Array) -> MaskArray:
+    """The large connected parts of a mask that stand about as high as the lowest.
+
+    What is rough all over has small patches that are flat on average; they are none of these.
+    """
+    count, labels = cv2.connectedComponents(flat.astype(np.uint8), connectivity=4)
+    known = flat & np.isfinite(z_um)
+    parts = [(number, z_um[known & (labels == number)]) for number in range(1, count)]
+    large = [(number, heights) for number, heights in parts if heights.size >= MIN_SHARE * flat.size]
+    if not large:
+        return np.zeros_like(flat)
+    levels = {number: float(np.median(heights)) for number, heights in large}
+    low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT)
+    limit = min(levels.values()) + ALIKE_SHARE * float(high - low)
+    return np.isin(labels, [number for number, level in levels.items() if level <= limit])
+
+
+def block_heights_um(z_um: Float32Array, skin: MaskArray) -> Float64Array:
+    """Median height of each block of the field that shows enough of this skin, µm; float64 array of shape (blocks,)."""
+    step = max(1, skin.shape[1] // WIDEST_CELLS)
+    z, here = z_um[::step, ::step], skin[::step, ::step]
+    here = here & np.isfinite(z)
+    side = max(1, z.shape[1] // BLOCKS)
+    row, column = (np.arange(size) // side for size in z.shape)
+    number = (row[:, None] * (column[-1] + 1) + column[None, :])[here]
+    heights = z[here]
+    groups = [heights[number == own] for own in np.unique(number)]
+    return np.array([float(np.median(group)) for group in groups if group.size >= MIN_CELLS])

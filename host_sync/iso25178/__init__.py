@@ -1,0 +1,1 @@
+"""Areal surface parameters of ISO 25178-2."""

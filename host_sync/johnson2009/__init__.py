@@ -1,0 +1,1 @@
+"""The method of Johnson & Adelson (CVPR 2009), complete."""

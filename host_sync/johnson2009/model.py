@@ -1,0 +1,92 @@
+"""The complete method of the paper: reflectance maps, spherical harmonics, lookup table, refinement and gate (section
+5.1), and the integration that it prints.
+
+It assumes that reflectance is the same everywhere in the field; `device.inverse_map.model` does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from device.balls.sphere import BallSamples
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import GradientField, HeightMap
+from host_sync.integration.integrate import IntegrationReport, integrate
+from host_sync.johnson2009.gate_settings import gate_settings, pixel_noise
+from host_sync.johnson2009.gradient_kernel import estimate_slopes
+from host_sync.johnson2009.lookup_table import LookupTable, build_table, colour_cube
+from host_sync.johnson2009.refinement import GateSettings
+from host_sync.johnson2009.reflectance_map import ReflectanceMaps, sample_reflectance
+from host_sync.johnson2009.reflectance_surface import reflectance_surface
+from host_sync.johnson2009.spherical_harmonics import LAMBERTIAN_ORDER, HarmonicFit, fit_harmonics
+
+CLIPPED_CONFIDENCE: Final = 0.03
+"""Confidence in the slope of a pixel with a saturated channel: its neighbours dominate, but it leaves no hole."""
+
+UNTOUCHED_NOISE: Final = 5.0
+"""A colour within this many standard deviations of pixel noise from intensity 1 is untouched skin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperModel:
+    """What the method learns from balls.
+
+    maps : observed intensity by slope
+    lambertian, harmonics : fits of spherical harmonics of orders 2 and 5 to the maps
+    table : slope candidates by colour
+    settings : constants of refinement and gate
+    """
+
+    maps: ReflectanceMaps
+    lambertian: HarmonicFit
+    harmonics: HarmonicFit
+    table: LookupTable
+    settings: GateSettings
+
+    @property
+    def residual_order_2(self) -> tuple[float, float, float]:
+        """Root mean square residual of the Lambertian approximation, intensity, one per channel."""
+        return self.lambertian.residual
+
+    @property
+    def residual_order_5(self) -> tuple[float, float, float]:
+        """The same for the harmonics up to order 5."""
+        return self.harmonics.residual
+
+
+def fit_paper_model(samples: BallSamples) -> PaperModel:
+    """Fit the model to samples of balls.
+
+    Raises
+    ------
+    CalibrationError
+        The balls show too few different slopes.
+    """
+    maps = sample_reflectance(samples)
+    lambertian, harmonics = fit_harmonics(maps, LAMBERTIAN_ORDER), fit_harmonics(maps)
+    surface = reflectance_surface(maps, harmonics)
+    noise = pixel_noise(samples)
+    table = build_table(surface, *colour_cube(samples.intensity, noise), UNTOUCHED_NOISE * noise)
+    return PaperModel(maps, lambertian, harmonics, table, gate_settings(maps, surface, noise))
+
+
+def estimate_gradients(model: PaperModel, image: NormalizedImage) -> GradientField:
+    """Slope, validity and relative confidence of every pixel (paper, eqs. 5 to 8)."""
+    values, lit = np.ascontiguousarray(image.values, np.float32), np.ascontiguousarray(image.valid)
+    p, q, weight = estimate_slopes(values, lit, model.table, model.settings)
+    weight[image.clipped] *= np.float32(CLIPPED_CONFIDENCE)
+    return GradientField(p, q, weight > 0.0, weight)
+
+
+def integrate_forward_difference(gradients: GradientField, pitch_um: float) -> tuple[HeightMap, IntegrationReport]:
+    """Height map that minimizes the paper's E (eqs. 9 and 10), and a report; pixels without a slope are holes.
+
+    E(z) = Σ (∂f/∂x - p)² + (∂f/∂y - q)² with ∂f/∂x = f(x + 1, y) - f(x, y): a pixel's slope is used as the height
+    difference to its next neighbour, half a pixel off, and every pixel has the same weight. The default method averages
+    slopes onto the edges and weights them (see `integration.edges`).
+    """
+    unweighted = replace(gradients, weight=gradients.valid.astype(np.float32))
+    return integrate(unweighted, pitch_um, edges="printed")

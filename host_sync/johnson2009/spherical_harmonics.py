@@ -1,0 +1,134 @@
+"""Real spherical harmonics of the surface normal, and reflectance as their sum (paper, eq. 3).
+
+The basis is written in the Cartesian components of the normal, Y = N · d^m P_l/dz^m · (Re or Im)(x + iy)^m, so values
+and derivatives are polynomials and nothing is singular at the pole, where the flat skin lies.
+
+Balls show only a cap of the sphere of normals, over which high orders are nearly dependent. Orders above 2 are
+therefore penalized by the square of their Laplacian, l²(l + 1)², so that beyond the observed slopes the sum stays close
+to the Lambertian approximation (orders 0 to 2, practically unpenalized).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial, pi, sqrt
+from typing import Any, Final
+
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+from numpy.typing import NDArray
+
+from device.surface.fields import Float64Array
+from host_sync.johnson2009.reflectance_map import ReflectanceMaps
+
+LAMBERTIAN_ORDER: Final = 2
+FULL_ORDER: Final = 5
+
+PENALTY: Final = 1e-6
+"""Weight of the squared Laplacian of orders above 2, per unit of total weight."""
+
+NUMERICAL_PENALTY: Final = 1e-10
+"""The same for orders 1 and 2: only keeps a shallow cap solvable."""
+
+COUNT_CAP: Final = 50
+"""Upper bound of the weight of a cell, its count: beyond it the error comes from the skin, not from pixel noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HarmonicFit:
+    """Reflectance of each channel as a sum of spherical harmonics of the normal.
+
+    order : highest order of the sum
+    coefficients : float64 array of shape ((order + 1)², 3)
+    residual : root mean square residual of the observed cells, intensity, one per channel
+    """
+
+    order: int
+    coefficients: Float64Array
+    residual: tuple[float, float, float]
+
+    def reflectance(self, p: NDArray[Any], q: NDArray[Any]) -> Float64Array:
+        """R(p, q), float64 array of shape (N, 3), for slopes of shape (N,)."""
+        return np.asarray(harmonics(p, q, self.order)[0] @ self.coefficients)
+
+    def with_jacobian(self, p: NDArray[Any], q: NDArray[Any]) -> tuple[Float64Array, Float64Array]:
+        """R of shape (N, 3) and J = (∂R/∂p, ∂R/∂q) of shape (N, 3, 2) (paper, eq. 4)."""
+        value, by_p, by_q = harmonics(p, q, self.order)
+        jacobian = np.stack([by_p @ self.coefficients, by_q @ self.coefficients], axis=-1)
+        return np.asarray(value @ self.coefficients), jacobian
+
+
+def harmonics(p: NDArray[Any], q: NDArray[Any], order: int) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Y, ∂Y/∂p and ∂Y/∂q at slopes of shape (N,): float64 arrays of shape (N, (order + 1)²)."""
+    p, q = np.asarray(p, np.float64), np.asarray(q, np.float64)
+    z = 1.0 / np.sqrt(1.0 + p * p + q * q)
+    normal = (-p * z, -q * z, z)
+    value, by_normal = harmonics_of_normal(*normal, order)
+    by_p, by_q = (_chain(by_normal, normal, slope, axis) for axis, slope in enumerate((p, q)))
+    return value, by_p, by_q
+
+
+def _chain(
+    by_normal: tuple[Float64Array, ...], normal: tuple[Float64Array, ...], slope: Float64Array, axis: int
+) -> Float64Array:
+    """Derivative along a slope: ∂n/∂slope = -(e_axis z + n slope z²)."""
+    z = normal[2]
+    total = np.zeros_like(by_normal[0])
+    for component, (derivative, part) in enumerate(zip(by_normal, normal, strict=True)):
+        rate = -part * slope * z * z - (z if component == axis else 0.0)
+        total += derivative * rate[:, None]
+    return total
+
+
+def harmonics_of_normal(
+    x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], order: int
+) -> tuple[Float64Array, tuple[Float64Array, Float64Array, Float64Array]]:
+    """Y at unit normals of shape (N,), and its partial derivatives along x, y and z.
+
+    Columns are orders 0, 1, …, and within order l, m = -l … l: N by (order + 1)².
+    """
+    x, y, z = (np.asarray(part, np.float64) for part in (x, y, z))
+    powers = np.ones((order + 1, len(x)), np.complex128)
+    for m in range(1, order + 1):
+        powers[m] = powers[m - 1] * (x + 1j * y)
+    value, by_x, by_y, by_z = (np.empty((len(x), (order + 1) ** 2)) for _ in range(4))
+    for column, (degree, m) in enumerate(_terms(order)):
+        scale, along_z, along_z_rate = _polar(degree, abs(m))
+        polar = scale * polynomial.polyval(z, along_z)
+        lower = abs(m) * powers[abs(m) - 1] if m else np.zeros(len(x), np.complex128)
+        turn, rate_x, rate_y = (part.imag if m < 0 else part.real for part in (powers[abs(m)], lower, 1j * lower))
+        value[:, column] = polar * turn
+        by_x[:, column], by_y[:, column] = polar * rate_x, polar * rate_y
+        by_z[:, column] = scale * polynomial.polyval(z, along_z_rate) * turn
+    return value, (by_x, by_y, by_z)
+
+
+def _terms(order: int) -> list[tuple[int, int]]:
+    return [(degree, m) for degree in range(order + 1) for m in range(-degree, degree + 1)]
+
+
+def _polar(degree: int, m: int) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    """Normalization, and the coefficients of d^m P_l/dz^m and of its derivative."""
+    scale = sqrt((2 * degree + 1) / (4 * pi) * factorial(degree - m) / factorial(degree + m) * (2 if m else 1))
+    along_z = polynomial.polyder(legendre.leg2poly([0] * degree + [1]), m)
+    return scale, tuple(along_z), tuple(polynomial.polyder(along_z))
+
+
+def fit_harmonics(maps: ReflectanceMaps, order: int = FULL_ORDER) -> HarmonicFit:
+    """Count-weighted, regularized fit to the observed cells (paper, eq. 3)."""
+    row, column = np.nonzero(maps.observed)
+    design = harmonics(maps.centres[column], maps.centres[row], order)[0]
+    mean = maps.mean[row, column]
+    weight = np.minimum(maps.count[row, column], COUNT_CAP).astype(np.float64)
+    weighted = design * weight[:, None]
+    penalty = np.array([_penalty(degree) for degree, _ in _terms(order)])
+    gram = weighted.T @ design + np.diag(weight.sum() * penalty)
+    coefficients = np.asarray(np.linalg.solve(gram, weighted.T @ mean), np.float64)
+    square = (weight[:, None] * (mean - design @ coefficients) ** 2).sum(axis=0) / weight.sum()
+    red, green, blue = (float(value) for value in np.sqrt(square))
+    return HarmonicFit(order, coefficients, (red, green, blue))
+
+
+def _penalty(degree: int) -> float:
+    laplacian = float((degree * (degree + 1)) ** 2)
+    return (PENALTY if degree > LAMBERTIAN_ORDER else NUMERICAL_PENALTY) * laplacian

@@ -1,0 +1,1 @@
+"""What every compiled kernel needs: cache, parallel rows, planes."""

@@ -1,0 +1,189 @@
+"""A verified copy of a library's bundles on another disk or an SFTP server: only what is missing is copied."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import posixpath
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import asyncssh
+
+from device.bundles.layout import MANIFESTS, BundleKind, partial_name
+from device.bundles.record import CHUNK_BYTES, FileEntry, checksum_name, describe_file
+from device.errors import RecordError
+from device.io.os_errors import explain_os_error
+from host_sync.errors import HostError, SourceError
+from host_sync.library.library import AnyBundle, Library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ledger import PullFailure
+from host_sync.offload.pull import pull
+
+_CONNECT_S: Final = 20.0
+_REQUEST_BYTES: Final = 1 << 18
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorReport:
+    """What mirroring did, by ids: copied and verified there, there already, or failed."""
+
+    copied: tuple[str, ...]
+    already_there: tuple[str, ...]
+    failed: tuple[PullFailure, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SftpPlace:
+    """A folder on an SFTP server: sftp://[user@]host[:port]/path."""
+
+    user: str | None
+    host: str
+    port: int
+    path: str
+
+    @classmethod
+    def parse(cls, text: str) -> SftpPlace | None:
+        """The place, None when the text is no sftp address.
+
+        Raises
+        ------
+        HostError
+            It begins like one and is none.
+        """
+        if not text.startswith("sftp://"):
+            return None
+        found = re.fullmatch(r"sftp://(?:([^@/:]+)@)?(\[[^]]+\]|[^@/:]+)(?::(\d{1,5}))?(/.+)", text)
+        if found is None:
+            raise HostError(f"{text!r} is no address: write sftp://USER@HOST:PORT/FOLDER")
+        return cls(found[1], found[2].strip("[]"), int(found[3] or 22), found[4].rstrip("/"))
+
+
+def mirror_to_folder(
+    library: Library, destination: Path, tell: Callable[[str], None], *, verify: bool = False
+) -> MirrorReport:
+    """Copy what a library on another disk lacks.
+
+    verify : hash again what is there already
+
+    Raises
+    ------
+    LibraryError
+        The destination cannot be written.
+    """
+    library.require()
+    if destination.resolve() == library.root.resolve():
+        raise HostError(f"{destination}: is the library itself: name another folder")
+    source = DirectorySource(library.root)
+    report = pull(source, Library(destination), lambda state: tell(state.bundle_id), verify=verify, trust_record=True)
+    if report.lost is not None:
+        raise SourceError(report.lost)
+    return MirrorReport(report.copied, report.already_there, report.failed)
+
+
+def mirror_to_sftp(
+    library: Library, place: SftpPlace, tell: Callable[[str], None], *, verify: bool = False
+) -> MirrorReport:
+    """Copy what a folder on an SFTP server lacks; each file is read back from there and hashed.
+
+    The user's own SSH configuration, keys and known hosts apply.
+
+    Raises
+    ------
+    SourceError
+        The server cannot be reached or refuses.
+    """
+    bundles = library.bundles().bundles
+    try:
+        return asyncio.run(_mirror(bundles, place, tell, verify=verify))
+    except (asyncssh.Error, OSError) as error:
+        raise SourceError(
+            f"sftp://{place.host}{place.path}: {str(error) or 'no answer'}: check address and key"
+        ) from error
+
+
+async def _mirror(
+    bundles: Sequence[AnyBundle], place: SftpPlace, tell: Callable[[str], None], *, verify: bool
+) -> MirrorReport:
+    copied, there, failed = list[str](), list[str](), list[PullFailure]()
+    options = {} if place.user is None else {"username": place.user}
+    async with (
+        asyncssh.connect(
+            place.host, place.port, connect_timeout=_CONNECT_S, keepalive_interval=5, **options
+        ) as connection,
+        connection.start_sftp_client() as client,
+    ):
+        for kind in MANIFESTS:
+            await client.makedirs(f"{place.path}/{kind}", exist_ok=True)
+        for bundle in bundles:
+            tell(bundle.bundle_id)
+            try:
+                done = await _mirror_one(client, bundle, place.path, verify=verify)
+                (copied if done else there).append(bundle.bundle_id)
+            except (RecordError, asyncssh.SFTPError) as error:
+                if isinstance(error, asyncssh.SFTPConnectionLost | asyncssh.SFTPNoConnection):
+                    raise
+                failed.append(PullFailure(bundle.bundle_id, str(error)))
+    return MirrorReport(tuple(copied), tuple(there), tuple(failed))
+
+
+async def _mirror_one(client: asyncssh.SFTPClient, bundle: AnyBundle, root: str, *, verify: bool) -> bool:
+    """Whether a bundle was copied; False when the server has it."""
+    kind: BundleKind = "scans" if bundle.directory.parent.name == "scans" else "calibrations"
+    final, partial = (f"{root}/{kind}/{name}" for name in (bundle.bundle_id, partial_name(bundle.bundle_id)))
+    bundle.verify()
+    files = dict(bundle.record.files)
+    for name in (MANIFESTS[kind], checksum_name(MANIFESTS[kind])):
+        files[name] = describe_file(bundle.directory / name)
+    if await client.exists(final):
+        await _check_there(client, final, files, whole=verify)
+        return False
+    with suppress(asyncssh.SFTPNoSuchFile):
+        await client.rmtree(partial)
+    await client.mkdir(partial)
+    for name, entry in files.items():
+        await _upload(client, bundle.directory / name, posixpath.join(partial, name))
+        await _check_remote(client, posixpath.join(partial, name), entry)
+    await client.posix_rename(partial, final)
+    return True
+
+
+async def _check_there(client: asyncssh.SFTPClient, folder: str, files: dict[str, FileEntry], *, whole: bool) -> None:
+    for name, entry in files.items():
+        path = posixpath.join(folder, name)
+        small = name.endswith((".json", ".json.sha256"))
+        if (await client.lstat(path)).size != entry.size:
+            raise RecordError(f"{path}: has another size there: move its folder away and mirror again")
+        if whole or small:
+            await _check_remote(client, path, entry)
+
+
+async def _check_remote(client: asyncssh.SFTPClient, path: str, entry: FileEntry) -> None:
+    digest, size = hashlib.sha256(), 0
+    async with client.open(path, "rb") as file:
+        while size <= entry.size:
+            block: bytes = await file.read(_REQUEST_BYTES)
+            if not block:
+                break
+            digest.update(block)
+            size += len(block)
+    if (size, digest.hexdigest()) != (entry.size, entry.sha256):
+        raise RecordError(f"{path}: is damaged there: move its folder away and mirror again")
+
+
+async def _upload(client: asyncssh.SFTPClient, path: Path, target: str) -> None:
+    try:
+        with path.open("rb") as stream:
+            async with client.open(target, "xb") as file:
+                while block := stream.read(CHUNK_BYTES):
+                    await file.write(block)
+                with suppress(asyncssh.SFTPOpUnsupported):
+                    await file.fsync()
+    except OSError as error:
+        if isinstance(error, asyncssh.SFTPError):
+            raise
+        raise RecordError(f"{path}: cannot be read {explain_os_error(error)}") from error

@@ -1,0 +1,1 @@
+"""Profiles: lines, step heights and parameters."""

@@ -1,0 +1,132 @@
+"""Slopes corrected for the elevation of the skin: slopes -> heights -> what that elevation changed -> slopes.
+
+The inverse map reads colours as if they were those of skin at the elevation of untouched skin. Skin at the elevation z
+is read wrong by z times a polynomial in its own slope (`ElevationResponse.as_slopes`). Elevation is a long wave and the
+error a few per cent of it, so that heights integrated once on a reduced field are enough.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface.poisson_dct import integrate_dct
+from host_sync.calibration.elevation_response import ElevationResponse
+from host_sync.integration.datum import cell_sums
+from host_sync.integration.zero_level import find_datum
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+
+WIDEST_CELLS: Final = 512
+"""Cells along the reduced field's columns, at most."""
+
+ROUNDS: Final = 2
+"""Heights from uncorrected slopes are off by some per cent, those of the second round by some per cent of that."""
+
+HIGHEST_SHARE: Final = 0.3
+"""Elevation, as a share of the lights' height, beyond which the response, linear near the skin, is not followed."""
+
+
+def correct_elevation(gradients: GradientField, response: ElevationResponse) -> None:
+    """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W)."""
+    rows, columns = gradients.p.shape
+    cell = -(-columns // WIDEST_CELLS)
+    p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
+    factors = at_cells(response.as_slopes, p.shape)
+    z_px = elevation_px(p, q, known, float(cell), factors, response.nearness_per_px)
+    parallel_rows(_correct, (rows, columns), gradients.p, gradients.q, _by_term(z_px, factors), cell)
+
+
+def elevation_px(
+    p: Float32Array, q: Float32Array, known: MaskArray, step_px: float, factors: Float32Array, nearness_per_px: float
+) -> Float32Array:
+    """Elevation over untouched skin, pixels, of slopes that were read as if they were at rest; arrays of one shape.
+
+    known : where there is a slope; the skin counts as level elsewhere
+    step_px : distance of neighbouring points, pixels
+    factors : the response there, shape (h, w, 9)
+    nearness_per_px : as of the response; bounds what is followed
+    """
+    highest = HIGHEST_SHARE / max(nearness_per_px, 1e-9)
+    true_p, true_q = p, q
+    z_px = np.zeros_like(p)
+    for _ in range(ROUNDS):
+        height = HeightMap(integrate_dct(true_p, true_q, step_px), step_px)
+        datum = find_datum(height, GradientField(true_p, true_q, known, known.astype(np.float32)))
+        z_px = np.clip(datum.level(height).z_um, -highest, highest)
+        wrong_p, wrong_q = read_too_steep(p, q, z_px, factors)
+        true_p, true_q = p - wrong_p, q - wrong_q
+    return z_px
+
+
+def read_too_steep(
+    p: Float32Array, q: Float32Array, z_px: Float32Array, factors: Float32Array
+) -> tuple[Float32Array, Float32Array]:
+    """By how much slopes at the elevation z are read too steep; arrays of one shape, factors with 9 values each."""
+    terms = np.moveaxis(factors, -1, 0)
+    brighter = terms[0] + terms[1] * p + terms[2] * q
+    return (
+        np.asarray(z_px * (terms[3] + terms[4] * p + terms[5] * q - brighter * p), np.float32),
+        np.asarray(z_px * (terms[6] + terms[7] * p + terms[8] * q - brighter * q), np.float32),
+    )
+
+
+def at_cells(nodes: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """Values (h, w, C) at the middles of cells of what nodes, (n, m, C), hold at even places, borders included."""
+    row, column = ((np.arange(n) + 0.5) * ((count - 1) / n) for n, count in zip(shape, nodes.shape[:2], strict=True))
+    x, y = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
+    parts = [cv2.remap(np.ascontiguousarray(part), x, y, cv2.INTER_LINEAR) for part in np.moveaxis(nodes, -1, 0)]
+    return np.stack(parts, axis=-1).astype(np.float32)
+
+
+def cell_means(
+    p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
+) -> tuple[Float32Array, Float32Array, MaskArray]:
+    """Mean slopes of cells of `cell` x `cell` pixels, 0 for those without a slope, and which have one."""
+    p_sum, q_sum, count = cell_sums(p, q, valid, cell)
+    known = count > 0.0
+    number: Float32Array = np.maximum(count, np.float32(1.0)).astype(np.float32)
+    return np.asarray(p_sum / number, np.float32), np.asarray(q_sum / number, np.float32), known
+
+
+def _by_term(z_px: Float32Array, factors: Float32Array) -> Float32Array:
+    """z times factors, one plane a term, with the border cells once more around them: shape (9, h + 2, w + 2)."""
+    planes = np.moveaxis(z_px[..., None] * factors, -1, 0)
+    return np.ascontiguousarray(np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode="edge"), np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _correct(p: Any, q: Any, planes: Any, cell: int, first: int, last: int) -> None:
+    """Correct the rows `first` to `last` - 1; between the cells' middles what is added runs straight."""
+    terms, columns, cells = len(planes), p.shape[1], planes.shape[2]
+    here, step = np.empty((terms, cells), np.float32), np.zeros((terms, cells), np.float32)
+    per_cell, middle = np.float32(1.0 / cell), 0.5 * (cell - 1)
+    for r in range(first, last):
+        at = (r - middle) / cell + 1.0
+        top = min(max(int(at), 0), planes.shape[1] - 2)
+        share = np.float32(at - top)
+        for term in range(terms):
+            upper, lower = planes[term, top], planes[term, top + 1]
+            for j in range(cells):
+                here[term, j] = upper[j] + share * (lower[j] - upper[j])
+            for j in range(cells - 1):
+                step[term, j] = (here[term, j + 1] - here[term, j]) * per_cell
+        for j in range(cells - 1):
+            begin = (j - 1) * cell + middle
+            start, end = max(int(np.ceil(begin)), 0), min(int(np.ceil(begin + cell)), columns)
+            if end > start:
+                _correct_run(p[r, start:end], q[r, start:end], here[:, j], step[:, j], np.float32(start - begin))
+
+
+@njit(cache=True)
+def _correct_run(p: Any, q: Any, here: Any, step: Any, offset: Any) -> None:
+    t0, t1, t2, t3, t4, t5, t6, t7, t8 = here
+    d0, d1, d2, d3, d4, d5, d6, d7, d8 = step
+    for k in range(p.size):
+        x, y, n = p[k], q[k], offset + np.float32(k)
+        brighter = (t0 + n * d0) + (t1 + n * d1) * x + (t2 + n * d2) * y
+        p[k] = x - ((t3 + n * d3) + (t4 + n * d4) * x + (t5 + n * d5) * y - brighter * x)
+        q[k] = y - ((t6 + n * d6) + (t7 + n * d7) * x + (t8 + n * d8) * y - brighter * y)

@@ -1,0 +1,1 @@
+"""Result folders: file names, record, reader."""

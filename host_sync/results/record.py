@@ -1,0 +1,211 @@
+"""`result.json`: the record of a result, written and read by the same type, and what is read of a video's record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, TypeVar
+
+import msgspec
+
+from device.bundles.record import explain_validation
+from host_sync.errors import UnreadableResult
+from host_sync.results.detail_name import DetailName
+from host_sync.results.field_file import MAX_PIXELS
+from host_sync.results.files import RECORD_FILE, RESULT_SCHEMA, SEQUENCE_SCHEMA
+from host_sync.results.frame_check import FrameCheck
+from host_sync.results.slope_noise_record import SlopeNoise
+
+MAX_RECORD_BYTES: Final = 16_000_000
+MIN_PITCH_UM: Final = 1e-3
+MAX_PITCH_UM: Final = 1e6
+MAX_RATE_HZ: Final = 1e6
+
+Size = Annotated[int, msgspec.Meta(ge=1, le=MAX_PIXELS)]
+Pitch = Annotated[float, msgspec.Meta(ge=MIN_PITCH_UM, le=MAX_PITCH_UM)]
+
+RecordT = TypeVar("RecordT", bound=msgspec.Struct)
+
+
+class HeightScale(msgspec.Struct, frozen=True):
+    """Standard uncertainties of the scale; None is not measured. The draws of the height contain the measured parts.
+
+    pixel_pitch_sigma_um : of the pixel pitch, µm
+    pixel_pitch_share, ball_radius_share, height_share : relative, of pitch, ball radius and height
+    not_measured : the parts that are not measured
+    """
+
+    pixel_pitch_sigma_um: float | None = None
+    pixel_pitch_share: float | None = None
+    ball_radius_share: float | None = None
+    height_share: float | None = None
+    not_measured: tuple[str, ...] = ()
+
+
+class IntegrationRecord(msgspec.Struct, frozen=True):
+    """Convergence of the integration.
+
+    residuals : RMS residual of each cycle, pixels
+    islands : connected components
+    """
+
+    cycles: int = 0
+    residuals: tuple[float, ...] = ()
+    islands: int = 0
+    converged: bool = True
+
+
+class DetailRecord(msgspec.Struct, frozen=True):
+    """Filter and RMS height of the detail map, µm."""
+
+    filter: str
+    s_nesting_index_um: float | None
+    l_nesting_index_um: float | None
+    rms_um: float | None
+
+
+class ResultRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Record of one result. Units are in the names; None is unknown, or not written by an earlier version."""
+
+    schema: str = RESULT_SCHEMA
+    name: str
+    program: str = ""
+    written_utc: str = ""
+    method: str = ""
+    calibration_id: str = ""
+    surface_detail: DetailName = "raw"
+    slope_noise: SlopeNoise | None = None
+    reference: str = ""
+    rows: Size
+    columns: Size
+    pixel_pitch_um: Pitch
+    height_min_um: float | None = None
+    height_max_um: float | None = None
+    height_sigma_median_um: float | None = None
+    height_zero: str = ""
+    height_zero_spread_um: float | None = None
+    height_zero_sigma_um: float | None = None
+    height_zero_skin_share: float | None = None
+    masked_share: float | None = None
+    clipped_share: float | None = None
+    extrapolated_share: float | None = None
+    warnings: tuple[str, ...] = ()
+    frame_checks: tuple[FrameCheck, ...] = ()
+    calibration_passed: bool | None = None
+    calibration_notes: tuple[str, ...] = ()
+    height_scale: HeightScale = HeightScale()
+    slope_sigma_median: float | None = None
+    held_out_error_deg: float | None = None
+    integration: IntegrationRecord | None = None
+    scan_id: str | None = None
+    calibration_bundle: str | None = None
+    gel_id: str | None = None
+    frame_set: str | None = None
+    detail: DetailRecord | None = None
+
+
+class SequenceRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Record of a video's result as far as it is read; `host_sync/video/reconstruct.py` writes it.
+
+    colour_range_um : lowest and highest height of all frames, µm
+    """
+
+    schema: str
+    name: str
+    rows: Size
+    columns: Size
+    pixel_pitch_um: Pitch
+    rate_hz: Annotated[float, msgspec.Meta(gt=0.0, lt=MAX_RATE_HZ)]
+    frames: Annotated[tuple[Any, ...], msgspec.Meta(min_length=1)]
+    program: str = ""
+    written_utc: str = ""
+    calibration_id: str = ""
+    colour_range_um: tuple[float, float] | None = None
+
+
+ListedT = TypeVar("ListedT", ResultRecord, SequenceRecord)
+
+
+def encode_record(record: ResultRecord) -> bytes:
+    """The bytes of `result.json`."""
+    return msgspec.json.format(msgspec.json.encode(record), indent=2)
+
+
+def read_record(folder: Path) -> ResultRecord:
+    """The record of a result folder.
+
+    Raises
+    ------
+    UnreadableResult
+        It is missing, damaged, or of an unknown version.
+    """
+    path = folder / RECORD_FILE
+    return _checked(path, _converted(path, _decoded(path), ResultRecord), RESULT_SCHEMA)
+
+
+def read_listed_record(folder: Path) -> ResultRecord | SequenceRecord:
+    """The record of a result or video for a list: an optional entry of the wrong type counts as missing.
+
+    Raises
+    ------
+    UnreadableResult
+        It is missing, damaged, or of an unknown version.
+    """
+    path = folder / RECORD_FILE
+    entries = _decoded(path)
+    if entries.get("schema") == SEQUENCE_SCHEMA:
+        return _checked(path, _converted(path, _well_typed(entries, SequenceRecord), SequenceRecord), SEQUENCE_SCHEMA)
+    return _checked(path, _converted(path, _well_typed(entries, ResultRecord), ResultRecord), RESULT_SCHEMA)
+
+
+def _decoded(path: Path) -> dict[str, Any]:
+    try:
+        if not path.is_file():
+            raise UnreadableResult(
+                f"{path.parent}: holds no {path.name}: name a folder that retrosync reconstruct wrote"
+            )
+        if path.stat().st_size > MAX_RECORD_BYTES:
+            raise UnreadableResult(f"{path}: is larger than any record: reconstruct the scan again")
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except OSError as error:
+        raise UnreadableResult(f"{path}: cannot be read ({error.strerror}): reconstruct the scan again") from error
+    except msgspec.ValidationError as error:
+        raise UnreadableResult(f"{path}: {explain_validation(error)}: reconstruct the scan again") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UnreadableResult(f"{path}: is not JSON ({error}): reconstruct the scan again") from error
+
+
+def _well_typed(entries: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """The entries without optional ones that have the wrong type."""
+    kept = {}
+    for field in msgspec.structs.fields(kind):
+        if field.encode_name not in entries:
+            continue
+        value = entries[field.encode_name]
+        try:
+            msgspec.convert(value, field.type)
+        except msgspec.ValidationError:
+            if not field.required and field.encode_name != "schema":
+                continue
+        kept[field.encode_name] = value
+    return kept
+
+
+def _converted(path: Path, entries: Mapping[str, Any], kind: type[RecordT]) -> RecordT:
+    try:
+        return msgspec.convert(entries, kind)
+    except msgspec.ValidationError as error:
+        raise UnreadableResult(f"{path}: {explain_validation(error)}: reconstruct the scan again") from error
+
+
+def _checked(path: Path, record: ListedT, schema: str) -> ListedT:
+    if record.schema != schema:
+        raise UnreadableResult(
+            f"{path}: schema: {record.schema!r} is not {schema!r}: use the program that wrote it, or "
+            "reconstruct the scan again"
+        )
+    if record.rows * record.columns > MAX_PIXELS:
+        raise UnreadableResult(
+            f"{path}: {record.columns} x {record.rows} is more than {MAX_PIXELS} pixels: reconstruct the scan again"
+        )
+    return record

@@ -1,0 +1,1 @@
+"""Slope error model and Monte-Carlo height error."""

@@ -1,0 +1,99 @@
+"""At which elevation the balls showed each slope, and what it does when an object shows it at another.
+
+Lights that stand near look steeper to skin that is raised towards them: over a plane the direction of a light at the
+height h is proportional to 1 / (h - z). A ball shows its gentle slopes high up and its steep ones lower; an object that
+shows them z - z_ball higher is read too steep by the share (z - z_ball) / h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from device.balls.sphere import Ball, BallSamples
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.model import InverseMap
+from device.surface.fields import Float32Array, GradientField, HeightMap
+from device.surface.poisson_dct import integrate_dct
+from host_sync.integration.datum import untouched_mask, zero_to_datum
+from host_sync.uncertainty.light_height import nearness_per_px
+
+MAX_PRESSES: Final = 3
+"""Presses whose apexes are measured."""
+
+GRID_STEP_PX: Final = 4
+"""Every fourth pixel tells an apex well enough."""
+
+NEAREST_SHARE: Final = 0.2
+"""No light is taken to stand lower than five times the balls' apexes."""
+
+
+class ElevationCorrection(msgspec.Struct, frozen=True):
+    """Of the balls of a calibration.
+
+    apex_px : elevation of their apexes over untouched skin, pixels
+    radius_px : their radius, pixels
+    nearness_per_px : one over the lights' height over the skin; 0 for lights far away. Where slopes are corrected for
+        elevation, the standard uncertainty of what they are corrected for
+    """
+
+    apex_px: float
+    radius_px: float
+    nearness_per_px: float
+
+    def steeper(self, z_px: Float32Array, square: Float32Array) -> Float32Array:
+        """By what share slopes are read too steep; arrays of one shape.
+
+        z_px : elevation, pixels
+        square : p² + q²
+        """
+        drop = np.float32(self.radius_px) * (np.float32(1.0) - np.float32(1.0) / np.sqrt(np.float32(1.0) + square))
+        taught = np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0))
+        return np.asarray((z_px - taught) * np.float32(self.nearness_per_px), np.float32)
+
+    def shared(self, share: float) -> ElevationCorrection:
+        """The same for lights of which only a share of their nearness is there."""
+        return ElevationCorrection(self.apex_px, self.radius_px, share * self.nearness_per_px)
+
+    def enlarged(self, factor: float) -> ElevationCorrection:
+        """The same in frames with `factor` times as many pixels in each direction."""
+        return ElevationCorrection(factor * self.apex_px, factor * self.radius_px, self.nearness_per_px / factor)
+
+
+def elevation_correction(
+    presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], taught: BallSamples, inverse: InverseMap
+) -> ElevationCorrection:
+    """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
+    radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
+    shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
+    apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))
+    most = NEAREST_SHARE / max(apex_px, 1.0)
+    return ElevationCorrection(apex_px, radius_px, min(nearness_per_px(taught, inverse.shape), most))
+
+
+def _apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
+    """Elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at least."""
+    row, column = (np.arange(GRID_STEP_PX // 2, size, GRID_STEP_PX) for size in image.shape)
+    here = np.ix_(row, column)
+    valid = np.ascontiguousarray(image.valid[here])
+    slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
+    p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+    # In pixels instead of µm: zero as a scan's height map has it.
+    height = HeightMap(integrate_dct(p, q, float(GRID_STEP_PX)), float(GRID_STEP_PX))
+    at_rest = untouched_mask(GradientField(p, q, valid, valid.astype(np.float32)))
+    z_px = zero_to_datum(height, at_rest).z_um
+    return [max(float(z_px[_nearest(row, ball.row), _nearest(column, ball.column)]), _rise_px(ball)) for ball in balls]
+
+
+def _nearest(points: NDArray[np.intp], position: float) -> int:
+    """Number of the point next to a position."""
+    return int(np.abs(points - position).argmin())
+
+
+def _rise_px(ball: Ball) -> float:
+    """Elevation of a ball's apex over the rim of its contact, pixels."""
+    return ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2))

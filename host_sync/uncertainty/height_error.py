@@ -1,0 +1,214 @@
+"""Uncertainty of slopes by their tilt, and of heights by drawing slope errors and integrating each draw.
+
+Slope errors are correlated over the field, so that no formula per pixel can give the height's. The draws are levelled
+as the height map is: σ is that of the height above untouched skin, which is what the user sees. They are kept, for a
+number that is later taken from the height map (a roughness, a step) has an uncertainty only through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from device.inverse_map.model import InverseMap
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface.poisson_dct import integrate_dct
+from host_sync.integration.zero_level import Datum
+from host_sync.uncertainty.calibration_draws import CalibrationDoubt
+from host_sync.uncertainty.kernels import (
+    piecewise_linear,
+    removed_slope,
+    sigma_by_tilt,
+    squared_tilt,
+    with_scale,
+)
+from host_sync.uncertainty.slope_error import SlopeError
+
+DRAWS: Final = 16
+WIDEST_PX: Final = 512
+"""Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
+
+MIN_WEIGHT: Final = 0.01
+
+NOISE_KEPT: Final = 0.35
+"""What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
+
+Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.350 of the
+standard deviation (the mean over all frequencies of the product of their transfer functions).
+"""
+
+CONTRADICTION_PX: Final = 8.0
+"""Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
+
+CONTRADICTION_CELL_PX: Final = 4
+"""The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
+
+PLACES: Final = 48
+"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly."""
+
+SlopePair = tuple[Float32Array, Float32Array]
+
+
+def flat_bias(inverse: InverseMap) -> SlopePair:
+    """Slopes that the map reads on untouched skin, which has none: float32 arrays of shape (PLACES, PLACES)."""
+    down, across = ((np.arange(PLACES) + 0.5) * (size / PLACES) - 0.5 for size in inverse.shape)
+    slopes = inverse.on_grid(np.ones((PLACES, PLACES, 3), np.float32), across, down)
+    return slopes[..., 0], slopes[..., 1]
+
+
+def nonintegrable_residual(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
+    """Standard deviation of the slope error, over patches, that the surface itself betrays: float32 array (H, W).
+
+    Slopes that belong to no surface cannot be right. Of an error without preference integration removes half the power
+    and keeps the other half, so that twice of what it removed is the error (p and q are the integrated slopes).
+    """
+    rows, columns = gradients.p.shape
+    size = (max(columns // CONTRADICTION_CELL_PX, 1), max(rows // CONTRADICTION_CELL_PX, 1))
+    sigma = CONTRADICTION_PX / CONTRADICTION_CELL_PX
+    total = np.zeros(size[::-1], np.float32)
+    for estimated, integrated in ((gradients.p, p), (gradients.q, q)):
+        removed = removed_slope(estimated, integrated, gradients.valid)
+        total += cv2.GaussianBlur(_shrunk(removed, size), (0, 0), sigma) ** 2
+    patches = np.sqrt(cv2.GaussianBlur(total, (0, 0), 4.0 * sigma))
+    return np.asarray(cv2.resize(patches, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightUncertainty:
+    """What is known of a height map's errors.
+
+    sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
+    draws_um : float32 array of shape (DRAWS, h, w), height errors that the data allow, µm, over the same field reduced;
+        each levelled as the height map is, scale included
+    """
+
+    sigma_um: Float32Array
+    draws_um: Float32Array
+
+
+def reduced_size(shape: tuple[int, ...]) -> tuple[int, int]:
+    """(w, h) of the field over which the height errors of a field of `shape` (H, W) are drawn."""
+    rows, columns = shape
+    factor = max(1, int(np.ceil(columns / WIDEST_PX)))
+    return max(columns // factor, 3), max(rows // factor, 3)
+
+
+def slope_sigma(
+    gradients: GradientField,
+    p: Float32Array,
+    q: Float32Array,
+    contradiction: Float32Array,
+    error: SlopeError,
+    doubt: Float32Array | None = None,
+    noise_kept: float = NOISE_KEPT,
+) -> Float32Array:
+    """Standard uncertainty of either slope of the surface: float32 array of shape (H, W), NaN where invalid.
+
+    p, q : slopes of the height map
+    contradiction : as `nonintegrable_residual` returns it
+    doubt : the calibration's, float32 array of shape (H, W); None where nobody knows it
+    noise_kept : share of a pixel's noise that the surface's slopes keep
+    """
+    cosine = np.cos(np.radians(error.tilt_deg))[::-1]
+    pixel, patch = (np.radians(part_deg)[::-1] for part_deg in (error.pixel_deg, error.patch_deg))
+    parts = piecewise_linear(cosine, noise_kept * pixel), piecewise_linear(cosine, patch)
+    weight = np.maximum(gradients.weight, np.float32(MIN_WEIGHT))
+    # Both look at the same error, from what balls taught and from what this surface betrays: the larger one counts.
+    unsure = np.zeros_like(contradiction) if doubt is None else doubt
+    return sigma_by_tilt((p, q), parts, weight, gradients.valid, contradiction, unsure)
+
+
+def height_uncertainty(
+    height: HeightMap,
+    gradients: GradientField,
+    contradiction: Float32Array,
+    error: SlopeError,
+    resting: SlopePair,
+    datum: Datum,
+    scale_share: float = 0.0,
+    seed: int = 0,
+    doubt: CalibrationDoubt | None = None,
+) -> HeightUncertainty:
+    """Standard uncertainty of the height, and the draws it comes from.
+
+    height : levelled, zero at untouched skin
+    contradiction : as `nonintegrable_residual` returns it
+    resting : as `flat_bias` returns them
+    datum : what the height map's zero was taken from
+    scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
+    doubt : the calibration's, on a field of `reduced_size`; None where nobody knows it
+    """
+    rows, columns = gradients.p.shape
+    size = reduced_size(gradients.p.shape)
+    reduction = columns / size[0]
+    spread = _drawn_spread(gradients, contradiction, error, size)
+    z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
+    steeper = _read_steeper(gradients, z_small / np.float32(height.pitch_um), error, size)
+    bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
+    zero = _shrunk(datum.skin, size)
+    zero /= max(float(zero.sum()), 1e-6)
+    share = float(np.hypot(error.scale_share, scale_share))
+    rng = np.random.default_rng(seed)
+    draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
+    for draw_um in draws_um:
+        raised, tilted = rng.standard_normal(2, np.float32)
+        p, q = (
+            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
+            for steep, rest in zip(steeper, bias, strict=True)
+        )
+        if doubt is not None:
+            unsure = doubt.drawn(rng.standard_normal(len(doubt.p), np.float32))
+            p, q = p + unsure[0], q + unsure[1]
+        draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
+        # Skin at rest is flat: by how much its heights differ, their zero is unknown.
+        draw_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((draw_um * zero).sum())
+    sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
+    return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), draws_um)
+
+
+def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:
+    """Pixel and patch part (radians) of the error where p² + q² is `square`."""
+    # Looked up by the cosine of the tilt: no arc tangent a pixel.
+    cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
+    known = np.cos(np.radians(error.tilt_deg))[::-1]
+
+    def at_tilt(part_deg: tuple[float, ...]) -> Float32Array:
+        return np.asarray(np.interp(cosine, known, np.radians(part_deg)[::-1]), np.float32)
+
+    return at_tilt(error.pixel_deg), at_tilt(error.patch_deg)
+
+
+def _drawn_spread(
+    gradients: GradientField, contradiction: Float32Array, error: SlopeError, size: tuple[int, int]
+) -> SlopePair:
+    """Standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average out."""
+    square = _shrunk(squared_tilt(gradients.p, gradients.q, gradients.valid, 9.0), size)
+    confidence = _shrunk(np.maximum(gradients.weight, np.float32(MIN_WEIGHT)), size)
+    pixel, patch = _by_tilt(square, error)
+    growth = (np.float32(1.0) + square) / np.sqrt(confidence)
+    reduction = np.float32(gradients.p.shape[1] / size[0])
+    patches = np.hypot(patch * growth, _shrunk(contradiction, size))
+    return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
+
+
+def _read_steeper(gradients: GradientField, z_px: Float32Array, error: SlopeError, size: tuple[int, int]) -> SlopePair:
+    """By how much slopes may be read too steep for skin at another elevation than the balls'; on the reduced field."""
+    p, q = (_shrunk(np.where(gradients.valid, slope, np.float32(0.0)), size) for slope in (gradients.p, gradients.q))
+    share = error.elevation.steeper(z_px, p * p + q * q)
+    return share * p, share * q
+
+
+def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:
+    return np.asarray(cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _slope_draw(rng: np.random.Generator, spread: SlopePair, patch_px: float) -> Float32Array:
+    """One slope component's error on the reduced field."""
+    pixel, patch = spread
+    noise = rng.standard_normal(pixel.shape, dtype=np.float32)
+    smooth = cv2.GaussianBlur(rng.standard_normal(pixel.shape, dtype=np.float32), (0, 0), max(patch_px, 0.5))
+    return np.asarray(noise * pixel + smooth * (patch / max(float(smooth.std()), 1e-6)), np.float32)

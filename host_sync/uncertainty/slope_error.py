@@ -1,0 +1,230 @@
+"""How wrong slopes are, by how steep the surface is, in parts that bend a height map over ever longer distances.
+
+* from pixel to pixel: noise and pigment, which average out
+* over a patch: what the map gets wrong of a ball it did not see. Its reach is measured by what it does: slope errors
+  added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
+* over the whole press: a ball shows each slope at one elevation only, and an object that shows it at another is read
+  wrong (see `elevation`)
+* over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it
+
+Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import cv2
+import msgspec
+import numpy as np
+
+from device.balls.sphere import Ball, BallSamples, sphere_slopes
+from device.calibration.fit import InverseFit
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.model import InverseMap
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.inflation import held_out_inflation
+
+SPLIT_SHARE: Final = 0.1
+"""Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
+
+TILT_EDGES_DEG: Final = (0.0, 4.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
+"""Borders of the bands of steepness that have figures of their own."""
+
+ONE_SIGMA_PERCENT: Final = 68.27
+INNER_SHARE: Final = 0.9
+"""Share of a contact over which slope errors are added up to errors of height."""
+
+MIN_PIXELS: Final = 50
+GENTLE: Final = 0.3
+"""Slopes up to which a shift of the centre changes all slopes by nearly the same."""
+
+RAYS: Final = 24
+STEPS: Final = 40
+SHORTEST_REACH_PX: Final = 1.0
+
+Pressed = Sequence[tuple[NormalizedImage, Sequence[Ball]]]
+
+
+class SlopeError(msgspec.Struct, frozen=True):
+    """Standard deviations of one slope component by tilt of the surface, as angles of the normal.
+
+    In slope they are (1 + p² + q²) times as large.
+
+    tilt_deg : tilt of the surface for which the next two are given; between them they run straight
+    pixel_deg : the part that is independent from pixel to pixel
+    patch_deg : the part that is the same over a patch
+    patch_px : size of such a patch, the standard deviation of a Gaussian
+    elevation : at which the balls showed each slope
+    scale_share : by what share all slopes are read too steep or too flat, root mean square over balls
+    """
+
+    tilt_deg: tuple[float, ...]
+    pixel_deg: tuple[float, ...]
+    patch_deg: tuple[float, ...]
+    patch_px: float
+    elevation: ElevationCorrection
+    scale_share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BallError:
+    """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there."""
+
+    slope: Float64Array
+    inside: MaskArray
+    truth: Float64Array
+    ball: Ball
+
+
+def measure_slope_error(
+    presses: Pressed, taught: BallSamples, fit: InverseFit, elevation: ElevationCorrection | None = None
+) -> SlopeError:
+    """The slope error on the balls of a calibration, which taught their samples.
+
+    What the map gets wrong of balls that taught it is scaled up to what it gets wrong of held-out ones, unless the
+    fit's replicas say at every pixel how much more that is.
+    """
+    known = bool(fit.replicas)
+    errors = list(_ball_errors(presses, fit.map))
+    bands = _by_band(errors)
+    sums = [_height_errors(error) for error in errors]
+    inflation = held_out_inflation(taught, fit)
+    noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
+    scale = float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0
+    return SlopeError(
+        tilt_deg=tuple(tilt for tilt, _, _ in bands),
+        pixel_deg=tuple(pixel for _, pixel, _ in bands),
+        patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
+        patch_px=_reach_px(sums),
+        elevation=elevation or elevation_correction(presses, taught, fit.map),
+        scale_share=(1.0 if known else inflation.throughout(noise_deg)) * scale,
+    )
+
+
+def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
+    """Middle tilt of each band that balls show, and its pixel and patch part, degrees."""
+    tilts, pixels, patches = [np.zeros(0)], [np.zeros((2, 0))], [np.zeros((2, 0))]
+    for error in errors:
+        sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+        square = (error.truth**2).sum(axis=0)
+        angle = error.slope / (1.0 + square)
+        smooth = np.stack([_masked_blur(part, error.inside, sigma_px) for part in angle])
+        tilts.append(np.degrees(np.arctan(np.sqrt(square[error.inside]))))
+        pixels.append((angle - smooth)[:, error.inside])
+        patches.append(smooth[:, error.inside])
+    tilt, pixel, patch = (np.concatenate(parts, axis=-1) for parts in (tilts, pixels, patches))
+    bands = []
+    for low, high in pairwise(TILT_EDGES_DEG):
+        rows = (tilt >= low) & (tilt < high)
+        if rows.sum() >= MIN_PIXELS:
+            bands.append((float(tilt[rows].mean()), _spread_deg(pixel[:, rows]), _spread_deg(patch[:, rows])))
+    return bands or [(0.0, 0.0, 0.0)]
+
+
+def _spread_deg(angle: Float64Array) -> float:
+    return float(np.degrees(np.percentile(np.abs(angle), ONE_SIGMA_PERCENT)))
+
+
+@dataclass(frozen=True, slots=True)
+class _HeightErrors:
+    """Slope errors of one ball added up from apex to rim, along rays.
+
+    scale : what all rays share, as a share of the ball's height over its rim
+    variance_px2 : mean square of what rays do not share
+    slope_variance : mean square of the radial slope error of a patch
+    length_px : of a ray
+    """
+
+    scale: float
+    variance_px2: float
+    slope_variance: float
+    length_px: float
+
+
+def _height_errors(error: _BallError) -> _HeightErrors:
+    rows, columns = error.inside.shape
+    length = INNER_SHARE * error.ball.contact_radius_px
+    radius = (np.arange(STEPS) + 0.5) * length / STEPS
+    angle = np.arange(RAYS)[:, None] * (2.0 * np.pi / RAYS)
+    column = np.rint(error.ball.column + radius * np.cos(angle)).astype(np.intp)
+    row = np.rint(error.ball.row + radius * np.sin(angle)).astype(np.intp)
+    seen = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+    seen &= error.inside[row, column]
+    sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+    smooth = [_masked_blur(part, error.inside, sigma_px)[row, column] for part in error.slope]
+    radial = np.where(seen, smooth[0] * np.cos(angle) + smooth[1] * np.sin(angle), 0.0)
+    heights = radial.sum(axis=1) * length / STEPS
+    ball_height = error.ball.radius_px - float(np.sqrt(error.ball.radius_px**2 - length**2))
+    return _HeightErrors(
+        scale=float(heights.mean()) / ball_height,
+        variance_px2=float(heights.var()),
+        slope_variance=float((radial**2).sum() / max(seen.sum(), 1)),
+        length_px=length,
+    )
+
+
+def _reach_px(sums: Sequence[_HeightErrors]) -> float:
+    """Standard deviation of the Gaussian patches that add up to the same error of height along a ray.
+
+    Noise blurred by a Gaussian σ is alike over 2 sqrt(π) σ: a sum over a length l has so many times l its variance.
+    """
+    if not sums:
+        return SHORTEST_REACH_PX
+    variance = sum(part.variance_px2 for part in sums)
+    per_reach = sum(part.slope_variance * part.length_px for part in sums) * 2.0 * np.sqrt(np.pi)
+    longest = max(part.length_px for part in sums)
+    return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
+
+
+def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallError]:
+    """The slope error of each ball that shows enough faithful pixels."""
+    for image, balls in presses:
+        for ball in balls:
+            window = _window(ball, image.shape)
+            row, column = np.mgrid[window].astype(np.float32)
+            inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < ball.contact_radius_px**2
+            inside &= image.faithful[window]
+            if inside.sum() < MIN_PIXELS:
+                continue
+            read = inverse_map.predict(image.values[window][inside], column[inside], row[inside])
+            ball = _centred(ball, read, column[inside], row[inside])
+            truth = np.stack(sphere_slopes(ball, column, row)).astype(np.float64)
+            slope = np.zeros((2, *inside.shape))
+            slope[:, inside] = read.T - truth[:, inside]
+            here = Ball(
+                ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
+            )
+            yield _BallError(slope, inside, truth, here)
+
+
+def _centred(ball: Ball, read: Float64Array, column: Float32Array, row: Float32Array) -> Ball:
+    """The ball where its own gentle slopes, float64 array of shape (N, 2), put its centre.
+
+    An error of the centre is an error of the truth: it would be taken for one of the map, all over the ball.
+    """
+    truth = np.stack(sphere_slopes(ball, column, row), axis=-1)
+    gentle = (truth**2).sum(axis=1) < GENTLE**2
+    if gentle.sum() < MIN_PIXELS:
+        return ball
+    off = np.median(read[gentle] - truth[gentle], axis=0)
+    return replace(ball, column=ball.column + ball.radius_px * off[0], row=ball.row + ball.radius_px * off[1])
+
+
+def _window(ball: Ball, shape: tuple[int, int]) -> tuple[slice, slice]:
+    reach = int(np.ceil(ball.contact_radius_px)) + 1
+    row, column = round(ball.row), round(ball.column)
+    rows = slice(max(row - reach, 0), max(min(row + reach + 1, shape[0]), 0))
+    return rows, slice(max(column - reach, 0), max(min(column + reach + 1, shape[1]), 0))
+
+
+def _masked_blur(values: Float64Array, inside: MaskArray, sigma_px: float) -> Float64Array:
+    """Gaussian mean over the pixels inside only."""
+    weight = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), sigma_px)
+    blurred = cv2.GaussianBlur(values.astype(np.float32), (0, 0), sigma_px)
+    return np.asarray(blurred / np.maximum(weight, 1e-6), np.float64)

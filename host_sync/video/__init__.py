@@ -1,0 +1,1 @@
+"""Sequences of frames: heights of every frame, and the movie."""

@@ -1,0 +1,188 @@
+"""Reconstructs a sequence: heights of every frame, then the movie of the relief.
+
+Three things run at the same time: a thread decodes frames ahead, a pool solves several (`pool`), a thread writes
+earlier ones. Height arrays are allocated once, so memory does not grow with the sequence.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from device.io.atomic import atomic_directory
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.calibration.calibrate import Calibration
+from host_sync.errors import SequenceError
+from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
+from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE, SEQUENCE_SCHEMA
+from host_sync.video.frame_solver import FrameSolver
+from host_sync.video.height_stack import HeightStack, open_heights
+from host_sync.video.movie import MovieFiles, Progress, RenderedRelief, write_movie
+from host_sync.video.pool import FrameOutcome, SolverPool
+
+QUEUE_LENGTH: Final = 3
+"""Frames decoded before they are solved, and heights solved before they are written."""
+DEFAULT_RATE_HZ: Final = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceReport:
+    """Outcome of a sequence.
+
+    heights_per_s, pictures_per_s : frames per second from file to height on disk, and from there to the movie
+    """
+
+    outcomes: tuple[FrameOutcome, ...]
+    rate_hz: float
+    heights_per_s: float
+    pictures_per_s: float | None
+
+    @property
+    def failures(self) -> tuple[FrameOutcome, ...]:
+        """Frames without a height map."""
+        return tuple(outcome for outcome in self.outcomes if outcome.statistics is None)
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceOptions:
+    """Options for a sequence.
+
+    name : for titles and the record
+    rate_hz : frames per second; None for the rate of the source, else `DEFAULT_RATE_HZ`
+    mp4, gif : which movies to write
+    facts : more entries for `result.json`
+    """
+
+    name: str
+    rate_hz: float | None = None
+    mp4: bool = True
+    gif: bool = True
+    facts: tuple[tuple[str, Any], ...] = ()
+
+
+def reconstruct_sequence(
+    sequence: FrameSequence,
+    calibration: Calibration,
+    solver: FrameSolver,
+    out: Path,
+    options: SequenceOptions,
+    progress: Progress = lambda _step, _done, _all: None,
+) -> SequenceReport:
+    """Write heights, movies and `result.json` of a sequence to the directory `out`, completely or not at all.
+
+    progress : called with the step, frames done and frames in total
+
+    Raises
+    ------
+    SequenceError
+        None of the frames could be reconstructed.
+    OutputError
+        The directory cannot be written; its previous contents are unchanged.
+    """
+    rate_hz = options.rate_hz or sequence.rate_hz or DEFAULT_RATE_HZ
+    with atomic_directory(out, RECORD_FILE) as folder:
+        relief = RenderedRelief()
+        began = time.perf_counter()
+        with HeightStack(folder / HEIGHTS_FILE, solver.shape, sequence.count, calibration.pitch_um, rate_hz) as stack:
+            outcomes = _solve_all(sequence, solver, stack, relief, calibration.pitch_um, progress)
+        solved = time.perf_counter()
+        if all(outcome.statistics is None for outcome in outcomes):
+            raise SequenceError(f"none of {len(outcomes)} frames could be reconstructed: {outcomes[0].reason}")
+        mp4 = folder / "relief.mp4" if options.mp4 else None
+        movies = MovieFiles(mp4, folder / "relief.gif" if options.gif else None)
+        if movies.wanted:
+            heights = open_heights(folder / HEIGHTS_FILE)
+            write_movie(movies, heights, calibration.pitch_um, rate_hz, relief, options.name, progress)
+        heights_per_s = len(outcomes) / (solved - began)
+        pictures_per_s = len(outcomes) / (time.perf_counter() - solved) if movies.wanted else None
+        report = SequenceReport(tuple(outcomes), rate_hz, heights_per_s, pictures_per_s)
+        record = sequence_record(report, calibration, solver, relief, options)
+        (folder / RECORD_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
+    return report
+
+
+def _solve_all(
+    sequence: FrameSequence, solver: FrameSolver, stack: HeightStack, relief: RenderedRelief, pitch_um: float,
+    progress: Progress,
+) -> list[FrameOutcome]:  # fmt: skip
+    """Solve every frame and write its heights to the stack; returns their outcomes."""
+    outcomes: list[FrameOutcome] = []
+    writing: deque[Future[None]] = deque()
+
+    def write(z_um: Float32Array, solved: bool) -> None:
+        try:
+            stack.append(z_um)
+            if solved:
+                relief.add(HeightMap(z_um, pitch_um))
+        finally:
+            pool.release(z_um)
+
+    with SolverPool(solver, QUEUE_LENGTH) as pool, ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as disk:
+        for outcome, z_um in pool.map(_decode_ahead(sequence, reading)):
+            if len(writing) == QUEUE_LENGTH:
+                writing.popleft().result()
+            outcomes.append(outcome)
+            writing.append(disk.submit(write, z_um, outcome.statistics is not None))
+            progress("heights", len(outcomes), sequence.count)
+        for job in writing:
+            job.result()
+    return outcomes
+
+
+def _decode_ahead(sequence: FrameSequence, reading: ThreadPoolExecutor) -> Iterator[StoredFrame | BadFrame]:
+    """The frames, up to `QUEUE_LENGTH` of them decoded in advance."""
+    frames = sequence.frames()
+    jobs = deque(reading.submit(next, frames, None) for _ in range(QUEUE_LENGTH))
+    while (frame := jobs.popleft().result()) is not None:
+        jobs.append(reading.submit(next, frames, None))
+        yield frame
+
+
+def sequence_record(
+    report: SequenceReport,
+    calibration: Calibration,
+    solver: FrameSolver,
+    relief: RenderedRelief,
+    options: SequenceOptions,
+) -> dict[str, Any]:
+    """Contents of `result.json`: units are in the names, missing readings are null."""
+    rows, columns = solver.shape
+    return {
+        "schema": SEQUENCE_SCHEMA,
+        "name": options.name,
+        "program": f"retrograph {version('retrograph')}",
+        "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "calibration_id": calibration.calibration_id,
+        "rows": rows,
+        "columns": columns,
+        "pixel_pitch_um": calibration.pitch_um,
+        "rate_hz": report.rate_hz,
+        "heights": f"{HEIGHTS_FILE}: a page per frame, µm, NaN is invalid",
+        "height_zero": "median of untouched skin, in every frame",
+        "colour_range_um": [relief.low_um, relief.high_um],
+        "heights_per_s": report.heights_per_s,
+        "pictures_per_s": report.pictures_per_s,
+        **solver.facts,
+        **dict(options.facts),
+        "frames": [_frame_record(number, outcome, report.rate_hz) for number, outcome in enumerate(report.outcomes)],
+    }
+
+
+def _frame_record(number: int, outcome: FrameOutcome, rate_hz: float) -> dict[str, Any]:
+    record: dict[str, Any] = {"page": number, "name": outcome.name, "time_s": number / rate_hz}
+    if outcome.statistics is None:
+        return record | {"failed": outcome.reason}
+    return record | {
+        "contact_share": outcome.statistics.contact_fraction,
+        "clipped_share": outcome.statistics.clipped_fraction,
+        "masked_share": outcome.statistics.masked_fraction,
+        "peak_um": outcome.statistics.peak_um,
+    }

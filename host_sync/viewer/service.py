@@ -1,0 +1,214 @@
+"""Answers the page's questions: joins catalogue, cache and heights.
+
+The server calls these methods in threads, because they read files and compute; at most `HEAVY` compute at a time, which
+bounds memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from threading import BoundedSemaphore
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.errors import ViewError
+from host_sync.frames.frame_set import FrameSet
+from host_sync.profile.profile_line import Line
+from host_sync.render.shading import steep_slope
+from host_sync.results.field_file import write_field
+from host_sync.results.files import DRAWS_FILE, HEIGHT_SIGMA_FILE
+from host_sync.results.record import SequenceRecord
+from host_sync.viewer.cache import Cache
+from host_sync.viewer.catalogue import Catalogue
+from host_sync.viewer.entry import DifferenceRecord, Entry, Record, key_of
+from host_sync.viewer.heights import Heights
+from host_sync.viewer.pictures import frame_picture, sigma_picture, thumbnail
+from host_sync.viewer.profile import MeasuredLine, measure_line
+from host_sync.viewer.pyramid import Level, level_count, padded_shape
+
+HEAVY: Final = 2
+SCREEN_SAMPLES: Final = 400
+_DIFFERENCE: Final = 2
+"""Version of a stored difference: another version in the cache is computed again."""
+
+_DIFFERENCE_FILE: Final = "difference_um.tif"
+_DIFFERENCE_RECORD: Final = "difference.json"
+
+
+class ViewerService:
+    """Answers questions about entries.
+
+    Parameters
+    ----------
+    catalogue : the entries
+    cache_folder : may be deleted at any time
+    frames : the frame set that the results were made from, if named
+    """
+
+    def __init__(self, catalogue: Catalogue, cache_folder: Path, frames: FrameSet | None = None) -> None:
+        self.catalogue = catalogue
+        self._heights = Heights()
+        self._cache = Cache(cache_folder, self._heights)
+        self._frames = {scan.name: scan for scan in frames.scans} if frames else {}
+        self._turn = BoundedSemaphore(HEAVY)
+
+    def level(self, key: str, page: int, level: int, first: int, last: int) -> Level:
+        """Rows of a level of an entry's pyramid."""
+        with self._turn:
+            return self._cache.level(self.catalogue.find(key), page, level, first, last)
+
+    def thumbnail(self, key: str) -> bytes:
+        """A small relief, WebP."""
+        entry = self.catalogue.find(key)
+        middle = entry.pages // 2
+        with self._turn:
+            return self._cache.file(
+                entry, "thumbnail.webp", lambda: thumbnail(self._heights.read(entry, middle), entry.pitch_um)
+            )
+
+    def frame(self, key: str) -> bytes:
+        """The entry's frame, JPEG."""
+        entry = self.catalogue.find(key)
+        with self._turn:
+            return self._cache.file(entry, "frame.jpg", lambda: frame_picture(entry, self._frames.get(entry.title)))
+
+    def sigma(self, key: str) -> Float32Array:
+        """The reduced map of the standard uncertainty, µm."""
+        entry = self.catalogue.find(key)
+        with self._turn:
+            found = self._heights.sigma(entry)
+            if found is None:
+                raise ViewError(f"{entry.title}: has no uncertainty: reconstruct it with this version")
+            return sigma_picture(found)
+
+    def profile(self, key: str, page: int, ends_px: tuple[float, float, float, float]) -> MeasuredLine:
+        """The heights along a line.
+
+        ends_px : row and column of the start, row and column of the end
+        """
+        entry = self.catalogue.find(key)
+        row_0, column_0, row_1, column_1 = (end * entry.pitch_um for end in ends_px)
+        line = Line((column_0, row_0), (column_1, row_1))
+        with self._turn:
+            draws_um = self._heights.draws(entry)
+            sigma_um = self._heights.sigma(entry) if draws_um is None else None
+            return measure_line(self._heights.read(entry, page), entry.pitch_um, line, draws_um, sigma_um)
+
+    def height(self, key: str, page: int, row: int, column: int) -> float:
+        """One pixel's height, µm; NaN where invalid."""
+        entry = self.catalogue.find(key)
+        z_um = self._heights.read(entry, page)
+        if not (0 <= row < z_um.shape[0] and 0 <= column < z_um.shape[1]):
+            raise ViewError("that place is outside the height map: point inside it")
+        return float(z_um[row, column])
+
+    def facts(self, key: str) -> dict[str, Any]:
+        """What the page needs before it draws."""
+        entry = self.catalogue.find(key)
+        with self._turn:
+            z_um = self._heights.read(entry, entry.pages // 2)
+            sample = z_um[:: max(1, z_um.shape[0] // 500), :: max(1, z_um.shape[1] // 500)]
+            steep = steep_slope(HeightMap(z_um, entry.pitch_um), SCREEN_SAMPLES)
+        known = sample[np.isfinite(sample)]
+        low, high = (float(end) for end in np.percentile(known, [0.1, 99.9])) if known.size else (0.0, 1.0)
+        if entry.kind == "video":
+            low, high = _stated_range(entry.record) or (low, high)
+        return {
+            "levels": level_count(entry.shape),
+            "padded": padded_shape(entry.shape),
+            "low_um": low,
+            "high_um": max(high, low + 1e-3),
+            "steep": steep,
+            "masked_share": float(np.isnan(sample).mean()),
+            "has_frame": entry.kind != "difference" and (entry.scan is not None or entry.title in self._frames),
+            "has_sigma": entry.kind in {"result", "difference"} and (entry.folder / HEIGHT_SIGMA_FILE).is_file(),
+            "has_draws": entry.kind == "result" and (entry.folder / DRAWS_FILE).is_file(),
+        }
+
+    def compare(self, first_key: str, second_key: str) -> Entry:
+        """The difference of two entries, second minus first, as an entry of its own.
+
+        Raises
+        ------
+        ViewError
+            They are the same, or show nothing in common.
+        """
+        first, second = self.catalogue.find(first_key), self.catalogue.find(second_key)
+        if first.key == second.key:
+            raise ViewError("a scan cannot be compared with itself: choose another")
+        name = hashlib.sha256(f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}".encode()).hexdigest()[:32]
+        folder = self._cache.folder(name)
+        with self._turn:
+            record = _stored_difference(folder)
+            if record is None:
+                record = self._make_difference(first, second, folder)
+        entry = replace(
+            first,
+            key=key_of(folder),
+            kind="difference",
+            title=f"{second.title} minus {first.title}",
+            heights=folder / _DIFFERENCE_FILE,
+            pages=1,
+            rate_hz=None,
+            hit=None,
+            scan=None,
+            record=record,
+        )
+        self.catalogue.add_derived(entry)
+        return entry
+
+    def _make_difference(self, first: Entry, second: Entry, folder: Path) -> DifferenceRecord:
+        # Compiled code is loaded when it is first needed, so that the list appears at once.
+        from host_sync.viewer.registration import difference
+
+        found = difference(
+            HeightMap(self._heights.read(first, first.pages // 2), first.pitch_um),
+            HeightMap(self._heights.read(second, second.pages // 2), second.pitch_um),
+            (self._heights.sigma(first), self._heights.sigma(second)),
+        )
+        sigma_um = found.sigma_um
+        record = DifferenceRecord(
+            name="difference",
+            first=first.key,
+            second=second.key,
+            shift_um=found.shift_um,
+            turn_deg=found.turn_deg,
+            offset_um=found.offset_um,
+            tilt=found.tilt,
+            residual_um=found.residual_um,
+            median_um=found.median_um,
+            overlap_share=found.overlap_share,
+            agreement_share=found.agreement,
+            warnings=(found.doubt,) if found.doubt else (),
+            height_sigma_median_um=None if sigma_um is None else float(np.nanmedian(sigma_um)),
+        )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_field(folder / _DIFFERENCE_FILE, found.z_um, first.pitch_um, "height difference, um")
+            if sigma_um is not None:
+                write_field(folder / HEIGHT_SIGMA_FILE, sigma_um, first.pitch_um, "standard uncertainty, um")
+            (folder / _DIFFERENCE_RECORD).write_bytes(msgspec.json.encode(record))
+        except OSError as error:
+            raise ViewError(
+                f"{folder}: the cache cannot be written: free space, or name another with --cache"
+            ) from error
+        return record
+
+
+def _stored_difference(folder: Path) -> DifferenceRecord | None:
+    try:
+        record = msgspec.json.decode((folder / _DIFFERENCE_RECORD).read_bytes(), type=DifferenceRecord)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    return record if (folder / _DIFFERENCE_FILE).is_file() else None
+
+
+def _stated_range(record: Record | None) -> tuple[float, float] | None:
+    """Lowest and highest height of all frames of a video, µm, where its record states them."""
+    ends = record.colour_range_um if isinstance(record, SequenceRecord) else None
+    return ends if ends is not None and ends[0] < ends[1] else None

@@ -1,0 +1,173 @@
+"""The whole workflow on the twin: calibrate, press the button, pull, reconstruct, and compare with the truth.
+
+usage: python -m tests.demo.story --out demo-output
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from device.acquisition.calibrate import calibrate
+from device.acquisition.guided_calibration import press_places
+from device.acquisition.scanner import Scanner
+from device.bundles.scan import Annotations
+from device.imaging.flat_field import demosaic
+from device.quick_look.files import PICTURE_FILE
+from device.store.store import BundleStore
+from hal.board_profile import load_board_profile
+from hal.clock import VirtualClock
+from hal.interfaces import PressObject
+from hal.simulator.bench import TwinTruth, build
+from hal.simulator.hardware import twin_hardware
+from host_sync.library.library import Library
+from host_sync.offload.directory import DirectorySource
+from host_sync.offload.pull import pull
+from host_sync.reconstruction.from_library import LibraryReconstructor
+from tests.demo.pictures import Chapter, write_pictures, write_summary
+from tests.demo.truth_judge import Judgement, judge
+
+BALL_RADIUS_MM = 3.0
+
+
+@dataclass(frozen=True)
+class Act:
+    """One instrument of the demo, the distance of its lights, and what is pressed on it."""
+
+    board: str
+    title: str
+    objects: tuple[str, ...]
+
+
+ACTS = (
+    Act("twin", "25 mm", ("sphere", "coin", "texture")),
+    Act("twin-distant", "250 mm", ("sphere",)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """A scan of the demo with its truth."""
+
+    title: str
+    scan_id: str
+    truth: TwinTruth
+
+
+def main() -> int:
+    """Run the demo; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("demo-output"), help="folder for pictures and data")
+    out: Path = parser.parse_args().out
+    console = Console()
+    began_s = time.monotonic()
+    shutil.rmtree(out, ignore_errors=True)
+    library = Library(out / "library")
+    columns = (TextColumn("{task.description:<44}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        scanned = [scan for act in ACTS for scan in _play(act, out, library, progress)]
+        chapters = _reconstruct(scanned, library, out, progress)
+    write_summary(chapters, out / "summary.png")
+    console.print(_table(chapters))
+    console.print(f"{time.monotonic() - began_s:.0f} s in all. Scans, height maps and pictures are in {out}/.")
+    console.print(f"Open this picture: {out / 'summary.png'}", soft_wrap=True)
+    return 0
+
+
+def _play(act: Act, out: Path, library: Library, progress: Progress) -> list[Scanned]:
+    """Calibrate one instrument, scan its objects, pull everything into the library."""
+    bench = build(load_board_profile(act.board), VirtualClock(time.monotonic_ns(), time.time()))
+    scanned = []
+    with twin_hardware(bench) as hardware:
+        store = BundleStore(out / "card" / act.board, hardware.clock)
+        task = progress.add_task(f"calibrate, {act.title}", total=len(press_places()) + 2)
+        calibrate(hardware, store, BALL_RADIUS_MM, lambda _: progress.advance(task))
+        scanner = Scanner(hardware, store)
+        task = progress.add_task(f"button scans, {act.title}", total=len(act.objects))
+        for name in act.objects:
+            hardware.operator.ask(PressObject(name))
+            hardware.button.wait_for_press(None)
+            outcome = scanner.scan(Annotations(job="demo", part=name))
+            verdict = outcome.bundle.record.verdict
+            progress.console.print(f"{name}: {verdict.level}, {verdict.reason}")
+            scanned.append(Scanned(f"{name}, {act.title}", outcome.bundle.scan_id, bench.truth()))
+            progress.advance(task)
+    task = progress.add_task("pull from the card, every byte verified", total=1)
+    report = pull(DirectorySource(store.root), library)
+    if report.failed:
+        raise SystemExit(f"not pulled: {report.failed}")
+    progress.advance(task)
+    return scanned
+
+
+def _reconstruct(scanned: list[Scanned], library: Library, out: Path, progress: Progress) -> list[Chapter]:
+    """Full calibration and reconstruction of every scan, compared with the truth."""
+    chapters = []
+    task = progress.add_task("reconstruct at full resolution", total=len(scanned))
+    job = LibraryReconstructor(library, tell=lambda words: progress.update(task, description=f"reconstruct: {words}"))
+    for scan in scanned:
+        bundle = library.find(scan.scan_id)
+        reconstruction, _ = job.run(bundle)
+        chapter = Chapter(
+            title=scan.title,
+            frame_rgb=demosaic(bundle.raw_frame()).rgb,
+            quick_look=np.asarray(cv2.imread(str(bundle.path(PICTURE_FILE)), cv2.IMREAD_GRAYSCALE), np.uint8),
+            reconstruction=reconstruction,
+            judgement=judge(reconstruction, scan.truth, BALL_RADIUS_MM * 1e3),
+        )
+        folder = out / scan.title.replace(", ", "-").replace(" ", "-")
+        folder.mkdir(parents=True)
+        write_pictures(chapter, folder)
+        chapters.append(chapter)
+        progress.advance(task)
+    progress.update(task, description="reconstruct at full resolution")
+    return chapters
+
+
+def _table(chapters: list[Chapter]) -> Table:
+    table = Table(
+        title="Errors against the twin's truth, on contact pixels (inner 90 %)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    table.add_column("scan", no_wrap=True)
+    for name in ("normal", "<2°", "<4°", "height", "of R", "<2%", "<4%", "<σ"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for chapter in chapters:
+        table.add_row(chapter.title, *_figures(chapter.judgement))
+    table.caption = (
+        "Mean error of normal and height, and percent of pixels within 2° and 4°, within 2 % and 4 % of the "
+        f"calibration ball's radius R = {BALL_RADIUS_MM:g} mm, and within the stated standard uncertainty σ."
+    )
+    return table
+
+
+def _figures(judgement: Judgement) -> list[str]:
+    shares = [judgement.within_deg(2.0), judgement.within_deg(4.0)]
+    heights = [judgement.within_percent(2.0), judgement.within_percent(4.0)]
+    return [
+        f"{judgement.mean_angle_deg:.2f}°",
+        *(_percent(share) for share in shares),
+        f"{judgement.mean_height_um:.1f} µm",
+        f"{judgement.mean_height_percent:.2f}%",
+        *(_percent(share) for share in heights),
+        _percent(judgement.sigma_covers),
+    ]
+
+
+def _percent(share: float) -> str:
+    """A fraction in percent with one decimal, never rounded up to a whole number."""
+    return f"{int(1000.0 * share) / 10.0:.1f}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

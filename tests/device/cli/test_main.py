@@ -1,0 +1,245 @@
+"""`retroscan` from its command line: what it says, and with which code it ends."""
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import device.cli.main
+from device.bundles.calibration import CalibrationBundle
+from device.cli.main import OLD_COMMANDS, _parser, main
+from device.pairing.card import leave_host_card, read_device_card
+from device.pairing.exchange import HostCard
+from device.store.store import BundleStore
+from hal.clock import VirtualClock
+
+
+def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
+    assert main(arguments) == code
+    error = capsys.readouterr().err
+    assert error.startswith("retroscan: ")
+    assert error.count("\n") == 1
+    return error
+
+
+def test_scanning_before_calibrating_says_what_to_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = str(tmp_path / "store")
+    assert "retroscan calibrate" in refusal(capsys, ["--board", "twin", "--store", store, "scan"], 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_object_that_the_twin_lacks_is_refused_before_anybody_is_asked_to_press(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(calibrated_root, tmp_path / "store")
+    arguments = ["--board", str(small_board), "--store", str(tmp_path / "store"), "scan", "--object", "nosuch"]
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert "the twin has no object 'nosuch'" in said.err
+    assert said.out == ""
+
+
+def test_a_damaged_active_calibration_is_repaired_as_its_message_says(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(calibrated_root, store)
+    (store / "active.json").write_text("{")
+    retroscan = ["--board", str(small_board), "--store", str(store)]
+    assert "`retroscan calibrations use ID`" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").unlink()
+    (store / "active.json").mkdir()
+    assert "remove it, then" in refusal(capsys, [*retroscan, "scan"], 2)
+    (store / "active.json").rmdir()
+    (calibration,) = (store / "calibrations").iterdir()
+    assert main([*retroscan, "calibrations", "use", calibration.name]) == 0
+    assert main([*retroscan, "scan", "--object", "coin"]) == 0
+
+
+def test_an_empty_name_is_no_store(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "--store", "", "calibrate"])
+    assert ended.value.code == 2
+    assert "a folder name must not be empty" in capsys.readouterr().err
+
+
+def test_an_unknown_board_lists_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    error = refusal(capsys, ["--board", "moon", "lights-off"], 2)
+    assert "twin" in error
+    assert "twin-distant" in error
+
+
+def test_the_twin_is_never_taken_unasked(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["scan"])
+    assert ended.value.code == 2
+    assert "--board" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "ssh"])
+def test_a_port_is_one_of_those_there_are(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "pair", "--port", port])
+    assert ended.value.code == 2
+    assert "is not a port: give a number from 1 to 65535" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("radius", ["0", "-3", "nan", "ball"])
+def test_a_ball_needs_a_radius(radius: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--board", "twin", "calibrate", "--ball-radius-mm", radius])
+    assert ended.value.code == 2
+    assert "is not a length between 0 and 1000 mm" in capsys.readouterr().err
+
+
+def _unexplained(parser: argparse.ArgumentParser, name: str) -> list[str]:
+    found = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found += [one for n, sub in action.choices.items() for one in _unexplained(sub, f"{name} {n}")]
+        elif not action.help:
+            found.append(f"{name} {action.dest}")
+    return found
+
+
+@pytest.mark.parametrize(("old", "new"), OLD_COMMANDS.items())
+def test_an_old_command_still_works_and_names_the_new_one(
+    old: str, new: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # "run" would wait for the button: a missing board ends it.
+    board = "moon" if old == "watch" else "twin"
+    code = main(["--board", board, "--store", str(tmp_path / "store"), old])
+    warning = capsys.readouterr().err.splitlines()[0]
+    assert code == (2 if old == "watch" else 0)
+    assert warning == f"retroscan: `{old}` is now called `{new}`; the old name will be removed"
+    assert f"    {old}" not in _parser().format_help()
+
+
+@pytest.mark.parametrize("option", ["--auto-exposure", "--balance"])
+def test_auto_exposure_keeps_its_old_name_unlisted(option: str) -> None:
+    assert _parser().parse_args(["--board", "twin", "calibrate", option]).auto_exposure
+    assert not _parser().parse_args(["--board", "twin", "calibrate"]).auto_exposure
+
+
+def test_help_explains_every_argument_of_every_command() -> None:
+    assert _unexplained(_parser(), "retroscan") == []
+
+
+def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    store = str(tmp_path / "file" / "store")
+    assert store in refusal(capsys, ["--board", "twin", "--store", store, "calibrate"], 2)
+
+
+def test_lights_off_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "twin", "lights-off"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_memory_card_authorizes_workstations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    card, key = tmp_path / "card", "ssh-ed25519 " + "A" * 68
+    card.mkdir()
+    (tmp_path / "host_key.pub").write_text(f"{key} root@device\n")
+    leave_host_card(card, HostCard(name="bench", public_key=key))
+    store = ["--board", "twin", "--store", str(tmp_path / "store")]
+    arguments = ["pair", "--card", str(card), "--host-key", str(tmp_path / "host_key.pub")]
+    for _ in range(2):
+        assert main([*store, *arguments]) == 0
+    assert (tmp_path / "store-pairing" / "authorized_keys").read_text() == f"restrict {key} bench\n"
+    device = read_device_card(card)
+    assert device is not None
+    assert (device.host_key, device.user, device.port) == (key, "retrosync", 22)
+    assert "install openssh-server" in refusal(capsys, [*store, "pair", "--host-key", str(tmp_path / "none")], 2)
+
+
+def test_pushed_calibrations_are_imported_and_activated(
+    tmp_path: Path, publish_calibration: Callable[[BundleStore], CalibrationBundle], capsys: pytest.CaptureFixture[str]
+) -> None:
+    bundle = publish_calibration(BundleStore(tmp_path / "other", VirtualClock()))
+    arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "import-inbox"]
+    assert main(arguments) == 0
+    shutil.copytree(bundle.directory, tmp_path / "store" / "inbox" / bundle.calibration_id)
+    (tmp_path / "store" / "inbox" / "empty").mkdir()
+    assert main([*arguments, "--activate"]) == 2
+    said = capsys.readouterr().out
+    assert f"Calibration {bundle.calibration_id} is active." in said
+    assert "empty: " in said
+
+
+def test_the_selftest_walks_the_twin(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "twin", "selftest", "--push"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0].split()[0] for line in lines] == ["ok"] * 10
+    assert lines[0].startswith("ok       power: ")
+
+
+def test_the_selftest_of_a_board_that_is_not_there_blames_its_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--board", "zero2w-imx708", "selftest"]) == 3
+    printed = capsys.readouterr().out
+    assert "failed   light driver: I2C bus 1" in printed
+    assert "failed   camera: " in printed
+    assert "skipped  light green: not tested because the light driver failed" in printed
+
+
+SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT]
+
+
+@pytest.mark.parametrize(("number", "again"), [*((number, False) for number in SIGNALS), (signal.SIGTERM, True)])
+def test_a_program_that_is_ended_while_it_is_lit_ends_dark(number: signal.Signals, again: bool, tmp_path: Path) -> None:
+    arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "calibrate", "--auto-exposure"]
+    program = subprocess.Popen(
+        [sys.executable, Path(__file__).parent / "lit_program.py", *arguments],
+        cwd=Path(__file__).parents[3],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])} | ({"SLOW_BUS": "1"} if again else {}),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with program:
+        assert program.stdout is not None
+        assert program.stderr is not None
+        said = []
+        while said[-1:] != ["lit"]:
+            line = program.stdout.readline()
+            assert line, program.stderr.read()
+            said.append(line.strip())
+        program.send_signal(number)
+        for line in program.stdout:
+            said.append(line.strip())
+            if again:
+                program.send_signal(number)
+        complaint = program.stderr.read()
+    assert [word for word in said if word in {"lit", "dark"}][-1] == "dark"
+    assert program.returncode == 130
+    assert complaint == "retroscan: stopped\n"
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_through_every_exit(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended: list[str] = []
+
+    class Dark:
+        def __enter__(self) -> "Dark":
+            return self
+
+        def __exit__(self, *exc: object) -> None:
+            ended.append("dark")
+
+        def off(self) -> None:
+            os.kill(os.getpid(), number)
+
+    class Board:
+        lights = Dark()
+
+    monkeypatch.setattr(device.cli.main, "open_hardware", lambda _profile: Board())
+    assert main(["--board", "twin", "lights-off"]) == 130
+    assert ended == ["dark"]
+    assert "stopped" in capsys.readouterr().err

@@ -1,0 +1,35 @@
+"""Results appear whole, and what a killed run left is cleared by the next one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from device.errors import OutputError
+from device.io.atomic import atomic_directory
+from device.io.lock import locked_directory
+
+
+def test_what_a_killed_run_left_is_cleared_and_a_running_one_is_left_alone(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    for name in (".old-c0ffee.partial", ".running-c0ffee.partial"):
+        (results / name).mkdir(parents=True)
+        (results / name / "heights").touch()
+    with (
+        locked_directory(results / ".running-c0ffee.partial"),
+        atomic_directory(results / "new-c0ffee", "result.json") as folder,
+    ):
+        (folder / "result.json").touch()
+    assert sorted(path.name for path in results.iterdir()) == [".running-c0ffee.partial", "new-c0ffee"]
+
+
+def test_hidden_folders_elsewhere_are_nobodys_business(tmp_path: Path) -> None:
+    (tmp_path / ".download.partial").mkdir()
+    with atomic_directory(tmp_path / "out", "result.json") as folder:
+        (folder / "result.json").touch()
+    assert (tmp_path / ".download.partial").is_dir()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").touch()
+    with pytest.raises(OutputError, match="holds something else"), atomic_directory(tmp_path / "mine", "result.json"):
+        pass

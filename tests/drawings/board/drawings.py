@@ -1,0 +1,37 @@
+"""Writes the generated pages of board/: wiring tables, pin maps, drawings, and tables of light geometry.
+
+`make board` runs it; a test compares its output with the files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.drawings.board.light_tables import with_tables
+from tests.drawings.board.wiring import wired_boards, wiring
+from tests.drawings.board.wiring_drawing import drawing
+from tests.drawings.board.wiring_table import wiring_page
+
+FOLDER = Path(__file__).parents[3] / "board"
+
+
+def pages() -> dict[Path, str]:
+    """Text of every page and drawing made from board profiles, wiring and physics, by its path below `board/`."""
+    made = {}
+    for board in wired_boards():
+        facts = wiring(board)
+        made[Path("wiring") / f"{board}.svg"] = drawing(facts)
+        made[Path("wiring") / f"{board}.md"] = wiring_page(facts)
+    lights = Path("light-geometry.md")
+    made[lights] = with_tables((FOLDER / lights).read_text(encoding="utf-8"))
+    return made
+
+
+def main() -> None:
+    """Write all of them."""
+    for place, text in pages().items():
+        (FOLDER / place).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

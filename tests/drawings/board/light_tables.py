@@ -1,0 +1,96 @@
+"""The tables of board/light-geometry.md, computed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tests.drawings.board.light_geometry import (
+    Geometry,
+    all_lit_deg,
+    gain,
+    scale_error,
+    slope_noise,
+    told_to_deg,
+    unevenness,
+    worst_corner_deg,
+)
+
+BLOCK = re.compile(r"(<!-- made by `make board`: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
+ELEVATIONS_DEG = (15, 20, 25, 30, 35, 40, 50, 60)
+DISTANCES_MM = (15, 20, 25, 35, 50, 100, 250)
+GAPS_DEG = (120, 130, 150, 180, 210)
+MOVES_MM = (0.02, 0.05, 0.1, 0.5)
+
+
+def with_tables(page: str) -> str:
+    """The page with each of its marked blocks computed again."""
+    tables = {"elevation": _elevation, "distance": _distance, "spacing": _spacing, "paint": _paint, "moved": _moved}
+    return BLOCK.sub(lambda found: found[1] + "\n".join(tables[found[2]]()) + "\n" + found[3], page)
+
+
+def _elevation() -> Iterator[str]:
+    yield "| elevation | gain | all lights reach the skin up to | slopes known up to | slope noise flat | at 20° |"
+    yield "|---|---|---|---|---|---|"
+    for degrees in ELEVATIONS_DEG:
+        lights = Geometry(elevation_deg=degrees)
+        yield (
+            f"| {degrees}° | {gain(lights):.2f} | {all_lit_deg(lights):.0f}° | {told_to_deg(lights):.0f}° "
+            f"| {_noise(lights, 0.0)} | {_noise(lights, 20.0)} |"
+        )
+
+
+def _distance() -> Iterator[str]:
+    yield "| distance | current, same light | brightest : darkest of flat skin | all lights, at the worst corner |"
+    yield "|---|---|---|---|"
+    for distance in DISTANCES_MM:
+        lights = Geometry(distance_mm=distance)
+        yield (
+            f"| {distance} mm | {(distance / 25.0) ** 2:.3g} × | {unevenness(lights):.1f} : 1 "
+            f"| up to {worst_corner_deg(lights):.0f}° |"
+        )
+
+
+def _spacing() -> Iterator[str]:
+    yield "| widest gap between two lights | slope noise flat, worst direction | at 20°, worst direction |"
+    yield "|---|---|---|"
+    for gap in GAPS_DEG:
+        lights = Geometry(azimuths_deg=(-90.0, 90.0 - gap / 2, 90.0 + gap / 2))
+        yield f"| {gap}° | {_noise(lights, 0.0)} | {_noise(lights, 20.0)} |"
+
+
+def _paint() -> Iterator[str]:
+    yield "| paint | elevation | gain | slope noise flat | at 20°, worst direction | slopes known up to |"
+    yield "|---|---|---|---|---|---|"
+    for skin in ("diffuse", "flake", "sharp-flake"):
+        for degrees in (30, 50, 70):
+            lights = Geometry(elevation_deg=degrees, skin=skin)
+            yield (
+                f"| {skin} | {degrees}° | {gain(lights):.2f} | {_noise(lights, 0.0)} | {_noise(lights, 20.0)} "
+                f"| {told_to_deg(lights):.0f}° |"
+            )
+
+
+def _moved() -> Iterator[str]:
+    yield "| a light moved by | up or down its arc | towards the skin | sideways |"
+    yield "|---|---|---|---|"
+    lights = Geometry()
+    for move in MOVES_MM:
+        turn = float(np.degrees(move / lights.distance_mm))
+        first, *others = lights.azimuths_deg
+        moved = (
+            replace(lights, elevation_deg=lights.elevation_deg + turn),
+            replace(lights, distance_mm=lights.distance_mm - move),
+            replace(lights, azimuths_deg=(first + turn, *others)),
+        )
+        errors = " | ".join(f"{100.0 * scale_error(lights, after):.1f} %" for after in moved)
+        yield f"| {move:g} mm | {errors} |"
+
+
+def _noise(lights: Geometry, tilt_deg: float) -> str:
+    """Slope noise of the worst direction, as printed."""
+    worst = float(slope_noise(lights, tilt_deg).max())
+    return f"{worst:.4f}" if worst < 0.1 else "undetermined"

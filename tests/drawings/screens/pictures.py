@@ -1,0 +1,105 @@
+"""The pictures of docs/screens.md: the screens of the twin, driven by key presses at the size of the 800 x 480 panel.
+
+usage: python -m tests.drawings.screens.pictures --out docs/pictures
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.acquisition.calibrate import calibrate
+from device.bundles.scan import Annotations
+from device.instrument.instrument import Instrument
+from device.store.store import BundleStore
+from device.tui.drawing.cells import ColourDepth
+from device.tui.screens.app import RetroscanApp
+from device.tui.screens.panels import ProgramInfo
+from hal.board_profile import load_board_profile
+from hal.clock import VirtualClock
+from hal.factory import open_hardware
+from tests.drawings.screens.terminal_picture import terminal_picture
+
+SIZE = (100, 30)
+BALL_RADIUS_MM = 3.0
+STILL_STEPS = 40
+
+
+@dataclass
+class Player:
+    """The app and the instrument behind it."""
+
+    app: RetroscanApp
+    instrument: Instrument
+    out: Path
+
+    async def live(self, steps: int) -> None:
+        """Let the instrument take some steps and show what became of them."""
+        for _ in range(steps):
+            self.instrument.step()
+        await self.app.show_state()
+        self.app.show_live()
+
+    def save(self, name: str) -> None:
+        """Save a picture of the current screen."""
+        strips = self.app.screen._compositor.render_strips()
+        picture = terminal_picture([list(strip) for strip in strips], SIZE[0])
+        picture.save(self.out / f"{name}.png", optimize=True)
+        sys.stdout.write(f"{self.out / name}.png\n")
+
+
+async def play(instrument: Instrument, root: Path, depth: ColourDepth, out: Path) -> None:
+    """Scan a coin, look at its profile; then start a calibration and take its first presses."""
+    sensor = load_board_profile("twin").sensor
+    program = ProgramInfo("0.1.0", root)
+    app = RetroscanApp(instrument, program, depth, sensor, is_twin=True, updates_per_s=None)
+    async with app.run_test(size=SIZE) as pilot:
+        player = Player(app, instrument, out)
+        instrument.set_sticky(Annotations(job="J-7", part="coin", operator="Mia"))
+        await pilot.press("d")
+        await player.live(2)
+        instrument.press()
+        await player.live(STILL_STEPS)
+        await pilot.pause()
+        player.save("screen-scan" if depth == "full" else f"screen-scan-{depth}")
+        if depth != "full":
+            return
+        await pilot.press("3")
+        await app.workers.wait_for_complete()
+        await pilot.press("p", "up", "up", "up")
+        await player.live(1)
+        await pilot.pause()
+        player.save("screen-scans")
+        await pilot.press("2", "space")
+        await player.live(2)
+        for _ in range(6):
+            await pilot.press("space")
+            await player.live(3)
+        await pilot.pause()
+        player.save("screen-calibrate")
+
+
+def main() -> None:
+    """Write the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
+    out = parser.parse_args().out
+    os.environ.pop("NO_COLOR", None)
+    clock = VirtualClock(start_ns=5_000_000_000, wall_start_s=1_790_000_000.0)
+    profile = load_board_profile("twin")
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "store"
+        with open_hardware(profile, clock) as hardware:
+            calibrate(hardware, BundleStore(root, clock), BALL_RADIUS_MM, lambda _: None)
+        for depth in ("full", "sixteen"):
+            with Instrument(open_hardware(profile, clock), BundleStore(root, clock)) as instrument:
+                asyncio.run(play(instrument, root, depth, out))
+
+
+if __name__ == "__main__":
+    main()

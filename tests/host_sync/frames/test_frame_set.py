@@ -1,0 +1,286 @@
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set import FrameSet, FrameSpec, load_frame_set
+from host_sync.frames.linear_light import decode_srgb, read_frame
+
+DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))
+SHAPE = (20, 30)
+
+GOOD = """
+name = "bench"
+pixel_pitch_um = 10.0
+encoding = "linear"
+[reference]
+image = "flat.png"
+[[press]]
+image = ["r.png", "g.png", "b.png"]
+ball_radius_mm = 0.1
+balls = [{ x = 12.5, y = 9, r = 6 }]
+[[scan]]
+name = "coin 1"
+image = "scan.png"
+"""
+
+Write = Callable[[str], Path]
+
+
+def rgb(seed: int = 0, shape: tuple[int, int] = SHAPE, dtype: type = np.uint8) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, (*shape, 3)).astype(dtype)
+
+
+def save(path: Path, image: np.ndarray) -> None:
+    """Write an R, G, B image (or a grey one) with OpenCV, which stores B, G, R."""
+    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Writes the images of `GOOD` beside a frame set of the given text."""
+    for name in ("flat.png", "scan.png"):
+        save(tmp_path / name, rgb())
+    for channel, name in enumerate(("r.png", "g.png", "b.png")):
+        save(tmp_path / name, rgb(1)[..., channel])
+
+    def write_text(text: str) -> Path:
+        path = tmp_path / "frameset.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write_text
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(FrameSetError) as caught:
+        load_frame_set(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_frame_set_is_read(write: Write) -> None:
+    frame_set = load_frame_set(write(GOOD))
+    assert (frame_set.name, frame_set.shape, frame_set.pixel_pitch_um) == ("bench", SHAPE, 10.0)
+    (press,), (scan,) = frame_set.presses, frame_set.scans
+    assert press.radius_px == pytest.approx(10.0)
+    assert press.balls is not None
+    assert (press.balls[0].column, press.balls[0].row, press.balls[0].contact_radius_px) == (12.5, 9.0, 6.0)
+    assert scan.name == "coin 1"
+    assert np.array_equal(read_frame(press.frame).rgb, (rgb(1) / 255.0).astype(np.float32))
+    assert np.array_equal(read_frame(scan.frame).rgb, (rgb() / 255.0).astype(np.float32))
+
+
+def test_balls_and_reference_may_be_left_out(write: Write) -> None:
+    text = GOOD.replace('[reference]\nimage = "flat.png"\n', "").replace("balls = [{ x = 12.5, y = 9, r = 6 }]", "")
+    frame_set = load_frame_set(write(text + "\n"))
+    assert frame_set.reference is None
+    assert frame_set.presses[0].balls is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('name = "bench"\n', "", "missing required field `name`"),
+        ("encoding", "encodng", "unknown field `encodng`"),
+        ('"linear"', '"gamma"', "encoding: Invalid enum value 'gamma'; accepted: 'linear', 'srgb'"),
+        ("10.0", '"ten"', "pixel_pitch_um: Expected `float`, got `str`"),
+        ("10.0", "0", "pixel_pitch_um: "),
+        ("10.0", "-3", "pixel_pitch_um: "),
+        ("10.0", "nan", "pixel_pitch_um: "),
+        ("10.0", "inf", "pixel_pitch_um: "),
+        ("0.1\n", "0.0\n", "press[0].ball_radius_mm: "),
+        ("0.1\n", "0.1\ngrid_pitch_mm = -1\n", "press[0].grid_pitch_mm: "),
+        ("[{ x = 12.5, y = 9, r = 6 }]", "[]", "press[0].balls: "),
+        ("r = 6", "radius = 6", "press[0].balls[0]: Object contains unknown field `radius`"),
+        ("r = 6", "r = 0", "press[0].balls[0].r: "),
+        ("r = 6", "r = 10.5", "press[0].balls[0].r: a contact of 10.5 px is not smaller than the ball, 10.0 px"),
+        ("x = 12.5", "x = 29.5", "press[0].balls[0]: its centre (29.5, 9) is outside the frame, 30x20"),
+        ("y = 9", "y = nan", "press[0].balls[0]: its centre"),
+        ("[[scan]]", "[[press]]", "unknown field `name`"),
+        ('"coin 1"', '"../coin"', "scan[0].name: '../coin' cannot name a result folder"),
+        ('"coin 1"', '"a/b"', "scan[0].name"),
+        ('"coin 1"', "'a\\b'", "scan[0].name"),
+        ('"coin 1"', '".."', "scan[0].name"),
+        ('"coin 1"', '""', "scan[0].name"),
+        ('"coin 1"', '"Calibration"', "scan[0].name"),
+        ('"scan.png"', '"gone.png"', "scan[0].image: "),
+        ('"scan.png"', '"r.png"', "r.png is grey: name an RGB image"),
+        ('"scan.png"', '["r.png", "g.png"]', "scan[0].image: "),
+        ('"b.png"', '"scan.png"', "press[0].image: "),
+        ('"scan.png"', '"a\\u0000b"', "scan[0].image: "),
+        ("name =", "name ==", "is not TOML"),
+        ("[reference]", "[[reference]]", "reference: Expected `object | null`, got `array`"),
+    ],
+)
+def test_a_wrong_key_is_named(write: Write, old: str, new: str, sentence: str) -> None:
+    assert old in GOOD
+    assert sentence in refused(write(GOOD.replace(old, new, 1)))
+
+
+def test_missing_lists_and_double_names_are_refused(write: Write) -> None:
+    head, rest = GOOD.split("[[press]]")
+    press, scan = rest.split("[[scan]]")
+    assert "press: missing" in refused(write(f"{head}[[scan]]{scan}"))
+    assert "scan: missing" in refused(write(f"{head}[[press]]{press}"))
+    again = scan.replace("coin", "COIN")
+    assert "scan[1].name: 'COIN 1' is used twice" in refused(write(f"{GOOD}[[scan]]{again}"))
+
+
+@pytest.mark.parametrize(("name", "key"), [("g.png", "press[0]"), ("scan.png", "scan[0]"), ("r.png", "press[0]")])
+def test_another_size_is_named(write: Write, tmp_path: Path, name: str, key: str) -> None:
+    path = write(GOOD)
+    image = rgb(shape=(20, 31))
+    save(tmp_path / name, image if name == "scan.png" else image[..., 0])
+    sentence = refused(path)
+    assert f"{key}.image: {tmp_path / name} is 31x20 pixels and reference.image is 30x20" in sentence
+
+
+def test_a_missing_or_wrong_frame_set_is_reported(tmp_path: Path) -> None:
+    assert "cannot be read (No such file" in refused(tmp_path / "absent.toml")
+    assert "cannot be read (Is a directory" in refused(tmp_path)
+    (tmp_path / "latin.toml").write_bytes(b'name = "\xff"')
+    assert "is not TOML" in refused(tmp_path / "latin.toml")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.995])
+def test_a_truncated_image_is_named(
+    write: Write, tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str, share: float
+) -> None:
+    image = tmp_path / f"scan{suffix}"
+    smooth = cv2.GaussianBlur(rgb(shape=(200, 300)), (0, 0), 2.0)
+    save(image, smooth)
+    data = image.read_bytes()
+    image.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FrameSetError, match=re.escape(str(image))):
+        read_frame(FrameSpec((image,), "linear"))
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+def test_a_cut_scan_is_found_before_anything_is_calibrated(write: Write, tmp_path: Path, suffix: str) -> None:
+    path = write(GOOD.replace("scan.png", f"scan{suffix}"))
+    image = tmp_path / f"scan{suffix}"
+    save(image, rgb(2))
+    load_frame_set(path)
+    data = image.read_bytes()
+    for size in (len(data) // 2, len(data) * 9 // 10):
+        image.write_bytes(data[:size])
+        assert f"scan{suffix}: is truncated or damaged" in refused(path)
+
+
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_half_a_jpeg_with_a_forged_end_is_refused(tmp_path: Path, flags: list[int]) -> None:
+    path = tmp_path / "frame.jpg"
+    assert cv2.imwrite(str(path), cv2.resize(rgb(4), (240, 160)), flags)
+    data = path.read_bytes()
+    assert read_frame(FrameSpec((path,), "srgb")).rgb.shape == (160, 240, 3)
+    for share in (0.3, 0.5, 0.7, 0.9):
+        path.write_bytes(data[: int(len(data) * share)].rstrip(b"\xff") + b"\xff\xd9")
+        with pytest.raises(FrameSetError, match="truncated or damaged"):
+            read_frame(FrameSpec((path,), "srgb"))
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda path: path.write_text("no image"), "is not a PNG, TIFF or JPEG"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((20, 30, 4), np.uint8)), "has 4 channels of 8 bit"),
+        (lambda path: tifffile.imwrite(path, np.zeros((20, 30, 3), np.float32), photometric="rgb"), "holds float32"),
+        (lambda path: tifffile.imwrite(path, np.zeros((2, 20, 30), np.uint8), photometric="minisblack"), "2 pages"),
+        (lambda path: tifffile.imwrite(path, np.zeros((20, 30), np.uint8), photometric="miniswhite"), "neither grey"),
+        (
+            lambda path: path.write_bytes(
+                b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f\xff\xff\xff" * 2 + b"\x08\x02" + b"\0" * 9
+            ),
+            "more than any sensor has",
+        ),
+    ],
+)
+def test_an_image_that_carries_no_light_is_refused(
+    write: Write, tmp_path: Path, make: Callable[[Path], object], sentence: str
+) -> None:
+    path = write(GOOD)
+    make(tmp_path / "scan.png")
+    message = refused(path)
+    assert sentence in message
+    assert f"scan[0].image: {tmp_path / 'scan.png'}" in message
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_every_depth_is_a_fraction_of_full_scale(tmp_path: Path, suffix: str, dtype: type) -> None:
+    image, path = rgb(3, dtype=dtype), tmp_path / f"image{suffix}"
+    save(path, image)
+    frame = read_frame(FrameSpec((path,), "linear"))
+    assert frame.rgb.dtype == np.float32
+    assert np.array_equal(frame.rgb, (image / np.iinfo(dtype).max).astype(np.float32))
+
+
+def test_a_jpeg_is_read_in_rgb_order(tmp_path: Path) -> None:
+    path = tmp_path / "image.jpg"
+    save(path, np.full((16, 16, 3), (200, 100, 20), np.uint8))
+    assert read_frame(FrameSpec((path,), "linear")).rgb[8, 8] * 255 == pytest.approx([200, 100, 20], abs=3)
+
+
+def test_srgb_is_decoded_exactly(tmp_path: Path) -> None:
+    # IEC 61966-2-1: both branches meet at 0.04045, and code 188 of 255 is half the light within one code.
+    assert decode_srgb(np.array([0.0, 0.04045, 1.0])) == pytest.approx([0.0, 0.0031308, 1.0], abs=1e-7)
+    grey = np.repeat(np.arange(256, dtype=np.uint8).reshape(16, 16, 1), 3, axis=2)
+    save(tmp_path / "grey.png", grey)
+    light = read_frame(FrameSpec((tmp_path / "grey.png",), "srgb")).rgb[..., 0].ravel()
+    assert light[188] == pytest.approx(0.5029, abs=1e-4)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    assert np.array_equal(np.round(encoded * 255), np.arange(256))
+
+
+def test_a_pixel_is_clipped_when_one_channel_is(tmp_path: Path) -> None:
+    image = np.full((4, 4, 3), 100, np.uint8)
+    image[1, 2, 2] = 250
+    image[3, 3, 0] = 249
+    save(tmp_path / "image.png", image)
+    clipped = read_frame(FrameSpec((tmp_path / "image.png",), "linear")).clipped
+    assert np.argwhere(clipped).tolist() == [[1, 2]]
+
+
+@pytest.mark.parametrize(("name", "presses", "scans"), [("oem-bga", 1, 1), ("finger", 1, 1), ("taxim-small", 39, 10)])
+def test_real_sets_are_read(name: str, presses: int, scans: int) -> None:
+    path = DATA / name / "frameset.toml"
+    if not path.exists():
+        pytest.skip(f"real frames are not here: set RETROGRAPH_DATA (looked in {DATA})")
+    frame_set: FrameSet = load_frame_set(path)
+    assert (len(frame_set.presses), len(frame_set.scans)) == (presses, scans)
+    frame = read_frame(frame_set.scans[0].frame)
+    assert frame.shape == frame_set.shape
+    assert 0.02 < float(frame.rgb.mean()) < 0.9
+
+
+GRID = "ball_radius_mm = 0.1\nball_radius_tolerance_mm = 0.001\ngrid_pitch_mm = 0.3\ngrid_pitch_tolerance_mm = 0.002"
+
+
+def test_a_grids_spacing_and_tolerances_are_read(write: Write) -> None:
+    (press,) = load_frame_set(write(GOOD.replace("ball_radius_mm = 0.1", GRID))).presses
+    assert (press.grid_pitch_mm, press.grid_tolerance_mm, press.radius_tolerance_mm) == (0.3, 0.002, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("_mm = 0.001", "_mm = 0.1", "press[0].ball_radius_tolerance_mm: 0.1 is not smaller"),
+        ("_mm = 0.001", "_mm = -1", "press[0].ball_radius_tolerance_mm"),
+        ("_mm = 0.002", "_mm = 0.3", "press[0].grid_pitch_tolerance_mm: 0.3 is not smaller"),
+        ("grid_pitch_mm = 0.3\n", "", "press[0].grid_pitch_tolerance_mm: needs grid_pitch_mm"),
+    ],
+)
+def test_tolerances_that_cannot_be_are_refused(write: Write, old: str, new: str, sentence: str) -> None:
+    assert sentence in refused(write(GOOD.replace("ball_radius_mm = 0.1", GRID.replace(old, new))))

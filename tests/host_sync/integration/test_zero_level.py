@@ -1,0 +1,68 @@
+"""The zero of height maps of known surfaces: free skin, objects over the border, none free, uneven skin."""
+
+import numpy as np
+import pytest
+
+from device.surface.fields import GradientField, HeightMap
+from host_sync.integration.zero_level import find_datum
+
+SHAPE, PITCH_UM = (240, 320), 10.0
+ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+
+
+def gradients_of(z_um: np.ndarray) -> GradientField:
+    q, p = (part + 0.01 * np.random.default_rng(0).standard_normal(SHAPE) for part in np.gradient(z_um / PITCH_UM))
+    return GradientField(p.astype(np.float32), q.astype(np.float32), np.ones(SHAPE, bool), np.ones(SHAPE, np.float32))
+
+
+def datum_of(z_um: np.ndarray, off_um: float = 0.0):
+    return find_datum(HeightMap((z_um + off_um).astype(np.float32), PITCH_UM), gradients_of(z_um))
+
+
+def soft_step(distance: np.ndarray) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(np.clip(distance / 3.0, -50.0, 50.0)))
+
+
+def test_the_zero_is_the_skin_around_an_object() -> None:
+    disc = 100.0 * soft_step(np.hypot(ROW - 120.0, COLUMN - 160.0) - 60.0)
+    found = datum_of(disc, 33.0)
+    assert not found.is_relative
+    assert found.zero_um == pytest.approx(33.0, abs=0.2)
+    assert found.spread_um < 0.2
+    assert not found.skin[120, 160]
+
+
+def test_a_plate_beyond_the_border_is_not_taken_for_zero_though_it_is_most_of_the_field() -> None:
+    plate = 100.0 * soft_step(np.abs(COLUMN - 140.0) - 115.0)
+    found = datum_of(plate)
+    assert found.zero_um == pytest.approx(0.0, abs=0.5)
+    assert not found.skin[:, 140].any()
+
+
+def test_skin_that_sinks_gently_towards_rest_does_not_raise_the_zero() -> None:
+    """The skin's lift falls off over 40 px: under 0.01 of slope from 130 px on, where it still stands 2 um high."""
+    away = np.maximum(COLUMN - 40.0, 0.0)
+    found = datum_of(60.0 * np.exp(-away / 40.0))
+    assert found.zero_um < 0.7
+    assert not found.skin[:, :150].any()
+
+
+def test_uneven_skin_at_rest_says_how_unsure_its_zero_is() -> None:
+    bowl = 4.0 * ((COLUMN - 160.0) / 160.0) ** 2 + 2.0 * ((ROW - 120.0) / 120.0)
+    found = datum_of(bowl)
+    assert found.spread_um == pytest.approx(bowl.std(), rel=0.15)
+    assert found.zero_um == pytest.approx(bowl.mean(), abs=0.5)
+    assert found.zero_sigma_um == found.spread_um
+
+
+@pytest.mark.parametrize("kind", ["tilted", "rough"])
+def test_where_no_skin_lies_at_rest_heights_are_relative(kind: str) -> None:
+    rough = np.random.default_rng(1).standard_normal(SHAPE)
+    frequency = np.hypot(np.fft.fftfreq(SHAPE[0])[:, None], np.fft.fftfreq(SHAPE[1])[None, :])
+    rough = np.fft.ifft2(np.fft.fft2(rough) * (frequency > 1.0 / 40.0) * (frequency < 1.0 / 6.0)).real
+    surface = 3.0 * (COLUMN + ROW) if kind == "tilted" else 10.0 * rough / rough.std()
+    found = datum_of(surface)
+    assert found.is_relative
+    assert found.zero_sigma_um == found.spread_um
+    assert found.spread_um == pytest.approx(surface.std(), rel=0.05)
+    assert found.level(HeightMap(surface.astype(np.float32), PITCH_UM)).z_um.mean() == pytest.approx(0.0, abs=1.0)

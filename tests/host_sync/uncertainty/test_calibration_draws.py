@@ -1,0 +1,67 @@
+"""What replicas of a map disagree on is the doubt of slopes: none where they agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.feature_scaling import FeatureScaler
+from device.inverse_map.model import InverseMap
+from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.training_domain import TrainingDomain
+from host_sync.uncertainty.calibration_draws import calibration_doubt
+
+SHAPE, SIZE = (60, 80), (40, 30)
+
+
+def tilting(slope: float) -> InverseMap:
+    """A map that reads `slope` across times the column's position, -1 to 1, whatever the colour."""
+    low, high = np.log([0.05, 5.0]).astype(np.float32)
+    space = FeatureScaler(np.zeros(3, np.float32), np.ones(3, np.float32), np.full(3, low), np.full(3, high))
+    coefficients = np.zeros((1, 3, 2), np.float32)
+    coefficients[0, 2, 0] = slope
+    return InverseMap(
+        SHAPE, TrainingDomain.observed(np.ones((4, 3), np.float32)), FeatureRegressor(space, 0, 1, coefficients), 1.0
+    )
+
+
+def image() -> NormalizedImage:
+    return NormalizedImage(np.ones((*SHAPE, 3), np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))
+
+
+def test_replicas_that_agree_leave_no_doubt() -> None:
+    doubt = calibration_doubt(image(), [tilting(0.02)] * 5, SIZE)
+    assert np.abs(doubt.p).max() < 1e-6
+    assert doubt.sigma(SHAPE).max() < 1e-6
+
+
+def test_doubt_is_the_jackknifes_and_stands_where_replicas_part() -> None:
+    slopes = np.array([0.010, 0.012, 0.008, 0.011, 0.009])
+    doubt = calibration_doubt(image(), [tilting(slope) for slope in slopes], SIZE)
+    jackknife = np.sqrt(4.0 / 5.0 * ((slopes - slopes.mean()) ** 2).sum())
+    sigma = doubt.sigma(SHAPE)
+    assert sigma[30, 79] == pytest.approx(jackknife / np.sqrt(2.0), rel=0.03)  # of two components one alone is unsure
+    assert sigma[30, 40] < 0.03 * sigma[30, 79]
+
+
+def test_draws_spread_as_the_doubt_says_and_keep_its_shape() -> None:
+    doubt = calibration_doubt(image(), [tilting(slope) for slope in (0.01, 0.02, 0.03)], SIZE)
+    rng = np.random.default_rng(0)
+    drawn = np.stack([doubt.drawn(rng.standard_normal(3, np.float32))[0] for _ in range(400)])
+    expected = np.sqrt((doubt.p**2).sum(axis=0))
+    np.testing.assert_allclose(drawn.std(axis=0)[:, [0, -1]], expected[:, [0, -1]], rtol=0.12)
+    correlation = np.corrcoef(drawn[:, 15, 0], drawn[:, 15, -1])[0, 1]
+    assert correlation == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_without_replicas_there_is_no_doubt_to_draw() -> None:
+    doubt = calibration_doubt(image(), [], SIZE)
+    assert doubt.p.shape == (0, 30, 40)
+    assert doubt.sigma(SHAPE).max() == 0.0
+    assert np.abs(doubt.drawn(np.zeros(0, np.float32))[0]).max() == 0.0
+
+
+def test_a_replica_of_a_full_size_map_is_read_on_the_reduced_field() -> None:
+    doubt = calibration_doubt(image(), [replace(tilting(0.0), shape=(600, 800)), tilting(0.1)], SIZE)
+    assert doubt.p.shape == (2, 30, 40)
