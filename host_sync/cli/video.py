@@ -91,8 +91,8 @@ def video(
         check_replaceable(out, RECORD_FILE)  # before minutes of work
         known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
         solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
-        facts = (("sequence", printable(sequence.name)), ("calibration", printable(calibration)))
-        order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, facts)
+        names = printable(sequence.name), printable(calibration)
+        order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, *names)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)
 

@@ -1,4 +1,4 @@
-"""`result.json`: the record of a result, written and read by the same type, and what is read of a video's record."""
+"""`result.json`: the records of a result and of a video, each written and read by the same type."""
 
 from __future__ import annotations
 
@@ -104,29 +104,59 @@ class ResultRecord(msgspec.Struct, frozen=True, kw_only=True):
     detail: DetailRecord | None = None
 
 
-class SequenceRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Record of a video's result as far as it is read; `host_sync/video/reconstruct.py` writes it.
+class SequenceFrame(msgspec.Struct, frozen=True, kw_only=True):
+    """One frame of a video: either `failed` says why it has no heights, or the other optional entries are set.
 
-    colour_range_um : lowest and highest height of all frames, µm
+    page : its page of the file of heights, from 0
+    contact_share, clipped_share, masked_share : fractions of the field in contact, clipped, without a height
+    peak_um : largest height above untouched skin; None where nothing was measured
     """
 
-    schema: str
+    page: int
+    name: str = ""
+    time_s: float = 0.0
+    failed: str | msgspec.UnsetType = msgspec.UNSET
+    contact_share: float | msgspec.UnsetType = msgspec.UNSET
+    clipped_share: float | msgspec.UnsetType = msgspec.UNSET
+    masked_share: float | msgspec.UnsetType = msgspec.UNSET
+    peak_um: float | msgspec.UnsetType | None = msgspec.UNSET
+
+
+class SequenceRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Record of a video's result. Units are in the names; None is not known, or not written by an earlier version.
+
+    heights, height_zero : what the file of heights holds, in words
+    colour_range_um : lowest and highest height of all frames, µm
+    heights_per_s, pictures_per_s : frames per second from file to height on disk, and from there to the movie
+    """
+
+    schema: str = SEQUENCE_SCHEMA
     name: str
+    program: str = ""
+    written_utc: str = ""
+    calibration_id: str = ""
     rows: Size
     columns: Size
     pixel_pitch_um: Pitch
     rate_hz: Annotated[float, msgspec.Meta(gt=0.0, lt=MAX_RATE_HZ)]
-    frames: Annotated[tuple[Any, ...], msgspec.Meta(min_length=1)]
-    program: str = ""
-    written_utc: str = ""
-    calibration_id: str = ""
+    heights: str = ""
+    height_zero: str = ""
     colour_range_um: tuple[float, float] | None = None
+    heights_per_s: float | None = None
+    pictures_per_s: float | None = None
+    method: str = ""
+    encoding: str | None = None
+    weighted: bool = True
+    forced: bool = False
+    sequence: str = ""
+    calibration: str = ""
+    frames: Annotated[tuple[SequenceFrame, ...], msgspec.Meta(min_length=1)]
 
 
 ListedT = TypeVar("ListedT", ResultRecord, SequenceRecord)
 
 
-def encode_record(record: ResultRecord) -> bytes:
+def encode_record(record: ResultRecord | SequenceRecord) -> bytes:
     """The bytes of `result.json`."""
     return msgspec.json.format(msgspec.json.encode(record), indent=2)
 

@@ -77,9 +77,9 @@ class FrameSolver:
         force: bool = False,
     ) -> None:
         self._calibration = calibration
-        self._method: Method = method
-        self._encoding = encoding
-        self._force = force
+        self.method: Method = method
+        self.encoding = encoding
+        self.force = force
         self._light: dict[np.dtype[Any], Float32Array] = {}
         rows, columns, _ = calibration.flat_field.shape
         self.shape = (rows, columns)
@@ -88,23 +88,13 @@ class FrameSolver:
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         self._integrator = Integrator(self.shape)
         self._begun = 0
-        self._weighted = weighted
+        self.weighted = weighted
         # A full array, not a broadcast scalar: the search for untouched skin reads every pixel.
         self._all_valid = np.ones((0, 0) if weighted else self.shape, np.bool_)
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """Options of the solver, for a record."""
-        return {
-            "method": self._method,
-            "encoding": self._encoding,
-            "weighted": self._weighted,
-            "forced": self._force,
-        }
-
     def clone(self) -> FrameSolver:
         """A solver of the same frames with its own working arrays, for another thread."""
-        return FrameSolver(self._calibration, self._method, self._encoding, weighted=self._weighted, force=self._force)
+        return FrameSolver(self._calibration, self.method, self.encoding, weighted=self.weighted, force=self.force)
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameStatistics:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its statistics.
@@ -122,11 +112,11 @@ class FrameSolver:
         """
         intensity = self._read(frame)
         check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
-        raise_on_warnings(self._frame_warnings(intensity), frame.name, force=self._force)
+        raise_on_warnings(self._frame_warnings(intensity), frame.name, force=self.force)
         gradients = self._gradients(intensity)
         height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
         datum = find_datum(height, gradients)
-        raise_on_warnings(check_datum(intensity, datum.skin), frame.name, force=self._force)
+        raise_on_warnings(check_datum(intensity, datum.skin), frame.name, force=self.force)
         peak_um, known = _shift_to_zero(height.z_um, np.float32(datum.zero_um), out)
         return FrameStatistics(
             contact_fraction=shaded_fraction(_subsample(intensity)),
@@ -146,11 +136,11 @@ class FrameSolver:
     def _read(self, frame: StoredFrame) -> NormalizedImage:
         if isinstance(frame.pixels, RawFrame):
             return raw_intensity(frame.pixels, self._flat_field, self._intensity)
-        if self._encoding is None:
+        if self.encoding is None:
             raise SequenceError(f"{frame.name}: values may be linear light or sRGB: choose with --encoding")
         dtype = frame.pixels.dtype
         if dtype not in self._light:
-            self._light[dtype] = light_of_values(dtype, self._encoding)
+            self._light[dtype] = light_of_values(dtype, self.encoding)
         return stored_intensity(frame.pixels, self._light[dtype], self._flat_field, self._intensity)
 
     def _gradients(self, intensity: NormalizedImage) -> GradientField:
@@ -159,8 +149,8 @@ class FrameSolver:
             if self._calibration.elevation is not None:
                 correct_elevation(found, self._calibration.elevation)
         else:
-            found = estimate(intensity, self._calibration, self._method)
-        if self._weighted:
+            found = estimate(intensity, self._calibration, self.method)
+        if self.weighted:
             return found
         parallel_rows(_zero_invalid, self.shape, found.p, found.q, found.valid)
         return replace(full_rectangle(found.p, found.q), valid=self._all_valid)

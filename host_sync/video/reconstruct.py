@@ -13,16 +13,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
-
-import msgspec
+from typing import Final
 
 from device.io.atomic import atomic_directory
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
-from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE, SEQUENCE_SCHEMA
+from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
+from host_sync.results.record import SequenceFrame, SequenceRecord, encode_record
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.movie import MovieFiles, Progress, RenderedRelief, write_movie
@@ -58,14 +57,15 @@ class SequenceOptions:
     name : for titles and the record
     rate_hz : frames per second; None for the rate of the source, else `DEFAULT_RATE_HZ`
     mp4, gif : which movies to write
-    facts : more entries for `result.json`
+    sequence, calibration : names of what was reconstructed and with what, for the record
     """
 
     name: str
     rate_hz: float | None = None
     mp4: bool = True
     gif: bool = True
-    facts: tuple[tuple[str, Any], ...] = ()
+    sequence: str = ""
+    calibration: str = ""
 
 
 def reconstruct_sequence(
@@ -105,7 +105,7 @@ def reconstruct_sequence(
         pictures_per_s = len(outcomes) / (time.perf_counter() - solved) if movies.wanted else None
         report = SequenceReport(tuple(outcomes), rate_hz, heights_per_s, pictures_per_s)
         record = sequence_record(report, calibration, solver, relief, options)
-        (folder / RECORD_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
+        (folder / RECORD_FILE).write_bytes(encode_record(record))
     return report
 
 
@@ -152,37 +152,43 @@ def sequence_record(
     solver: FrameSolver,
     relief: RenderedRelief,
     options: SequenceOptions,
-) -> dict[str, Any]:
-    """Contents of `result.json`: units are in the names, missing readings are null."""
+) -> SequenceRecord:
+    """Contents of `result.json`."""
     rows, columns = solver.shape
-    return {
-        "schema": SEQUENCE_SCHEMA,
-        "name": options.name,
-        "program": f"retrograph {version('retrograph')}",
-        "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "calibration_id": calibration.calibration_id,
-        "rows": rows,
-        "columns": columns,
-        "pixel_pitch_um": calibration.pitch_um,
-        "rate_hz": report.rate_hz,
-        "heights": f"{HEIGHTS_FILE}: a page per frame, µm, NaN is invalid",
-        "height_zero": "median of untouched skin, in every frame",
-        "colour_range_um": [relief.low_um, relief.high_um],
-        "heights_per_s": report.heights_per_s,
-        "pictures_per_s": report.pictures_per_s,
-        **solver.facts,
-        **dict(options.facts),
-        "frames": [_frame_record(number, outcome, report.rate_hz) for number, outcome in enumerate(report.outcomes)],
-    }
+    return SequenceRecord(
+        name=options.name,
+        program=f"retrograph {version('retrograph')}",
+        written_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        calibration_id=calibration.calibration_id,
+        rows=rows,
+        columns=columns,
+        pixel_pitch_um=calibration.pitch_um,
+        rate_hz=report.rate_hz,
+        heights=f"{HEIGHTS_FILE}: a page per frame, µm, NaN is invalid",
+        height_zero="median of untouched skin, in every frame",
+        colour_range_um=(relief.low_um, relief.high_um),
+        heights_per_s=report.heights_per_s,
+        pictures_per_s=report.pictures_per_s,
+        method=solver.method,
+        encoding=solver.encoding,
+        weighted=solver.weighted,
+        forced=solver.force,
+        sequence=options.sequence,
+        calibration=options.calibration,
+        frames=tuple(_frame_record(page, outcome, report.rate_hz) for page, outcome in enumerate(report.outcomes)),
+    )
 
 
-def _frame_record(number: int, outcome: FrameOutcome, rate_hz: float) -> dict[str, Any]:
-    record: dict[str, Any] = {"page": number, "name": outcome.name, "time_s": number / rate_hz}
-    if outcome.statistics is None:
-        return record | {"failed": outcome.reason}
-    return record | {
-        "contact_share": outcome.statistics.contact_fraction,
-        "clipped_share": outcome.statistics.clipped_fraction,
-        "masked_share": outcome.statistics.masked_fraction,
-        "peak_um": outcome.statistics.peak_um,
-    }
+def _frame_record(page: int, outcome: FrameOutcome, rate_hz: float) -> SequenceFrame:
+    figures = outcome.statistics
+    if figures is None:
+        return SequenceFrame(page=page, name=outcome.name, time_s=page / rate_hz, failed=outcome.reason or "")
+    return SequenceFrame(
+        page=page,
+        name=outcome.name,
+        time_s=page / rate_hz,
+        contact_share=figures.contact_fraction,
+        clipped_share=figures.clipped_fraction,
+        masked_share=figures.masked_fraction,
+        peak_um=figures.peak_um,
+    )

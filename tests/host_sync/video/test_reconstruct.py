@@ -23,6 +23,7 @@ from device.surface.stereographic import stereographic_from_slope
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.frames.sequence import BadFrame, StoredFrame
+from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
@@ -142,6 +143,14 @@ def test_the_record_has_every_frames_figures(result: Path) -> None:
     low_um, high_um = record["colour_range_um"]
     assert -1.5 < low_um < 1.5
     assert 50.0 < high_um < 61.0
+
+
+def test_the_record_is_read_by_the_type_that_writes_it(result: Path) -> None:
+    record = read_listed_record(result)
+    assert isinstance(record, SequenceRecord)
+    assert encode_record(record) == (result / "result.json").read_bytes()
+    assert record.frames[2].failed == "torn.png: is truncated"
+    assert record.frames[5].peak_um == pytest.approx(PEAKS_UM[-1], abs=1.0)
 
 
 def test_the_movie_shows_every_frame_in_one_range_of_colours(result: Path) -> None:
