@@ -18,7 +18,7 @@ from typing import Final
 
 from device.errors import DeviceError, PairingRefused, RecordError
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import CODE_DIGITS, DeviceCard, Element, Exchange, HostCard, draw_code
+from device.pairing.exchange import CODE_DIGITS, Confirmation, DeviceCard, Exchange, HostCard, Share, draw_code
 from hal.interfaces import Clock
 
 WINDOW_S: Final = 120.0
@@ -58,7 +58,7 @@ class PairingWindow:
     Parameters
     ----------
     listening : socket for workstations; the window closes it
-    card : what the device sends to whoever proves the code
+    card : the device's
     authorize : installs a workstation's key
     clock : measures the two minutes
     """
@@ -168,35 +168,35 @@ class PairingWindow:
 
     def _converse(self, call: _Call) -> None:
         """Let the caller in if it knows the code; a wrong code counts, anything else does not."""
-        channel, exchange = PairingChannel(call.connection, CONVERSATION_S), Exchange(self.code, "device")
+        channel, exchange = PairingChannel(call.connection, CONVERSATION_S), Exchange(self.code, self._card)
         try:
-            exchange.meet(channel.receive(Element))
+            host = exchange.meet(channel.receive(Share), HostCard)
             call.heard = True
-            channel.send(exchange.element)
-            host = channel.receive(HostCard)
+            channel.send(exchange.share)
+            confirmation = channel.receive(Confirmation)
         except RecordError:
             return
         with self._ending:  # one at a time: no more than the allowed guesses are ever compared
             if self._ended is not None or self._end_ns <= self._clock.monotonic_ns():
                 return
-            if exchange.is_proven(host):
-                self._ended = self._let_in(host, channel, exchange.proven(self._card))
+            if exchange.is_confirmed(confirmation):
+                self._ended = self._let_in(host, channel, exchange.confirmation)
                 return
             self._tries += 1
             if self._tries >= MAX_TRIES:
                 sentence = f"the code was wrong {self._tries} times, and the window is closed: open it again"
                 self._ended = PairingOutcome(None, sentence)
 
-    def _let_in(self, host: HostCard, channel: PairingChannel, card: HostCard | DeviceCard) -> PairingOutcome:
+    def _let_in(self, host: HostCard, channel: PairingChannel, proof: Confirmation) -> PairingOutcome:
         try:
             self._authorize(host)
         except DeviceError as error:
             return PairingOutcome(None, str(error))
         try:
-            channel.send(card)
+            channel.send(proof)
         except RecordError:
             return PairingOutcome(
-                None, f"{host.name} disconnected before it had this device's key: open the window again"
+                None, f"{host.name} disconnected before it had this device's proof: open the window again"
             )
         return PairingOutcome(host, f"paired with {host.name}")
 

@@ -13,7 +13,7 @@ import asyncssh
 from device.errors import DeviceError, RecordError
 from device.pairing.card import leave_host_card, read_device_card
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import DeviceCard, Element, Exchange, HostCard
+from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share
 from host_sync.errors import HostError, PairingError, SourceError
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 
@@ -52,22 +52,22 @@ def pair_over_network(host: str, port: int, code: str, card: HostCard) -> Paired
         raise SourceError(
             f"{host}:{port}: no device waits there for pairing ({error}): open its window and check the address"
         ) from error
-    exchange = Exchange(code, "host")
+    exchange = Exchange(code, card)
     with closing(connection):
         channel = PairingChannel(connection, CONVERSATION_S)
         try:
-            channel.send(exchange.element)
-            exchange.meet(channel.receive(Element))
+            channel.send(exchange.share)
+            device = exchange.meet(channel.receive(Share), DeviceCard)
         except RecordError as error:
             raise PairingError(
                 f"{host}: was not paired, the device is busy with other callers or did not answer ({error}): repeat"
             ) from error
         try:
-            channel.send(exchange.proven(card))
-            device = channel.receive(DeviceCard)
+            channel.send(exchange.confirmation)
+            confirmation = channel.receive(Confirmation)
         except RecordError as error:
             raise PairingError(f"{host}: was not paired, the code may be wrong ({error})") from error
-    if not exchange.is_proven(device):
+    if not exchange.is_confirmed(confirmation):
         raise PairingError(f"{host}: does not know the code: something else answers in the device's place")
     return _paired(device, host)
 

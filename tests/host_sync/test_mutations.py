@@ -25,7 +25,7 @@ from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
 from device.inverse_map.model import InverseMap
 from device.inverse_map.npz import read_model
-from device.pairing.exchange import DeviceCard, Element, HostCard
+from device.pairing.exchange import Confirmation, DeviceCard, HostCard, Share
 from device.store.active import ActiveCalibration
 from device.store.device_id import DeviceState
 from device.store.store import BundleStore
@@ -43,7 +43,17 @@ Case = Callable[[np.random.Generator], None]
 LONGEST_S = 20
 MAX_GROWTH_KB = 700_000
 TEXTS = (b"null", b"-1", b"1e999", b"18446744073709551616", b'"../../x"', b"[[[[", b'"\\u0000"', b"{}", b"true", b"0.0")
-SMALL_RECORDS = (ActiveCalibration, DeviceState, Receipt, Element, HostCard, DeviceCard, PairedDevice, SyncState)
+SMALL_RECORDS = (
+    ActiveCalibration,
+    DeviceState,
+    Receipt,
+    Share,
+    Confirmation,
+    HostCard,
+    DeviceCard,
+    PairedDevice,
+    SyncState,
+)
 
 
 class TookTooLong(BaseException):

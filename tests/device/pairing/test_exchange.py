@@ -1,4 +1,4 @@
-"""Pairing's key exchange: the same code gives the same key, any other and any meddling does not."""
+"""Pairing's exchange: the same code confirms both sides, any other code and any meddling does not."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from device.bundles.record import decode_record
 from device.errors import RecordError
-from device.pairing.exchange import PRIME, DeviceCard, Element, Exchange, HostCard, draw_code
+from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share, draw_code
 
 KEY = "ssh-ed25519 " + "A" * 68
 HOST = HostCard(name="bench", public_key=KEY)
@@ -15,39 +15,62 @@ DEVICE = DeviceCard(device_id="rg1", user="retrosync", port=22, host_key=KEY)
 
 
 def met(code: str, other_code: str) -> tuple[Exchange, Exchange]:
-    host, device = Exchange(code, "host"), Exchange(other_code, "device")
-    host.meet(device.element)
-    device.meet(host.element)
+    host, device = Exchange(code, HOST), Exchange(other_code, DEVICE)
+    assert host.meet(device.share, DeviceCard) == DEVICE
+    assert device.meet(host.share, HostCard) == HOST
     return host, device
 
 
-def test_the_group_is_what_it_is_said_to_be() -> None:
-    assert PRIME.bit_length() == 2048
-    assert pow(2, PRIME - 1, PRIME) == 1
-    assert pow(3, (PRIME - 1) // 2 - 1, (PRIME - 1) // 2) == 1
-
-
-def test_both_sides_prove_themselves_with_the_same_code_only() -> None:
+def test_both_sides_confirm_each_other_with_the_same_code_only() -> None:
     host, device = met("1234 5678", "12345678")
-    assert device.is_proven(host.proven(HOST))
-    assert host.is_proven(device.proven(DEVICE))
+    assert device.is_confirmed(host.confirmation)
+    assert host.is_confirmed(device.confirmation)
     host, device = met("12345678", "12345679")
-    assert not device.is_proven(host.proven(HOST))
-    assert not host.is_proven(device.proven(DEVICE))
+    assert not device.is_confirmed(host.confirmation)
+    assert not host.is_confirmed(device.confirmation)
 
 
-def test_no_byte_of_a_card_can_be_changed_and_no_proof_reused() -> None:
+def test_no_part_of_a_message_can_be_changed() -> None:
+    other = Exchange("1", HOST).share
+    for changed in (
+        {"card": msgspec.structs.replace(HOST, public_key=KEY[:-1] + "B")},
+        {"card": msgspec.structs.replace(HOST, name="other")},
+        {"share": other.share},
+    ):
+        host, device = Exchange("1", HOST), Exchange("1", DEVICE)
+        device.meet(msgspec.structs.replace(host.share, **changed), HostCard)
+        host.meet(device.share, DeviceCard)
+        assert not device.is_confirmed(host.confirmation)
+        assert not host.is_confirmed(device.confirmation)
+
+
+def test_a_confirmation_serves_once_and_not_for_its_sender() -> None:
     host, device = met("1", "1")
-    card = host.proven(HOST)
-    assert not device.is_proven(msgspec.structs.replace(card, public_key=KEY[:-1] + "B"))
-    assert not device.is_proven(msgspec.structs.replace(card, name="other"))
-    assert not met("1", "1")[1].is_proven(card)
+    said = host.confirmation
+    assert not host.is_confirmed(said)
+    assert not met("1", "1")[1].is_confirmed(said)
+    for bit in range(0, 512, 37):
+        flipped = (int(said.tag, 16) ^ (1 << bit)).to_bytes(64, "big").hex()
+        assert not device.is_confirmed(Confirmation(tag=flipped))
 
 
-@pytest.mark.parametrize("element", ["0", "1", f"{PRIME - 1:x}", f"{PRIME:x}"])
-def test_elements_that_would_give_the_key_away_are_refused(element: str) -> None:
-    with pytest.raises(RecordError, match="an invalid group element"):
-        Exchange("1", "device").meet(Element(element=element))
+def test_before_the_other_has_spoken_nothing_is_confirmed() -> None:
+    device = Exchange("1", DEVICE)
+    assert not device.is_confirmed(Exchange("1", DEVICE).confirmation)
+
+
+@pytest.mark.parametrize("share", ["00" * 32, "01" + "00" * 31, "ec" + "ff" * 30 + "7f", "ed" + "ff" * 30 + "7f"])
+def test_shares_that_would_give_the_key_away_are_refused(share: str) -> None:
+    with pytest.raises(RecordError, match="an invalid share"):
+        Exchange("1", DEVICE).meet(Share(share=share, card=HOST), HostCard)
+
+
+def test_a_side_does_not_meet_its_own_kind() -> None:
+    device = Exchange("1", DEVICE)
+    with pytest.raises(RecordError, match="wrong side's card"):
+        device.meet(device.share, HostCard)
+    with pytest.raises(RecordError, match="wrong side's card"):
+        device.meet(Exchange("1", DEVICE).share, DeviceCard)
 
 
 def test_codes_are_digits_and_differ() -> None:

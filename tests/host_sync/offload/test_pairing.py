@@ -18,7 +18,7 @@ import pytest
 from device.errors import PairingRefused, RecordError
 from device.pairing.card import leave_device_card, take_host_cards
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import DeviceCard, Element, Exchange, HostCard
+from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share
 from device.pairing_service.authorized_keys import authorize, read_host_key
 from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
 from device.pairing_service.window import PairingWindow
@@ -124,16 +124,16 @@ def test_guesses_side_by_side_are_no_more_than_three(
         talks = []
         for code in (wrong, wrong, wrong, opened.code):
             call = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-            channel, exchange = PairingChannel(call, 10.0), Exchange(code, "host")
-            channel.send(exchange.element)
-            exchange.meet(channel.receive(Element))
+            channel, exchange = PairingChannel(call, 10.0), Exchange(code, own)
+            channel.send(exchange.share)
+            exchange.meet(channel.receive(Share), DeviceCard)
             talks.append((channel, exchange))
         for channel, exchange in talks[:3]:
-            channel.send(exchange.proven(own))
+            channel.send(exchange.confirmation)
             with pytest.raises(RecordError):
-                channel.receive(DeviceCard)
+                channel.receive(Confirmation)
         with suppress(RecordError):
-            talks[3][0].send(talks[3][1].proven(own))
+            talks[3][0].send(talks[3][1].confirmation)
         with pytest.raises(PairingRefused, match="wrong 3 times"):
             opened.wait()
     assert not (tmp_path / "keys").exists()
@@ -162,14 +162,14 @@ def test_a_window_that_is_closed_lets_nobody_in(
         window(device_card, tmp_path / "keys") as (port, opened),
         socket.create_connection(("127.0.0.1", port)) as call,
     ):
-        channel, exchange = PairingChannel(call, 10.0), Exchange(opened.code, "host")
-        channel.send(exchange.element)
-        exchange.meet(channel.receive(Element))
+        channel, exchange = PairingChannel(call, 10.0), Exchange(opened.code, own)
+        channel.send(exchange.share)
+        exchange.meet(channel.receive(Share), DeviceCard)
         closing = threading.Thread(target=opened.close)
         closing.start()
         while opened.outcome is None:
             pass
-        channel.send(exchange.proven(own))
+        channel.send(exchange.confirmation)
         closing.join()
         assert opened.outcome.sentence == "the window was closed: open it again"
     assert not (tmp_path / "keys").exists()
@@ -214,11 +214,11 @@ def test_an_impostor_without_the_code_is_found_out(
     def pose() -> None:
         connection, _ = listening.accept()
         with connection, listening:
-            channel, exchange = PairingChannel(connection, 10.0), Exchange("99999999", "device")
-            exchange.meet(channel.receive(Element))
-            channel.send(exchange.element)
-            channel.receive(HostCard)
-            channel.send(exchange.proven(device_card))
+            channel, exchange = PairingChannel(connection, 10.0), Exchange("99999999", device_card)
+            exchange.meet(channel.receive(Share), HostCard)
+            channel.send(exchange.share)
+            channel.receive(Confirmation)
+            channel.send(exchange.confirmation)
 
     thread = threading.Thread(target=pose)
     thread.start()
