@@ -9,9 +9,9 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from hal.config_errors import explain, not_finite
 from hal.errors import BoardProfileError
 from hal.frame import BayerOrder, CameraSettings
+from hal.validation import explain_with_accepted, not_finite
 
 ASPECT_TOLERANCE: Final = 0.02
 """Relative tolerance of the aspect ratio; libcamera crops an aiming view that differs more from the sensor."""
@@ -243,7 +243,8 @@ def load_board_profile(name_or_path: str | Path) -> BoardProfile:
     try:
         profile = msgspec.toml.decode(data, type=BoardProfile)
     except msgspec.ValidationError as error:
-        raise BoardProfileError(f"{path}: {explain(str(error), BoardProfile, msgspec.toml.decode(data))}") from error
+        problem = explain_with_accepted(error, BoardProfile, msgspec.toml.decode(data))
+        raise BoardProfileError(f"{path}: {problem}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BoardProfileError(f"{path}: is not TOML: {error}") from error
     _check(profile, path)

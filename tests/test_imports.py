@@ -26,12 +26,12 @@ PORTABLE_ROOMS = (
 PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs"}
 PORTABLE_HAL = {
     "hal",
-    "hal.config_errors",
     "hal.board_profile",
     "hal.clock",
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
+    "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +17,7 @@ import msgspec
 
 from device.errors import RecordError
 from device.io.folder import FileTooLarge, Folder, IrregularFile, open_regular
+from hal.validation import explain_validation
 
 CHUNK_BYTES: Final = 1 << 20
 MAX_MANIFEST_BYTES: Final = 4 << 20
@@ -114,13 +114,6 @@ def decode_record(data: bytes, kind: type[RecordT], source: str | Path, remedy: 
         raise RecordError(f"{source}: {explain_validation(error)}: {remedy}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(f"{source}: is not valid JSON ({error}): {remedy}") from error
-
-
-def explain_validation(error: msgspec.ValidationError) -> str:
-    """The key and its problem, such as "lights[0].name: Expected `str`, got `int`"."""
-    problem, _, where = str(error).partition(" - at `")
-    key = re.sub(r"^(key in )?\$\.?", "", where.rstrip("`"))
-    return f"{key}: {problem}" if key else problem
 
 
 def sha256_bytes(data: bytes) -> str:

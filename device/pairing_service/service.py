@@ -13,13 +13,13 @@ from typing import Final
 
 import msgspec
 
-from device.bundles.record import explain_validation
 from device.errors import PairingRefused, RecordError
 from device.pairing.exchange import PAIRING_PORT, DeviceCard
 from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
 from device.pairing_service.window import WINDOW_S, PairingWindow
 from device.store.store import BundleStore
 from hal.interfaces import Clock
+from hal.validation import explain_validation
 
 OFFLOAD_USER: Final = "retrosync"
 

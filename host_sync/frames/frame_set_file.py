@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from device.bundles.record import explain_validation
+from hal.validation import explain_validation
 from host_sync.errors import FrameSetError
 
 Encoding = Literal["linear", "srgb"]

@@ -7,13 +7,13 @@ pixel.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
 
-from device.bundles.record import explain_validation
+from hal.validation import split_validation
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import MAX_DEGREE
 from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
@@ -225,7 +225,7 @@ def _check_names(recipe: Recipe, source: str) -> None:
 
 def _explained(error: msgspec.ValidationError) -> str:
     """The key, the problem, and what is accepted."""
-    key, problem = recipe_problem(error)
+    key, problem = split_validation(error)
     table = re.sub(r"\[.*?\]", "", key)
     last = table.rpartition(".")[2]
     if problem.endswith("is not a key"):
@@ -233,54 +233,3 @@ def _explained(error: msgspec.ValidationError) -> str:
     elif last in _ACCEPTED:
         problem += f"; accepted are {_ACCEPTED[last]}"
     return f"{key}: {problem}" if key else problem
-
-
-_KINDS: Final = {
-    "str": "a text",
-    "int": "a whole number",
-    "float": "a number",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-    "null": "nothing",
-}
-_BOUNDS: Final = {">": "above", ">=": "at least", "<": "below", "<=": "at most"}
-
-_PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
-    (
-        r"Expected `([^`]+)`, got `([^`]+)`",
-        lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}",
-    ),
-    (
-        r"Expected `(?:float|int)` (>=|<=|>|<) (\S+?)(?:\.0)?",
-        lambda m: f"is out of range; accepted is a number {_BOUNDS[m[1]]} {m[2]}",
-    ),
-    (
-        r"Expected `array` of length (\d+)(?:, got (\d+))?",
-        lambda m: f"is a list of {m[2] or 'another length'}; accepted is a list of {m[1]}",
-    ),
-    (
-        r"Expected `str` of length (>=|<=) (\d+)",
-        lambda m: f"is too {'short' if m[1] == '>=' else 'long'}; accepted is {_BOUNDS[m[1]]} {m[2]} characters",
-    ),
-    (r"Object missing required field `([^`]+)`", lambda m: f"{m[1]} is missing: state it"),
-    (r"Object contains unknown field `([^`]+)`", lambda m: f"{m[1]} is not a key"),
-    (r"Invalid enum value (.+)", lambda m: f"{m[1]} is not accepted"),
-)
-
-
-def recipe_problem(error: msgspec.ValidationError) -> tuple[str, str]:
-    """The key (empty for the whole file) and the problem."""
-    text = explain_validation(error)
-    key, _, problem = text.partition(": ") if " - at `" in str(error) else ("", "", text)
-    if not problem:
-        key, problem = "", text
-    for pattern, words in _PATTERNS:
-        if found := re.fullmatch(pattern, problem):
-            return key, words(found)
-    return key, problem
-
-
-def _kinds(names: str) -> str:
-    """For example "a number or nothing" for "float | null"."""
-    return " or ".join(_KINDS.get(name.strip(), name.strip()) for name in names.split("|"))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, TypeVar
 
 import msgspec
 
-from device.bundles.record import explain_validation
+from hal.validation import explain_validation
 from host_sync.errors import UnreadableResult
 from host_sync.results.detail_name import DetailName
 from host_sync.results.field_file import MAX_PIXELS

@@ -90,10 +90,10 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('name = "bench"\n', "", "missing required field `name`"),
-        ("encoding", "encodng", "unknown field `encodng`"),
-        ('"linear"', '"gamma"', "encoding: Invalid enum value 'gamma'; accepted: 'linear', 'srgb'"),
-        ("10.0", '"ten"', "pixel_pitch_um: Expected `float`, got `str`"),
+        ('name = "bench"\n', "", "name is missing"),
+        ("encoding", "encodng", "encodng is not a key"),
+        ('"linear"', '"gamma"', "encoding: 'gamma' is not accepted; accepted: 'linear', 'srgb'"),
+        ("10.0", '"ten"', "pixel_pitch_um: is a text; accepted is a number"),
         ("10.0", "0", "pixel_pitch_um: "),
         ("10.0", "-3", "pixel_pitch_um: "),
         ("10.0", "nan", "pixel_pitch_um: "),
@@ -101,12 +101,12 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
         ("0.1\n", "0.0\n", "press[0].ball_radius_mm: "),
         ("0.1\n", "0.1\ngrid_pitch_mm = -1\n", "press[0].grid_pitch_mm: "),
         ("[{ x = 12.5, y = 9, r = 6 }]", "[]", "press[0].balls: "),
-        ("r = 6", "radius = 6", "press[0].balls[0]: Object contains unknown field `radius`"),
+        ("r = 6", "radius = 6", "press[0].balls[0]: radius is not a key"),
         ("r = 6", "r = 0", "press[0].balls[0].r: "),
         ("r = 6", "r = 10.5", "press[0].balls[0].r: a contact of 10.5 px is not smaller than the ball, 10.0 px"),
         ("x = 12.5", "x = 29.5", "press[0].balls[0]: its centre (29.5, 9) is outside the frame, 30x20"),
         ("y = 9", "y = nan", "press[0].balls[0]: its centre"),
-        ("[[scan]]", "[[press]]", "unknown field `name`"),
+        ("[[scan]]", "[[press]]", "press[1]: name is not a key"),
         ('"coin 1"', '"../coin"', "scan[0].name: '../coin' cannot name a result folder"),
         ('"coin 1"', '"a/b"', "scan[0].name"),
         ('"coin 1"', "'a\\b'", "scan[0].name"),
@@ -119,7 +119,7 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
         ('"b.png"', '"scan.png"', "press[0].image: "),
         ('"scan.png"', '"a\\u0000b"', "scan[0].image: "),
         ("name =", "name ==", "is not TOML"),
-        ("[reference]", "[[reference]]", "reference: Expected `object | null`, got `array`"),
+        ("[reference]", "[[reference]]", "reference: is a list; accepted is a table or nothing"),
     ],
 )
 def test_a_wrong_key_is_named(write: Write, old: str, new: str, sentence: str) -> None:

@@ -90,8 +90,8 @@ def test_what_cannot_be_measured_is_named_and_the_rest_is_done(
     [
         ({"schema": "retrograph.result/9"}, "retrograph.result/9"),
         ({"rows": 7}, "expected 240 x 7"),
-        ({"pixel_pitch_um": 0.0}, "pixel_pitch_um: Expected `float` >= 0.001"),
-        ({"rows": "many"}, "rows: Expected `int`"),
+        ({"pixel_pitch_um": 0.0}, "pixel_pitch_um: is out of range; accepted is a number at least 0.001"),
+        ({"rows": "many"}, "rows: is a text; accepted is a whole number"),
     ],
 )
 def test_a_record_that_does_not_fit_is_refused(

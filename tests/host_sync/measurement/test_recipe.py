@@ -65,7 +65,7 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ('l_filter_um = "fine"', ("l_filter_um: is a text; accepted is a number or nothing",)),
         ("region_um = [1, 2]", ("region_um: is a list of 2; accepted is a list of 4",)),
         ("spectrum = 1", ("spectrum: is a whole number; accepted is true or false",)),
-        ("[[distance]]", ("distance[0]: name is missing: state it",)),
+        ("[[distance]]", ("distance[0]: name is missing",)),
         ('[[distance]]\nname = ""', ("distance[0].name: is too short; accepted is at least 1 characters",)),
         ('[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nkind = "hole"', ("step", "'groove', 'step'")),
         ('[[profile]]\nname = "a"\nfrom_um = [0, 0]', ("profile", "to_um")),

@@ -1,10 +1,13 @@
-"""Explains what is wrong with a board profile: names the key and what is accepted there."""
+"""Explains what is wrong with a record, a recipe or a board profile: the key, its problem and what is accepted.
+
+msgspec's own messages name Python's types; the sentences here use a reader's words.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import msgspec
@@ -13,17 +16,64 @@ from msgspec import inspect
 _STEP: Final = re.compile(r"\.?([A-Za-z_][A-Za-z0-9_]*)|\[(\d+)\]|\[\.\.\.\]")
 
 
-def explain(message: str, kind: type[msgspec.Struct], data: object) -> str:
-    """One sentence for a validation message of a profile whose parsed TOML is `data`."""
-    what, _, where = message.partition(" - at `")
-    key = re.sub(r"^(key in )?\$\.?", "", where.rstrip("`"))
-    if lost := re.search(r"missing required field `(\w+)`", what):
+_KINDS: Final = {
+    "str": "a text",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "nothing",
+}
+_BOUNDS: Final = {">": "above", ">=": "at least", "<": "below", "<=": "at most"}
+
+_PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
+    (
+        r"Expected `([^`]+)`, got `([^`]+)`",
+        lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}",
+    ),
+    (
+        r"Expected `(?:float|int)` (>=|<=|>|<) (\S+?)(?:\.0)?",
+        lambda m: f"is out of range; accepted is a number {_BOUNDS[m[1]]} {m[2]}",
+    ),
+    (
+        r"Expected `array` of length (\d+)(?:, got (\d+))?",
+        lambda m: f"is a list of {m[2] or 'another length'}; accepted is a list of {m[1]}",
+    ),
+    (
+        r"Expected `str` of length (>=|<=) (\d+)",
+        lambda m: f"is too {'short' if m[1] == '>=' else 'long'}; accepted is {_BOUNDS[m[1]]} {m[2]} characters",
+    ),
+    (r"Object missing required field `([^`]+)`", lambda m: f"{m[1]} is missing"),
+    (r"Object contains unknown field `([^`]+)`", lambda m: f"{m[1]} is not a key"),
+    (r"Invalid enum value (.+)", lambda m: f"{m[1]} is not accepted"),
+)
+
+
+def split_validation(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Key, empty for the whole file, and problem, such as "is a whole number; accepted is a text"."""
+    key, problem = _located(error)
+    for pattern, words in _PATTERNS:
+        if found := re.fullmatch(pattern, problem):
+            return key, words(found)
+    return key, problem
+
+
+def explain_validation(error: msgspec.ValidationError) -> str:
+    """Key and problem as one clause."""
+    key, problem = split_validation(error)
+    return f"{key}: {problem}" if key else problem
+
+
+def explain_with_accepted(error: msgspec.ValidationError, kind: type[msgspec.Struct], data: object) -> str:
+    """Key, problem and all that is accepted there, for a record of type `kind` and its parsed but unchecked `data`."""
+    key, problem = _located(error)
+    if lost := re.search(r"missing required field `(\w+)`", problem):
         key = f"{key}.{lost[1]}" if key else lost[1]
         return f"{key}: is missing; accepted: {accepted_at(kind, key)}"
-    if extra := re.search(r"unknown field `(\w+)`", what):
+    if extra := re.search(r"unknown field `(\w+)`", problem):
         return f"{key or 'top level'}: has no key {extra[1]!r}; accepted: {accepted_at(kind, key)}"
-    found = _value_at(data, key)
-    return f"{key or 'top level'}: {found} is not accepted; accepted: {accepted_at(kind, key)}"
+    return f"{key or 'top level'}: {_value_at(data, key)} is not accepted; accepted: {accepted_at(kind, key)}"
 
 
 def accepted_at(kind: type[msgspec.Struct], key: str) -> str:
@@ -48,6 +98,17 @@ def _not_finite(value: object, key: str) -> Iterator[str]:
     elif isinstance(value, tuple):
         for index, item in enumerate(value):
             yield from _not_finite(item, f"{key}[{index}]")
+
+
+def _located(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Key and problem in msgspec's words."""
+    problem, _, where = str(error).partition(" - at `")
+    return re.sub(r"^(key in )?\$\.?", "", where.rstrip("`")), problem
+
+
+def _kinds(names: str) -> str:
+    """For example "a number or nothing" for "float | null"."""
+    return " or ".join(_KINDS.get(name.strip(), name.strip()) for name in names.split("|"))
 
 
 def _steps(key: str) -> Iterator[tuple[str, int | None]]:
