@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
+
+import platformdirs
 
 from device.errors import InstrumentBusy
 from hal.board_profile import BoardProfile
@@ -41,15 +43,25 @@ def open_exclusive(profile: BoardProfile, clock: Clock | None = None) -> Iterato
 
 def exclusive_instrument(profile: BoardProfile) -> AbstractContextManager[None]:
     """Context that keeps other programs off a real board; nothing for a simulated one."""
-    return nullcontext() if profile.driver == "twin" else instrument_lock(lock_path(os.environ))
+    return nullcontext() if profile.driver == "twin" else instrument_lock(lock_path())
 
 
-def lock_path(environment: Mapping[str, str], service_folder: Path = SERVICE_FOLDER) -> Path:
-    """Path of the lock file: in the service's folder if it exists, else in the user's runtime folder."""
+def lock_path(service_folder: Path = SERVICE_FOLDER) -> Path:
+    """Path of the lock file: in the service's folder if it exists, else in the user's runtime folder.
+
+    Raises
+    ------
+    InstrumentBusy
+        The user's runtime folder cannot be created.
+    """
     if service_folder.is_dir():
         return service_folder / LOCK_FILE
-    own = environment.get("XDG_RUNTIME_DIR", "")
-    folder = Path(own) if Path(own).is_dir() and own else Path(tempfile.gettempdir())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a session without XDG_RUNTIME_DIR is usual on a board
+        try:
+            folder = platformdirs.user_runtime_path(ensure_exists=True)
+        except OSError as error:
+            raise InstrumentBusy(_not_locked(error.filename or "the runtime folder", error)) from error
     return folder / f"retroscan-{os.getuid()}.lock"
 
 
@@ -65,9 +77,7 @@ def instrument_lock(path: Path) -> Iterator[None]:
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
     except OSError as error:
-        raise InstrumentBusy(
-            f"{path}: the instrument cannot be locked ({error.strerror}): run this as its own user, sudo -u retroscan"
-        ) from error
+        raise InstrumentBusy(_not_locked(path, error)) from error
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -82,3 +92,8 @@ def instrument_lock(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(file)
+
+
+def _not_locked(path: object, error: OSError) -> str:
+    why = error.strerror or str(error)
+    return f"{path}: the instrument cannot be locked ({why}): run this as its own user, sudo -u retroscan"

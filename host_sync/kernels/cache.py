@@ -30,8 +30,7 @@ KEPT_S: Final = 30 * 86400.0
 
 def configure_cache(environment: MutableMapping[str, str] = os.environ) -> None:
     """Point numba, which must not be imported yet, to the cache folder of this state of the sources."""
-    home = cache_home(environment)
-    if home is not None and not environment.get(SETTING):
+    if not environment.get(SETTING) and (home := cache_home()):
         environment[SETTING] = str(home / state_of(*PACKAGES))
 
 
@@ -41,13 +40,15 @@ def holds_kernels(environment: Mapping[str, str] = os.environ) -> bool:
     return folder is not None and any(Path(folder).glob("*/*.nbi"))
 
 
-def cache_home(environment: Mapping[str, str] = os.environ) -> Path | None:
+def cache_home() -> Path | None:
     """Folder with one subfolder per state; None where the user has no home."""
-    named = environment.get("XDG_CACHE_HOME")
+    import platformdirs  # here, because commands that compile nothing do not need it
+
     try:
-        return (Path(named) if named else Path.home() / ".cache") / "retrograph" / "kernels"
+        home = platformdirs.user_cache_path("retrograph", appauthor=False) / "kernels"
     except RuntimeError:
         return None
+    return home if home.is_absolute() else None
 
 
 def state_of(*packages: Path) -> str:
@@ -61,7 +62,7 @@ def state_of(*packages: Path) -> str:
 
 def prune_cache(environment: Mapping[str, str] = os.environ, now_s: float | None = None) -> None:
     """Mark this state as used, and remove states unused for a month."""
-    own, home = Path(environment.get(SETTING, "")), cache_home(environment)
+    own, home = Path(environment.get(SETTING, "")), cache_home()
     if home is None or own.parent != home or not own.is_dir():
         return
     os.utime(own)

@@ -48,13 +48,20 @@ def test_a_link_is_not_followed(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_where_it_lies(tmp_path: Path) -> None:
+def test_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     service, own = tmp_path / "service", tmp_path / "own"
-    own.mkdir()
-    assert lock_path({"XDG_RUNTIME_DIR": str(own)}, service).parent == own
+    own.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(own))
+    assert lock_path(service) == own / f"retroscan-{os.getuid()}.lock"
     service.mkdir()
-    assert lock_path({}, service) == service / "instrument.lock"
-    assert lock_path({}, tmp_path / "no").name == f"retroscan-{os.getuid()}.lock"
+    assert lock_path(service) == service / "instrument.lock"
+
+
+def test_a_session_without_a_runtime_folder_is_locked_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    path = lock_path(Path("/nonexistent"))
+    assert path.name == f"retroscan-{os.getuid()}.lock"
+    assert path.parent.is_dir()
 
 
 def test_simulated_boards_need_none() -> None:

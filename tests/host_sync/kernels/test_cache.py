@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import host_sync
 from host_sync.kernels.cache import KEPT_S, PACKAGES, SETTING, configure_cache, prune_cache, state_of
 
@@ -103,18 +105,21 @@ def test_a_state_covers_every_kernel_of_the_package() -> None:
     assert all(any(path.is_relative_to(package) for package in PACKAGES) for path in kernels)
 
 
-def test_who_sets_a_folder_decides(tmp_path: Path) -> None:
-    environment = {SETTING: str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+def test_who_sets_a_folder_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    environment = {SETTING: str(tmp_path)}
     configure_cache(environment)
     assert environment[SETTING] == str(tmp_path)
     prune_cache(environment)
     assert tmp_path.is_dir()
 
 
-def test_folders_that_nobody_has_used_for_a_month_are_removed(tmp_path: Path) -> None:
-    environment = {"XDG_CACHE_HOME": str(tmp_path)}
+def test_folders_that_nobody_has_used_for_a_month_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    environment: dict[str, str] = {}
     configure_cache(environment)
     own = Path(environment[SETTING])
+    assert own.parent == tmp_path / "retrograph" / "kernels"
     others = [own.parent / name for name in ("recent", "old")]
     for folder in (own, *others):
         (folder / "reconstruction").mkdir(parents=True)
