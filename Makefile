@@ -3,7 +3,6 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-UV_VERSION := 0.13.8
 # What `make system-test` boots: Debian root, kernel and disk, kept between runs; 3 GB, 5 while it is made.
 SYSTEM_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-system
 
@@ -21,7 +20,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board release lock clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -72,17 +71,20 @@ format: set-up ## put the code into the house's form
 board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 
-release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/ and systemd/ (docs/build.md)
+release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/, systemd/, SBOM; signed with KEY=... (docs/build.md)
 	@rm -rf dist/release
 	"$(VENV)/bin/python" -m hatchling build -t wheel -d dist/release >/dev/null
 	cp -r requirements-device.lock board systemd dist/release/
-	echo "dist/release is ready: copy it to the handheld and run sudo board/install.sh --board NAME there"
+	[ -z "$(WHEELS)" ] || cp -r "$(WHEELS)" dist/release/wheels
+	"$(VENV)/bin/python" .ci/sbom.py dist/release
+	bash .ci/seal dist/release $(if $(KEY),"$(abspath $(KEY))")
+	echo "dist/release is ready$(if $(KEY),, and not signed (KEY=...)): copy it to the handheld and run sudo board/install.sh --board NAME there"
 
 lock: ## choose the newest versions that pyproject.toml allows and pin them (wants the network)
 	@bash .ci/set-up check "$(PYTHON)"
 	"$(PYTHON)" -m venv --clear .lock-tool
 	trap 'rm -rf .lock-tool' EXIT
-	.lock-tool/bin/python -m pip install --quiet "uv==$(UV_VERSION)"
+	.lock-tool/bin/python -m pip install --quiet --require-hashes --only-binary :all: -r .ci/uv.lock
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links \
 	    --extra device --extra host --extra dev --output-file requirements.lock pyproject.toml
@@ -93,6 +95,11 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \
 	    --extra bench --output-file requirements-bench.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --output-file .ci/audit.lock - <<<pip-audit
+
+audit: ## whether a locked package has a known fault (wants the network; without it nothing is audited)
+	@bash .ci/audit "$(PYTHON)"
 
 clean: ## remove .venv, demo-output and every cache
 	@rm -rf .venv .lock-tool demo-output accuracy.json dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

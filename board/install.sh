@@ -19,6 +19,7 @@ usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel
   --usb               the USB port is a network adapter to the workstation
   --read-only         from the next boot on the root file system is read only, under an overlay in memory, without a swap file
   --release FOLDER    wheel, requirements-device.lock and maybe wheels/ [the one that this script is in, else dist/release]
+  --signers FILE      keys that may sign releases, from now on: what none of them signed is refused (`make release KEY=...`)
   --no-app            everything but the program
   --uninstall         take away what this script put in place; users, packages and what /data holds, networks with their passwords
                       too, stay: it says what
@@ -30,12 +31,12 @@ END
 }
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-root='' board='' data='' screen=none release='' dry=no usb=no read_only=no writable=no with_app=yes uninstall=no changes=0
+root='' board='' data='' screen=none release='' signers='' dry=no usb=no read_only=no writable=no with_app=yes uninstall=no changes=0
 
 # shellcheck disable=SC2034 # what is set here is read in install/
 while [ $# -gt 0 ]; do
     case $1 in
-    --board | --data | --screen | --release | --root)
+    --board | --data | --screen | --release | --signers | --root)
         [ -n "${2:-}" ] || usage
         printf -v "${1#--}" '%s' "$2"
         shift
@@ -57,6 +58,16 @@ refuse() {
     exit 2
 }
 live() { [ -z "$root" ]; }
+
+# Before anything of this folder is read or installed: it is what its maker signed, by the program that is on this card already.
+check_signature() {
+    local known=$root/etc/retrograph/release-signers verifier=$here/board/retrograph-slot
+    [ -z "$signers" ] || [ -r "$signers" ] || refuse "--signers $signers: cannot be read"
+    if [ -e "$known" ] && [ -x "$root/usr/local/sbin/retrograph-slot" ]; then verifier=$root/usr/local/sbin/retrograph-slot; fi
+    RETROGRAPH_ROOT="$root" bash "$verifier" verify "$here" >/dev/null || exit 2
+    [ -z "$signers" ] || bash "$verifier" verify "$here" "$signers" >/dev/null || exit 2
+}
+[ "$uninstall" = yes ] || [ "$writable" = yes ] || check_signature
 
 for part in actions steps firmware take-away; do
     # shellcheck source=/dev/null

@@ -147,3 +147,33 @@ def fake_python(folder: Path, pip: str) -> Path:
         f'*) exec "{sys.executable}" "$@" ;;',
         "esac",
     )
+
+
+def audit(checkout: Path, tmp_path: Path, *pip_audit: str, installs: bool = True) -> subprocess.CompletedProcess[str]:
+    """`.ci/audit` with a Python whose environments answer like this when pip-audit is called."""
+    arguments = 'while [ $# -gt 1 ]; do [ "$1" != --output ] || answer=$2; shift; done; lock=$1'
+    pip = f'case "$2" in pip) exit {0 if installs else 1} ;; esac'
+    inner = script(tmp_path / "inner", pip, arguments, *pip_audit)
+    outer = script(tmp_path / "python", 'mkdir -p "$3/bin"', f'ln -s "{inner}" "$3/bin/python"')
+    return subprocess.run(
+        ["bash", checkout / ".ci/audit", outer], capture_output=True, text=True, check=False, cwd=checkout
+    )
+
+
+def test_known_faults_end_an_audit_and_name_the_package(checkout: Path, tmp_path: Path) -> None:
+    ran = audit(checkout, tmp_path, '[ "$lock" != requirements.lock ] || { echo numpy 1.0 GHSA-1 >"$answer"; exit 1; }')
+    assert ran.returncode == 1
+    assert "numpy 1.0 GHSA-1" in ran.stdout
+    assert "requirements.lock: has packages with known faults" in ran.stdout
+    assert "requirements-bench.lock: no known faults" in ran.stdout
+
+
+@pytest.mark.parametrize("installs", [True, False])
+def test_without_a_network_nothing_is_audited_and_that_is_said(checkout: Path, tmp_path: Path, installs: bool) -> None:
+    ran = audit(checkout, tmp_path, "echo ConnectionError >&2; exit 1", installs=installs)
+    assert (ran.returncode, ran.stdout.startswith("not audited: ")) == (0, True)
+
+
+def test_packages_without_faults_pass(checkout: Path, tmp_path: Path) -> None:
+    ran = audit(checkout, tmp_path, "exit 0")
+    assert (ran.returncode, ran.stdout.count("no known faults")) == (0, 2)

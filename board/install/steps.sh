@@ -137,6 +137,7 @@ put_files() {
     put "$here/systemd/usb-gadget" /usr/local/lib/retrograph/usb-gadget 755
     put "$here/board/retrograph-slot" /usr/local/sbin/retrograph-slot 755
     put "$here/board/99-retrograph.rules" /etc/udev/rules.d/99-retrograph.rules
+    [ -z "$signers" ] || put "$signers" /etc/retrograph/release-signers
     [ "$usb" = no ] || put "$here/systemd/usb-network.nmconnection" /data/network/retrograph-usb.nmconnection 600
     local name=$board
     case $board in *.toml)

@@ -10,7 +10,7 @@ installed_files() {
     for unit in tmpfiles.d sysusers.d modules-load.d systemd/journald.conf.d systemd/system.conf.d systemd/logind.conf.d \
         systemd/timesyncd.conf.d ssh/sshd_config.d NetworkManager/conf.d; do echo "/etc/$unit/retrograph.conf"; done
     echo /etc/avahi/services/retrograph.service /etc/udev/rules.d/99-retrograph.rules /etc/default/retroscan \
-        /etc/retrograph/board.toml /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
+        /etc/retrograph/board.toml /etc/retrograph/release-signers /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
         /boot/overlays/retrograph.dtbo "$no_swap_file" "$swap_in_memory" | tr ' ' '\n'
