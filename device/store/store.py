@@ -18,7 +18,7 @@ import msgspec
 import platformdirs
 
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
-from device.bundles.layout import INBOX, MANIFESTS, BundleKind, Listing, is_bundle_id, list_bundles
+from device.bundles.layout import INBOX, MANIFESTS, BundleKind, Listing, bundle_ids, is_bundle_id, list_bundles
 from device.bundles.publishing import FileWriter, clear_unpublished, publish_bundle
 from device.bundles.receipt import RECEIPTS
 from device.bundles.record import FileEntry, Identity, encode_record
@@ -28,6 +28,7 @@ from device.io.lock import locked_directory
 from device.io.os_errors import explain_os_error
 from device.io.permissions import FOLDER_MODE, SHARED_MODE, free_entries, make_folder, require_writable
 from device.store.active import read_active, write_active
+from device.store.allowance import tidy_shared_folders
 from device.store.device_id import DeviceState, count_press, current_boot_id, new_device, read_device, write_device
 from device.store.eviction import evict_acknowledged
 from device.store.inbox import InboxItem, copy_calibration, import_inbox
@@ -191,12 +192,15 @@ class BundleStore:
     def make_room(self, size_bytes: int) -> list[str]:
         """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
 
+        What workstations left beyond their allowance goes first.
+
         Raises
         ------
         StoreError
             The disk refused.
         """
         with self._translating("written"), locked_directory(self.root):
+            tidy_shared_folders(self.root, {name for kind in MANIFESTS for name in bundle_ids(self.root, kind)})
             return evict_acknowledged(self.root, lambda: self.scans_left(size_bytes) > 0)
 
     def import_inbox(self) -> list[InboxItem]:
