@@ -26,7 +26,9 @@ sensor_over_board = 1.5;    // from the camera's circuit board to the sensor's f
 distance = 25;              // from the skin's centre, inside gel and block
 elevation = 30;             // inside the gel
 azimuths = [-90, 150, 30];  // red, green, blue, as position_mm of the profiles
-led = 5.2;                  // bore for a 5 mm LED
+leds = 2;                   // in each sleeve, side by side: one for each channel of a light
+led = 5.2;                  // bore for a 5 mm LED; 120 degrees wide, or the field's sides stay dark
+led_lip = 0.4;              // what stops an LED at the sleeve's front
 
 /* [Gel and block] */
 gel_thickness = 2.5;        // slab_thickness_mm of the profile
@@ -34,7 +36,7 @@ gel_side = 32;
 n_gel = 1.41;               // silicone
 n_block = 1.49;             // acrylic
 block_top = 16;
-facet_at = 20;              // distance of each facet from the skin's centre, along the light's ray
+facet_at = 24;              // distance of each facet from the skin's centre, along the light's ray
 
 /* [Housing] */
 wall = 2.4;
@@ -85,6 +87,8 @@ tray_at = [38, 98];
 boss_height = 8;
 plate_thickness = 2 * ball_r - ball_stands_out;                     // the balls stand on the glass below it
 frame_above_skin = 0.5;
+led_pitch = led + 0.1;
+holder_r = (led_pitch * (leds - 1) + led) / 2 + 1.6;
 clear_top = (facet_at - block_top * sin(block_elevation)) / cos(block_elevation);
 half_diagonal = norm(field) / 2;
 
@@ -102,6 +106,8 @@ assert(cos(elevation) * n_gel / n_block < 1, "no ray of this elevation reaches t
 assert(clear_top > half_diagonal, "the block's top hides corners of the field: lower block_top or move the facets out");
 assert(gel_side / 2 < inner_r - wall, "the gel does not fit the body");
 assert(distance > facet_at, "the lights stand inside the block");
+assert(facet_at * sin(block_elevation) + led / 2 * cos(block_elevation) <= block_top,
+    "the LEDs stand over the block's edge: raise block_top or move the facets in");
 assert(indentation < gel_thickness / 2, "the balls are pressed deeper than half the gel");
 assert(ball_stands_out >= indentation + 0.2, "the plate touches the skin before the balls are in");
 assert(ball_stands_out <= ball_r, "the plate holds less than half of each ball: they fall out");
@@ -129,14 +135,16 @@ module for_all_facets() {
     }
 }
 
-// A sleeve for one LED, glued into the body when the light is set: its front end lies on the facet, the LED comes from
-// outside up to the shoulder.
+// A sleeve for the LEDs of one light, glued into the body when the light is set: its front end lies on the facet, the LEDs,
+// side by side and level, come from outside up to the lip and so stand as near to the facet as the light's distance allows.
 module led_holder() {
     length = (outer_r + 3) / cos(block_elevation) - facet_at;
     difference() {
-        cylinder(r = led / 2 + 1.6, h = length);
-        translate([0, 0, -1]) cylinder(r = led / 2 - 0.6, h = length + 2);
-        translate([0, 0, distance - facet_at]) cylinder(r = led / 2, h = length);
+        cylinder(r = holder_r, h = length);
+        for (i = [0:leds - 1]) translate([0, (i - (leds - 1) / 2) * led_pitch, 0]) {
+            translate([0, 0, -1]) cylinder(r = led / 2 - led_lip, h = length + 2);
+            translate([0, 0, distance - facet_at]) cylinder(r = led / 2, h = length);
+        }
     }
 }
 
@@ -155,12 +163,12 @@ module body() {
             // The block is pushed up against these three.
             for (azimuth = azimuths) rotate(azimuth + 180) translate([seat_r - 5, -4, block_top]) cube([7, 8, 4]);
             for (azimuth = azimuths) intersection() {
-                along_ray(azimuth) translate([0, 0, seat_r / cos(block_elevation)]) cylinder(r = led / 2 + 4, h = 10);
+                along_ray(azimuth) translate([0, 0, seat_r / cos(block_elevation)]) cylinder(r = holder_r + 2.4, h = 10);
                 translate([0, 0, gel_thickness]) cylinder(r = outer_r + 4, h = 60);
             }
         }
         for (azimuth = azimuths) along_ray(azimuth)
-            translate([0, 0, facet_at]) cylinder(r = led / 2 + 1.6 + gap, h = 40);
+            translate([0, 0, facet_at]) cylinder(r = holder_r + gap, h = 40);
         for (a = azimuths) rotate(a + 60) translate([screw_r, 0, 0]) cylinder(r = m25_tapped / 2, h = 12);
         translate([0, 0, button_z]) rotate([0, 90, 90]) cylinder(r = button_bore / 2, h = 60);
         translate([-4, -60, body_top - 22]) cube([8, 60, 10]);                        // cables

@@ -14,6 +14,7 @@ from hal.interfaces import Clock
 Commands = argparse._SubParsersAction  # the type of `add_subparsers()`, which argparse does not export
 MAX_PORT: Final = 65535
 MAX_LENGTH_MM: Final = 1000.0
+MAX_COUNT: Final = 1_000_000
 
 
 def print_line(line: str) -> None:
@@ -69,4 +70,11 @@ def port_argument(text: str) -> int:
     """Type of an argument that gives a TCP port."""
     if not (text.isdecimal() and 1 <= int(text) <= MAX_PORT):
         raise argparse.ArgumentTypeError(f"{text!r} is not a port: give a number from 1 to {MAX_PORT}")
+    return int(text)
+
+
+def count_argument(text: str) -> int:
+    """Type of an argument that counts something: 1 or more."""
+    if not (text.isdecimal() and 1 <= int(text) <= MAX_COUNT):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a count: give a number from 1 to {MAX_COUNT}")
     return int(text)

@@ -33,6 +33,7 @@ from device.cli.console import (
     store_folder,
     text_argument,
 )
+from device.cli.focus import add_focus_command
 from device.cli.headless import run_headless
 from device.cli.pairing import add_pairing_commands, import_inbox
 from device.cli.screens import add_screen_command, run_screens
@@ -108,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_ball(run)
     run.set_defaults(command=_run)
 
+    add_focus_command(commands)
     add_pairing_commands(commands)
     add_calibrations_commands(commands)
     add_service_commands(commands)

@@ -8,6 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from hal.board_profile import load_board_profile
+from tests.drawings.board.aperture import PIXELS, blur
+from tests.drawings.board.beam import (
+    ENDLESS,
+    Sleeve,
+    brightest_to_darkest,
+    centre_to_darkest,
+    half_field_mm,
+    light_over_field,
+)
 from tests.drawings.board.light_geometry import (
     Geometry,
     all_lit_deg,
@@ -23,13 +33,45 @@ BLOCK = re.compile(r"(<!-- made by `make board`: (\w+) -->\n).*?(<!-- end -->\n)
 ELEVATIONS_DEG = (15, 20, 25, 30, 35, 40, 50, 60)
 DISTANCES_MM = (15, 20, 25, 35, 50, 100, 250)
 GAPS_DEG = (120, 130, 150, 180, 210)
+SLEEVES = {
+    "30° wide, one | bore of 4 mm, 5 mm before the LED": Sleeve(30.0, (0.0,), 5.0, 4.0),
+    "30° wide, two | at the facet": Sleeve(30.0, (-2.65, 2.65), 1.0, 4.4),
+    "**60° wide, two** | **at the facet**": Sleeve(60.0, (-2.65, 2.65), 1.0, 4.4),
+    "120° wide, two | at the facet": Sleeve(120.0, (-2.65, 2.65), 1.0, 4.4),
+}
 MOVES_MM = (0.02, 0.05, 0.1, 0.5)
 
 
 def with_tables(page: str) -> str:
     """The page with each of its marked blocks computed again."""
     tables = {"elevation": _elevation, "distance": _distance, "spacing": _spacing, "paint": _paint, "moved": _moved}
+    tables |= {"beam": _beam, "aperture": _aperture}
     return BLOCK.sub(lambda found: found[1] + "\n".join(tables[found[2]]()) + "\n" + found[3], page)
+
+
+def _beam() -> Iterator[str]:
+    yield "| LEDs | sleeve | centre : side edge, red | centre : darkest | brightest : darkest |"
+    yield "|---|---|---|---|---|"
+    profile = load_board_profile("pi5-imx296")
+    for words, sleeve in SLEEVES.items():
+        lit = [light_over_field(light.position_mm, sleeve, half_field_mm(profile)) for light in profile.lights]
+        edge = lit[0][10, 10] / max(lit[0][10, 0], 1e-12)
+        ratios = (edge, max(map(centre_to_darkest, lit)), max(map(brightest_to_darkest, lit)))
+        yield f"| {words} | " + " | ".join(f"{one:.1f} : 1" if one < ENDLESS else "dark" for one in ratios) + " |"
+
+
+def _aperture() -> Iterator[str]:
+    yield "| board | f-number | diffraction | depth ± | in focus | 0.25 mm below | 0.5 mm below |"
+    yield "|---|---|---|---|---|---|---|"
+    for board in PIXELS:
+        for f_number in (2.8, 4.0, 5.6, 8.0):
+            b = blur(board, f_number)
+            cells = (b.at_um(0.0), b.at_um(0.25), b.at_um(0.5))
+            yield (
+                f"| {board} | f/{f_number:g} | {b.airy_um:.1f} µm | {b.depth_mm:.2f} mm | "
+                + " | ".join(f"{cell:.0f} µm" for cell in cells)
+                + " |"
+            )
 
 
 def _elevation() -> Iterator[str]:
