@@ -12,6 +12,10 @@ class FrameSetError(HostError, ValueError):
     """A frame set or one of its images cannot be used. Correct the file and key that the message names."""
 
 
+class CalibrationFileError(HostError, ValueError):
+    """A calibration file is missing, damaged, or of another version. Calibrate again, or name another."""
+
+
 class SequenceError(HostError, ValueError):
     """A sequence cannot be used, or no frame of it could be reconstructed. Correct what the message names."""
 

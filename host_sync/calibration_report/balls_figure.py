@@ -6,34 +6,29 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any, Final
 
-import cv2
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from device.surface.fields import Float32Array
-from host_sync.calibration.balls import UsedPress
 from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.taught_press import TaughtPress, pictures_across
 
-MAX_WIDTH_PX: Final = 1500
-MAX_SHOWN: Final = 16
 MAX_NAMES: Final = 60
 KEPT_COLOUR, REJECTED_COLOUR = "#ffffff", "#ffb000"
 KEPT_BAR: Final[dict[str, Any]] = {"color": "#4477aa", "label": "used"}
 REJECTED_BAR: Final[dict[str, Any]] = {"color": "#ddcc77", "hatch": "//", "edgecolor": "#776622", "label": "rejected"}
 
 
-def balls_figure(presses: Sequence[UsedPress]) -> Figure:
-    """Presses with their used and rejected balls: all, or `MAX_SHOWN`, those with a rejected ball first."""
-    shown = _chosen(presses)
-    grid_columns = int(np.ceil(np.sqrt(len(shown))))
+def balls_figure(presses: Sequence[TaughtPress]) -> Figure:
+    """Presses with their used and rejected balls: those that have a picture."""
+    shown = [press for press in presses if press.picture is not None]
+    grid_columns = pictures_across(len(shown))
     grid_rows = -(-len(shown) // grid_columns)
-    rows, columns = shown[0].intensity.shape
+    rows, columns = shown[0].shape
     figure = Figure(figsize=(12.0, 12.0 / grid_columns * rows / columns * grid_rows + 0.8), layout="constrained")
     grid = figure.subplots(grid_rows, grid_columns, squeeze=False).ravel()
     for axes, press in zip(grid, shown, strict=False):
-        _draw_press(axes, press, MAX_WIDTH_PX // grid_columns)
+        _draw_press(axes, press)
     for axes in grid[len(shown) :]:
         axes.set_axis_off()
     used = sum(len(press.balls) for press in presses)
@@ -45,18 +40,10 @@ def balls_figure(presses: Sequence[UsedPress]) -> Figure:
     return figure
 
 
-def _chosen(presses: Sequence[UsedPress]) -> list[UsedPress]:
-    """At most `MAX_SHOWN` presses in their order: those with rejected balls first, the rest spread evenly."""
-    rejected_ones = [i for i, press in enumerate(presses) if press.rejected or press.fault][:MAX_SHOWN]
-    clean = [i for i in range(len(presses)) if i not in rejected_ones]
-    room = MAX_SHOWN - len(rejected_ones)
-    spread = [clean[i * len(clean) // room] for i in range(room)] if len(clean) > room else clean
-    return [presses[i] for i in sorted(rejected_ones + spread)]
-
-
-def _draw_press(axes: Axes, press: UsedPress, max_width_px: int) -> None:
-    rows, columns = press.intensity.shape
-    axes.imshow(_viewable(press.intensity.values, max_width_px), extent=(-0.5, columns - 0.5, rows - 0.5, -0.5))
+def _draw_press(axes: Axes, press: TaughtPress) -> None:
+    rows, columns = press.shape
+    if press.picture is not None:
+        axes.imshow(press.picture, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5))
     for ball in press.balls:
         axes.add_patch(Circle((ball.column, ball.row), ball.contact_radius_px, fill=False, color=KEPT_COLOUR, lw=1.2))
         axes.plot(ball.column, ball.row, "+", color=KEPT_COLOUR, ms=6, mew=1.0)
@@ -118,12 +105,3 @@ def _draw_bands(axes: Axes, calibration: Calibration) -> None:
     axes.set_title("held-out error by slope")
     axes.set_xlabel("tilt of the surface, degrees")
     axes.set_ylabel("mean error of the normal, degrees")
-
-
-def _viewable(values: Float32Array, max_width_px: int) -> Float32Array:
-    """Intensity as a picture: flat skin mid-grey, slightly compressed."""
-    factor = max(1, values.shape[1] // max_width_px)
-    if factor > 1:
-        size = (values.shape[1] // factor, values.shape[0] // factor)
-        values = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
-    return np.asarray(np.clip(0.45 * values, 0.0, 1.0) ** 0.8, np.float32)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from io import BytesIO
 from typing import Any
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 
-from device.io.atomic import atomic_directory
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
@@ -18,21 +18,22 @@ SCHEMA = "retrograph.calibration-report/1"
 REPORT_FILE = "report.json"
 
 
-def write_report(target: Path, calibration: Calibration) -> None:
-    """Write `report.json` and the pictures to the directory `target`, replacing its contents.
+def report_files(calibration: Calibration) -> dict[str, bytes]:
+    """Contents of `report.json` and the pictures, by name."""
+    figures = {
+        "balls.png": balls_figure(calibration.presses),
+        "residuals.png": residuals_figure(calibration),
+        "reflectance-maps.png": reflectance_figure(calibration.paper),
+        "ambiguous-bins.png": ambiguity_figure(calibration.paper),
+    }
+    record = msgspec.json.format(msgspec.json.encode(report_record(calibration)), indent=2)
+    return {REPORT_FILE: record} | {name: _png(figure) for name, figure in figures.items()}
 
-    Raises
-    ------
-    OutputError
-        The directory cannot be written.
-    """
-    with atomic_directory(target, REPORT_FILE) as folder:
-        record = msgspec.json.encode(report_record(calibration))
-        (folder / REPORT_FILE).write_bytes(msgspec.json.format(record, indent=2))
-        balls_figure(calibration.presses).savefig(folder / "balls.png", dpi=120)
-        residuals_figure(calibration).savefig(folder / "residuals.png", dpi=120)
-        reflectance_figure(calibration.paper).savefig(folder / "reflectance-maps.png", dpi=120)
-        ambiguity_figure(calibration.paper).savefig(folder / "ambiguous-bins.png", dpi=120)
+
+def _png(figure: Figure) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, dpi=120, format="png")
+    return stream.getvalue()
 
 
 def report_record(calibration: Calibration) -> dict[str, Any]:

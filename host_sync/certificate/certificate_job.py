@@ -11,7 +11,8 @@ import msgspec
 from device.errors import DeviceError
 from device.io.atomic import check_replaceable, write_output
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration_report.report import REPORT_FILE, write_report
+from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_report.report import REPORT_FILE
 from host_sync.certificate.certificate import Certificate, HashedFile, certify
 from host_sync.certificate.certificate_pages import pages_of
 from host_sync.certificate.characteristics import CheckedSpecimen
@@ -22,7 +23,7 @@ from host_sync.frames.frame_set import FrameSet, FrameSpec
 from host_sync.frames.frame_set_file import Encoding, read_frame_set_file
 from host_sync.frames.linear_light import read_frame
 from host_sync.measurement.quantity import Quantity
-from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER, calibrate_frame_set
+from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.reader import ResultSurface, read_result
@@ -33,11 +34,16 @@ Tell = Callable[[str], None]
 
 
 def certificate_of_frame_set(
-    frame_set: FrameSet, specimens: Sequence[Path], out: Path, tell: Tell = lambda _: None
+    frame_set: FrameSet,
+    specimens: Sequence[Path],
+    out: Path,
+    tell: Tell = lambda _: None,
+    calibrator: Calibrator | None = None,
 ) -> Certificate:
     """Judge the instrument that a frame set calibrates; everything is written to `out`.
 
     specimens : files as `read_specimen` reads them
+    calibrator : gives the calibration; by default it is made now
 
     Raises
     ------
@@ -50,8 +56,9 @@ def certificate_of_frame_set(
     """
     read = [(path, read_specimen(path)) for path in specimens]  # before minutes of work
     check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)
-    calibration = calibrate_frame_set(frame_set, tell)
-    write_report(out / CALIBRATION_FOLDER, calibration)
+    kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
+    kept.write_report(out / CALIBRATION_FOLDER)
+    calibration = kept.calibration
     encoding = read_frame_set_file(frame_set.path).encoding
     checked = [
         check_specimen(path, one, calibration, encoding, out / f"{number:02d}-{path.stem}", tell)

@@ -1,4 +1,4 @@
-"""`retrosync calibrate`: judges an instrument by certified specimens and writes its calibration certificate."""
+"""`retrosync calibrate`: a calibration as one file; or, with certified specimens, the certificate of an instrument."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from host_sync.cli.calibrator import calibrator_for, obtain_calibration
 from host_sync.cli.compile_notice import tell_of_compiling
 from host_sync.cli.console import DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import load_frame_set
 
 if TYPE_CHECKING:
@@ -21,31 +23,61 @@ def register(app: App) -> None:
 
 
 def calibrate_command(
-    frame_set: Path,
+    source: str,
     *,
     out: Folder,
-    check: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)],
+    library: Folder | None = None,
+    check: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
 ) -> int:
-    """Calibrate from a frame set, measure certified specimens, and write the calibration certificate.
+    """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
+
+    Examples:
+    retrosync calibrate FRAMESET.toml --out gel.calibration
+    retrosync reconstruct FRAMESET.toml --calibration gel.calibration --out results
+    retrosync calibrate FRAMESET.toml --check STEP.toml --out certificate
 
     Ends with 1 when the instrument does not agree with a specimen, or cannot be judged by it.
 
     Parameters
     ----------
-    frame_set
-        The frame set's file; its presses calibrate.
+    source
+        The frame set's file, whose presses calibrate; or a calibration's folder; with --library, a calibration's id.
     out
-        Folder for certificate.pdf, certificate.json, the calibration's report, and the result of every scan.
+        The calibration's file. With --check, the folder for certificate.pdf, certificate.json, the calibration's
+        report, and the result of every scan.
+    library
+        Folder of pulled calibrations.
     check
         TOML files of certified specimens: step, groove, sphere, roughness, period or flat.
     """
+    if check:
+        if library is not None:
+            raise FrameSetError("--check judges the instrument of a frame set: leave out --library")
+        return _certify(Path(source), check, out)
+    if out.is_dir():
+        raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
+    tell_of_compiling()
+    with status_spinner() as tell:
+        tell("loading compiled code")
+        kept = obtain_calibration(source, library, tell)
+        kept.write(out)
+    from host_sync.calibration_report.summary import calibration_lines
+
+    for line in calibration_lines(kept.calibration):
+        print_line(line)
+    print_line(str(out))
+    return DONE
+
+
+def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
+    """Measure the specimens and write the certificate."""
     described = load_frame_set(frame_set)
     tell_of_compiling()
     from host_sync.certificate.certificate import verdict_words
     from host_sync.certificate.certificate_job import PAGES_FILE, certificate_of_frame_set
 
     with status_spinner() as tell:
-        certificate = certificate_of_frame_set(described, check, out, tell)
+        certificate = certificate_of_frame_set(described, check, out, tell, calibrator_for(None, tell))
     for line in _lines(certificate):
         print_line(line)
     for one in certificate.specimens:

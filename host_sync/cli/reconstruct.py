@@ -5,21 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
 from device.errors import DeviceError
+from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.compile_notice import tell_of_compiling
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, add_renamed, print_error, print_line, status_spinner
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, add_renamed, print_error, status_spinner
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
-from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.library.library import Library
 from host_sync.results.detail_name import DetailName
-
-if TYPE_CHECKING:
-    from host_sync.calibration.calibrate import Calibration
 
 PictureFormat = Literal["png", "pdf", "svg"]
 MethodName = Literal["direct", "paper"]
@@ -36,6 +34,7 @@ def reconstruct(
     *names: str,
     out: Folder | None = None,
     library: Folder | None = None,
+    calibration: Path | None = None,
     method: Annotated[MethodName | None, Parameter(help="Default: the one with the smaller held-out error.")] = None,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
@@ -52,6 +51,9 @@ def reconstruct(
         Folder for the results of a frame set.
     library
         Folder of pulled scans; results go to SCAN/results/.
+    calibration
+        File that `retrosync calibrate` wrote. By default the presses of the frame set, or the calibration of each scan,
+        calibrate; the first time only: calibrations are kept in a cache.
     s_filter_um
         Also write the detail: nesting index of the Gaussian filter that removes shorter wavelengths.
     l_filter_um
@@ -67,16 +69,21 @@ def reconstruct(
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     with status_spinner() as tell:
         if library is not None:
-            return _reconstruct_library(Library(library), names, method, tell, band, force=force, detail=detail)
+            held = Library(library)
+            return _reconstruct_library(held, names, calibration, method, tell, band, force=force, detail=detail)
         if not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        return _reconstruct_frame_set(Path(names[0]), out, names[1:], method, tell, band, force=force, detail=detail)
+        frame_set = load_frame_set(Path(names[0]), calibrates=calibration is None)
+        return _reconstruct_frame_set(
+            frame_set, out, names[1:], calibration, method, tell, band, force=force, detail=detail
+        )
 
 
 def _reconstruct_frame_set(
-    path: Path,
+    frame_set: FrameSet,
     out: Path,
     names: Sequence[str],
+    calibration: Path | None,
     method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
@@ -84,13 +91,13 @@ def _reconstruct_frame_set(
     force: bool,
     detail: DetailName,
 ) -> int:
-    frame_set = load_frame_set(path)
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
 
+    calibrator = calibrator_for(calibration, tell)
     done, failures = reconstruct_frame_set(
-        frame_set, out, method, names, tell, band, force=force, detail=detail, calibrated=_say_calibration
+        frame_set, out, method, names, tell, band, force=force, detail=detail, calibrator=calibrator
     )
     for failure in failures:
         print_error(f"{failure.name}: {failure.reason}", PARTLY)
@@ -103,16 +110,10 @@ def _reconstruct_frame_set(
     return PARTLY if failures else DONE
 
 
-def _say_calibration(calibration: Calibration) -> None:
-    from host_sync.calibration_report.summary import calibration_lines
-
-    for line in calibration_lines(calibration):
-        print_line(line)
-
-
 def _reconstruct_library(
     library: Library,
     names: Sequence[str],
+    calibration: Path | None,
     method: MethodName | None,
     tell: Callable[[str], None],
     band: DetailBand | None,
@@ -129,7 +130,8 @@ def _reconstruct_library(
     tell_of_compiling()
     from host_sync.reconstruction.from_library import LibraryReconstructor
 
-    job = LibraryReconstructor(library, method, tell, band, force=force, detail=detail, calibrated=_say_calibration)
+    calibrator = calibrator_for(calibration, tell)
+    job = LibraryReconstructor(library, method, tell, band, force=force, detail=detail, calibrator=calibrator)
     done = 0
     for scan in scans:
         try:
@@ -153,6 +155,7 @@ def paper_figures(
     *,
     out: Path,
     library: Path | None = None,
+    calibration: Path | None = None,
     formats: Annotated[tuple[PictureFormat, ...], Parameter(name="--format", consume_multiple=True)] = ("png",),
 ) -> int:
     """Draw the figures of the CVPR 2009 paper: reflectance maps, ambiguous colours, errors of a held-out ball.
@@ -165,6 +168,8 @@ def paper_figures(
         Folder for the pictures.
     library
         Folder of pulled calibrations.
+    calibration
+        File that `retrosync calibrate` wrote from the same frames; spares the first of two calibrations.
     formats
         Any of png, pdf, svg.
     """
@@ -174,7 +179,8 @@ def paper_figures(
         from host_sync.evaluation.figures import frames_to_draw, write_figures
 
         frames = frames_to_draw(name, Library(library) if library is not None else None)
-        written = write_figures(frames, out, formats, tell)
+        known = calibrator_for(calibration, tell).named().calibration if calibration is not None else None
+        written = write_figures(frames, out, formats, tell, calibration=known)
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE

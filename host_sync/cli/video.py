@@ -11,20 +11,17 @@ from cyclopts import App
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from device.bundles.calibration import read_calibration
 from device.io.atomic import check_replaceable
+from host_sync.cli.calibrator import obtain_calibration
 from host_sync.cli.compile_notice import tell_of_compiling
 from host_sync.cli.console import print_error, print_line
 from host_sync.cli.reconstruct import MethodName
 from host_sync.errors import FrameSetError
-from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.sequence import open_sequence
-from host_sync.library.library import Library
 from host_sync.text import printable
 
 if TYPE_CHECKING:
-    from host_sync.calibration.calibrate import Calibration
     from host_sync.video.reconstruct import SequenceReport
 
 DONE, PARTLY = 0, 1
@@ -58,7 +55,8 @@ def video(
     sequence
         A folder of RGB images or raw frames in natural order, a TIFF of many pages, or an AVI, MP4 or MKV movie.
     calibration
-        A FRAMESET.toml or a calibration's folder; with --library, a calibration's id or its beginning or end.
+        A file of `retrosync calibrate`, a FRAMESET.toml or a calibration's folder; with --library, a calibration's id
+        or its beginning or end.
     out
         Folder for heights_um.tif, relief.mp4, relief.gif and result.json.
     library
@@ -89,32 +87,13 @@ def video(
         from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
 
         check_replaceable(out, RECORD_FILE)  # before minutes of work
-        known, stated = _calibration(calibration, library, lambda words: tell(words, None, None))
-        solver = FrameSolver(known, method or known.preferred, encoding or stated, weighted=weighted, force=force)
+        kept = obtain_calibration(calibration, library, lambda words: tell(words, None, None))
+        known, stated = kept.calibration, encoding or kept.facts.encoding
+        solver = FrameSolver(known, method or known.preferred, stated, weighted=weighted, force=force)
         names = printable(sequence.name), printable(calibration)
         order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, *names)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)
-
-
-def _calibration(name: str, library: Path | None, tell: Callable[[str], None]) -> tuple[Calibration, Encoding | None]:
-    """The calibration of that name, and the encoding of its frame set.
-
-    Raises
-    ------
-    HostError, DeviceError
-        There is none, or it is damaged.
-    """
-    path = Path(name)
-    if library is None and not path.is_dir():
-        frame_set = load_frame_set(path)
-        from host_sync.reconstruction.from_frame_set import calibrate_frame_set
-
-        return calibrate_frame_set(frame_set, tell), frame_set.presses[0].frame.encoding
-    bundle = Library(library).find_calibration(name) if library else read_calibration(path)
-    from host_sync.reconstruction.from_library import calibration_of
-
-    return calibration_of(bundle, tell), None
 
 
 def _tell_report(report: SequenceReport, out: Path) -> int:

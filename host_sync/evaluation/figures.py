@@ -10,14 +10,14 @@ from matplotlib.figure import Figure
 
 from device.bundles.calibration import CalibrationBundle
 from device.io.atomic import atomic_file
+from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration_file.inputs import frames_of_bundle, frames_of_set
 from host_sync.calibration_report.paper_figures import paper_figures
 from host_sync.errors import FrameSetError, LibraryError, ResultError
 from host_sync.evaluation.held_out_ball import ball_error_figure, held_out_ball_errors
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_frame_set import frames_of_set
-from host_sync.reconstruction.from_library import frames_of_bundle
 
 DPI: Final = 130
 
@@ -50,19 +50,25 @@ def write_figures(
     formats: Sequence[str] = ("png",),
     progress: Callable[[str], None] = lambda _: None,
     dpi: int = DPI,
+    calibration: Calibration | None = None,
 ) -> tuple[Path, ...]:
     """Write figures like the paper's 3, 4 and 5 to the folder `out`; returns the files.
 
     formats : png, pdf or svg
+    calibration : of these frames, when it was made before
 
     Raises
     ------
     CalibrationError, CalibrationMismatch, FrameError
         The frames are not sufficient for a calibration, or show only one ball.
+    FrameSetError
+        The calibration is of other presses.
     ResultError
         The folder cannot be written.
     """
-    calibration = calibrate_frames(frames, progress)
+    if calibration is not None and [one.name for one in calibration.presses] != [one.name for one in frames.presses]:
+        raise FrameSetError("the calibration was not made from these frames: name the one that was, or none")
+    calibration = calibration or calibrate_frames(frames, progress)
     figures = paper_figures(calibration.paper)
     figures["ball-errors"] = ball_error_figure(held_out_ball_errors(frames, calibration, progress))
     progress("drawing")

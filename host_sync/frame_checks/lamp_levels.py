@@ -96,13 +96,16 @@ class LevelSight:
 
 def cell_logs(image: NormalizedImage) -> Float32Array:
     """Log intensity of the field's cells: float32 array of shape (h, w, 3)."""
-    rows, columns = image.shape
-    step = max(1, columns // SAMPLES_ALONG)
+    step = max(1, image.shape[1] // SAMPLES_ALONG)
     values = np.ascontiguousarray(image.values[step // 2 :: step, step // 2 :: step])
-    width = min(CELLS_ACROSS, columns // 2)
-    size = (width, max(2, round(rows * width / columns)))
-    cells = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(values, cells_shape(image.shape)[::-1], interpolation=cv2.INTER_AREA)
     return np.asarray(np.log(np.maximum(cells, np.float32(DARK_FLOOR))), np.float32)
+
+
+def cells_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of cells of a field of `shape` (H, W)."""
+    width = min(CELLS_ACROSS, shape[1] // 2)
+    return max(2, round(shape[0] * width / shape[1])), width
 
 
 def untouched_levels(cells: Float32Array) -> list[LevelSight]:

@@ -67,15 +67,17 @@ class FrameSet:
     scans: tuple[ScanSpec, ...]
 
 
-def load_frame_set(path: Path) -> FrameSet:
+def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     """Read and check a frame set file; only the headers of its images are read.
+
+    calibrates : refuse a set without a calibration press
 
     Raises
     ------
     FrameSetError
         Names the file and the key, or the image, that is wrong.
     """
-    file = read_frame_set_file(path)
+    file = read_frame_set_file(path, calibrates=calibrates)
 
     def frame(image: ImageNames) -> FrameSpec:
         names = (image,) if isinstance(image, str) else image

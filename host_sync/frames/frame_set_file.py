@@ -75,8 +75,10 @@ class FileTable(_Table, frozen=True):
     scan: tuple[ScanTable, ...] = ()
 
 
-def read_frame_set_file(path: Path) -> FileTable:
+def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
     """Tables of a frame set, each key checked; no image is read.
+
+    calibrates : refuse a set without a calibration press
 
     Raises
     ------
@@ -84,7 +86,7 @@ def read_frame_set_file(path: Path) -> FileTable:
         Names the file, the key and what is wrong with it.
     """
     file = _decode(path)
-    _check_lists(file, path)
+    _check_lists(file, path, calibrates=calibrates)
     return file
 
 
@@ -101,8 +103,8 @@ def _decode(path: Path) -> FileTable:
         raise FrameSetError(f"{path}: is not TOML: {error}") from error
 
 
-def _check_lists(file: FileTable, path: Path) -> None:
-    if not file.press:
+def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:
+    if calibrates and not file.press:
         raise FrameSetError(f"{path}: press: missing: add a [[press]] table for each calibration press")
     if not file.scan:
         raise FrameSetError(f"{path}: scan: missing: add a [[scan]] table for each frame to reconstruct")

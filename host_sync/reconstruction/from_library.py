@@ -6,14 +6,12 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from device.bundles.calibration import CalibrationBundle
+from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
 from device.errors import CalibrationMismatch
-from device.imaging.flat_field import demosaic
-from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
-from host_sync.calibration_report.report import write_report
+from host_sync.calibration.calibrate import Method
+from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.filters.detail import DetailBand
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
@@ -32,7 +30,7 @@ class LibraryReconstructor:
     band : of the detail that is written beside each height map, if any
     force : reconstruct scans too that their calibration cannot explain
     detail : of the height maps
-    calibrated : is given every calibration as soon as it is made
+    calibrator : gives the calibrations; by default each is made now
     """
 
     def __init__(
@@ -44,7 +42,7 @@ class LibraryReconstructor:
         *,
         force: bool = False,
         detail: DetailName = "shrunk",
-        calibrated: Callable[[Calibration], None] = lambda _: None,
+        calibrator: Calibrator | None = None,
     ) -> None:
         self._library = library
         self._method = method
@@ -52,8 +50,8 @@ class LibraryReconstructor:
         self._band = band
         self._force = force
         self._detail = detail
-        self._calibrated = calibrated
-        self._calibrations: dict[str, Calibration] = {}
+        self._calibrator = calibrator or Calibrator(tell=tell)
+        self._reported: set[str] = set()
 
     def run(
         self, scan: ScanBundle, method: Method | None = None, folder: Path | None = None
@@ -72,9 +70,8 @@ class LibraryReconstructor:
         CalibrationMismatch
             They were taken with other lights, sizes or settings.
         """
-        bundle = self._library.calibration_for(scan)
-        _check_fingerprints(scan, bundle)
-        calibration = self._calibration(bundle)
+        kept = self._kept(scan)
+        calibration = kept.calibration
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
         chosen = method or self._method
@@ -83,61 +80,34 @@ class LibraryReconstructor:
         )
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
-        facts = {"scan_id": name, "calibration_bundle": bundle.calibration_id, "gel_id": scan.record.gel_id}
+        facts = {"scan_id": name, "calibration_bundle": kept.facts.bundle_id, "gel_id": scan.record.gel_id}
         write_result(folder, reconstruction, calibration, name, facts, self._band)
         return reconstruction, folder
 
-    def _calibration(self, bundle: CalibrationBundle) -> Calibration:
-        known = self._calibrations.get(bundle.calibration_id)
-        if known is None:
-            known = self._calibrations[bundle.calibration_id] = calibration_of(bundle, self._tell)
-            self._tell(f"{bundle.calibration_id[-10:]}: calibration report")
-            write_report(self._library.result_folder(bundle, version("retrograph"), known.calibration_id), known)
-            self._calibrated(known)
-        return known
+    def _kept(self, scan: ScanBundle) -> KeptCalibration:
+        """The calibration of a scan: the one that was named for all, else its own."""
+        if self._calibrator.is_named:
+            named = self._calibrator.named()
+            facts = named.facts
+            if facts.gel_id is not None and facts.fingerprint is not None:
+                _check_fingerprints(scan, facts.made_from, facts.gel_id, facts.fingerprint)
+            return named
+        bundle = self._library.calibration_for(scan)
+        _check_fingerprints(scan, bundle.calibration_id, bundle.record.gel_id, bundle.record.fingerprint)
+        kept = self._calibrator.of_bundle(bundle)
+        if bundle.calibration_id not in self._reported:
+            self._reported.add(bundle.calibration_id)
+            calibration_id = kept.calibration.calibration_id
+            kept.write_report(self._library.result_folder(bundle, version("retrograph"), calibration_id))
+        return kept
 
 
-def calibration_of(bundle: CalibrationBundle, tell: Callable[[str], None] = lambda _: None) -> Calibration:
-    """The full calibration from the frames of a bundle and the balls that the device found in them.
-
-    Raises
-    ------
-    RecordError
-        A frame is damaged.
-    CalibrationError
-        The frames do not carry a calibration.
-    """
-    return calibrate_frames(frames_of_bundle(bundle), tell)
-
-
-def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
-    """The frames of a calibration bundle, with the balls that the device found in them.
-
-    Raises
-    ------
-    RecordError
-        A frame is damaged.
-    """
-    record = bundle.record
-    presses = tuple(
-        PressFrame(
-            name=press.file,
-            frame=demosaic(bundle.press_frame(press)),
-            radius_px=press.ball_radius_mm * 1e3 / record.pixel_pitch_um,
-            balls=tuple(ball.ball for ball in press.balls),
-        )
-        for press in record.presses
-        if press.balls
-    )
-    return CalibrationFrames(presses, demosaic(bundle.reference()), record.pixel_pitch_um)
-
-
-def _check_fingerprints(scan: ScanBundle, calibration: CalibrationBundle) -> None:
-    if scan.record.gel_id != calibration.record.gel_id:
+def _check_fingerprints(scan: ScanBundle, calibration_id: str, gel_id: str, fingerprint: Fingerprint) -> None:
+    if scan.record.gel_id != gel_id:
         raise CalibrationMismatch(
             f"scan {scan.scan_id} was taken with gel {scan.record.gel_id} and calibration "
-            f"{calibration.calibration_id} is of gel {calibration.record.gel_id}: use a calibration of that gel"
+            f"{calibration_id} is of gel {gel_id}: use a calibration of that gel"
         )
-    difference = calibration.record.fingerprint.mismatch(scan.record.fingerprint)
+    difference = fingerprint.mismatch(scan.record.fingerprint)
     if difference:
         raise CalibrationMismatch(f"scan {scan.scan_id}: {difference}: use a calibration made as the scan was")

@@ -17,10 +17,10 @@ from PIL import Image
 from rich.console import Console
 
 from host_sync.calibration.calibrate import METHODS, Method
+from host_sync.calibration_file.calibrator import calibrate_frame_set
 from host_sync.evaluation.figures import frames_to_draw, write_figures
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import read_frame
-from host_sync.reconstruction.from_frame_set import calibrate_frame_set
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from tests.benchmarks.accuracy import real_sets

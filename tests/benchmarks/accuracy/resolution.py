@@ -12,8 +12,8 @@ from device.imaging.flat_field import demosaic
 from device.surface.fields import HeightMap
 from hal.board_profile import BoardProfile
 from host_sync.calibration.calibrate import Method
+from host_sync.calibration_file.calibrator import calibrate_frame_set
 from host_sync.frames.linear_light import read_frame
-from host_sync.reconstruction.from_frame_set import calibrate_frame_set
 from host_sync.reconstruction.pipeline import reconstruct
 from tests.benchmarks.accuracy.pattern import Patch, kept_amplitude, ridge_width_px, spread_patches
 from tests.benchmarks.accuracy.pattern_frames import mosaic_frame, pattern_light

@@ -19,7 +19,7 @@ from hal.interfaces import OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.reconstruction.from_library import calibration_of
+from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 
 BALL_RADIUS_MM: Final = 3.0

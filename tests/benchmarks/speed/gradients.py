@@ -42,8 +42,9 @@ def measure(plan: Plan, calibration: Calibration, tell: Callable[[str], None]) -
 
 def _image(calibration: Calibration, shape: Shape) -> NormalizedImage:
     """Intensities of a ball press, enlarged to (H, W), with pixel noise."""
-    press = calibration.presses[0].intensity.values
-    enlarged = cv2.resize(np.ascontiguousarray(press), shape[::-1], interpolation=cv2.INTER_LINEAR)
+    picture = next(press.picture for press in calibration.presses if press.picture is not None)
+    intensity = np.asarray((picture / 255.0) ** 1.25 / 0.45, np.float32)
+    enlarged = cv2.resize(intensity, shape[::-1], interpolation=cv2.INTER_LINEAR)
     values = np.asarray(np.random.default_rng(0).standard_normal(enlarged.shape), np.float32)
     values *= np.float32(0.01)
     values += enlarged

@@ -21,8 +21,8 @@ from hal.interfaces import PressObject
 from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.reconstruction.from_library import calibration_of
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0

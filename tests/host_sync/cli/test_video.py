@@ -18,6 +18,7 @@ from device.bundles.raw_frame import write_raw
 from device.imaging.flat_field import demosaic, make_flat_field
 from device.inverse_map.npz import MODEL_FILE, read_model
 from device.store.active import read_active
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.frame_checks.frame_model import FrameModel
 
@@ -35,11 +36,11 @@ def sequence(calibrated_root: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def as_the_device_fitted_it(bundle: CalibrationBundle, _tell: object) -> SimpleNamespace:
+def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
     """A calibration in a moment: the workstation's own, from the same frames, takes half a minute and its own tests."""
     model = read_model(bundle.path(MODEL_FILE))
     flat_field = make_flat_field(demosaic(bundle.reference()))
-    return SimpleNamespace(
+    calibration = SimpleNamespace(
         flat_field=flat_field,
         frame_model=FrameModel.of(None, flat_field, []),
         elevation=None,
@@ -49,12 +50,13 @@ def as_the_device_fitted_it(bundle: CalibrationBundle, _tell: object) -> SimpleN
         calibration_id="c0ffee",
         preferred="direct",
     )
+    return SimpleNamespace(calibration=calibration, facts=SimpleNamespace(encoding=None))
 
 
 @pytest.fixture
 def arguments(calibrated_root: Path, sequence: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The command of the sequence under the beginning of a calibration's id, without `--out`."""
-    monkeypatch.setattr("host_sync.reconstruction.from_library.calibration_of", as_the_device_fitted_it)
+    monkeypatch.setattr(Calibrator, "of_bundle", lambda _, bundle: as_the_device_fitted_it(bundle))
     calibration_id = read_active(calibrated_root).calibration_id[:-1]
     return ["video", str(sequence), "--calibration", calibration_id, "--library", str(calibrated_root)]
 

@@ -1,0 +1,1 @@
+"""Calibrations as files: kept, found again by what they were made from, and refused when they are not sound."""

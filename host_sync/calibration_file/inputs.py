@@ -1,0 +1,115 @@
+"""What calibrations are made from: a frame set, or a calibration bundle of a handheld."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle
+from device.imaging.flat_field import demosaic
+from host_sync.calibration.balls import GridSpacing, PressFrame
+from host_sync.calibration.frames import CalibrationFrames
+from host_sync.calibration_file.cache import key_of
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set import FrameSet, FrameSpec, PressSpec
+from host_sync.frames.linear_light import read_frame
+
+NO_REFERENCE_FRAMES: Final = 24
+"""At most so many frames stand in for a missing reference."""
+
+
+def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
+    """The frames that a frame set's calibration is made from.
+
+    Raises
+    ------
+    FrameSetError
+        A frame is unreadable.
+    """
+    presses = tuple(_press_frame(press, frame_set) for press in frame_set.presses)
+    reference = read_frame(frame_set.reference) if frame_set.reference else None
+    others = tuple(read_frame(frame) for frame in _others(frame_set))
+    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others)
+
+
+def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
+    """The frames of a calibration bundle, with the balls that the device found in them.
+
+    Raises
+    ------
+    RecordError
+        A frame is damaged.
+    """
+    record = bundle.record
+    presses = tuple(
+        PressFrame(
+            name=press.file,
+            frame=demosaic(bundle.press_frame(press)),
+            radius_px=press.ball_radius_mm * 1e3 / record.pixel_pitch_um,
+            balls=tuple(ball.ball for ball in press.balls),
+        )
+        for press in record.presses
+        if press.balls
+    )
+    return CalibrationFrames(presses, demosaic(bundle.reference()), record.pixel_pitch_um)
+
+
+def key_of_set(frame_set: FrameSet) -> str:
+    """Digest of everything that a frame set's calibration is made from.
+
+    Raises
+    ------
+    FrameSetError
+        A frame is unreadable.
+    """
+    specs = [press.frame for press in frame_set.presses]
+    specs += [frame_set.reference] if frame_set.reference else _others(frame_set)
+    presses = [_settings(press, frame_set) for press in frame_set.presses]
+    settings = (frame_set.pixel_pitch_um, presses, [(len(spec.images), spec.encoding) for spec in specs])
+    try:
+        return key_of(settings, [image for spec in specs for image in spec.images])
+    except OSError as error:
+        raise FrameSetError(f"{error.filename}: cannot be read ({error.strerror}): name another image") from error
+
+
+def key_of_bundle(bundle: CalibrationBundle) -> str:
+    """Digest of everything that a bundle's calibration is made from.
+
+    Raises
+    ------
+    OSError
+        A file is missing.
+    """
+    names = (CALIBRATION_MANIFEST, *bundle.record.raw_files)
+    return key_of("bundle", [bundle.directory / name for name in names])
+
+
+def _others(frame_set: FrameSet) -> list[FrameSpec]:
+    """Frames that help to stand in for a missing reference."""
+    return [] if frame_set.reference else [scan.frame for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
+
+
+def _settings(press: PressSpec, frame_set: FrameSet) -> tuple[Any, ...]:
+    """What a frame set says of a press."""
+    radii = (press.ball_radius_mm, press.radius_px, press.radius_tolerance_mm)
+    return press.name, _source(press, frame_set), press.balls, *radii, press.grid_pitch_mm, press.grid_tolerance_mm
+
+
+def _press_frame(press: PressSpec, frame_set: FrameSet) -> PressFrame:
+    """The press as calibration takes it."""
+    tolerance = press.radius_tolerance_mm
+    return PressFrame(
+        name=press.name,
+        frame=read_frame(press.frame),
+        radius_px=press.radius_px,
+        balls=press.balls,
+        labelled_by_hand=press.balls is not None,
+        source=_source(press, frame_set),
+        grid=GridSpacing(press.grid_pitch_mm, press.grid_tolerance_mm) if press.grid_pitch_mm else None,
+        radius_tolerance=tolerance / press.ball_radius_mm if tolerance is not None else None,
+    )
+
+
+def _source(press: PressSpec, frame_set: FrameSet) -> str:
+    """The press's file as seen from the frame set's folder."""
+    image, folder = press.frame.images[0], frame_set.path.parent
+    return str(image.relative_to(folder)) if image.is_relative_to(folder) else image.name

@@ -1,0 +1,131 @@
+"""A calibration as it is kept: the models, their report, and what it was made from, in one file.
+
+What was just made is used as its own file would be read: a later run with the file gives the same bits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+
+from device.bundles.calibration import CalibrationRecord
+from device.errors import RecordError
+from device.io.atomic import atomic_directory, write_output
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration_file.archive import Facts, read_archive, write_archive
+from host_sync.calibration_file.soundness import check_sound
+from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
+from host_sync.calibration_report.report import REPORT_FILE, report_files
+from host_sync.errors import CalibrationFileError
+from host_sync.frames.frame_set_file import Encoding
+
+REPORT_MEMBERS: Final = "report/"
+REPORT_NAMES: Final = frozenset(
+    {REPORT_FILE, "balls.png", "residuals.png", "reflectance-maps.png", "ambiguous-bins.png"}
+)
+"""No other member of a file is written to a folder of reports."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptCalibration:
+    """A calibration with its report and its origin.
+
+    report : files of the report by name
+    """
+
+    calibration: Calibration
+    report: dict[str, bytes]
+    facts: Facts
+
+    def write_report(self, target: Path) -> None:
+        """Write the report to the directory `target`, replacing its contents.
+
+        Raises
+        ------
+        OutputError
+            The directory cannot be written.
+        """
+        with atomic_directory(target, REPORT_FILE) as folder:
+            for name, data in self.report.items():
+                (folder / name).write_bytes(data)
+
+    def as_file(self) -> bytes:
+        """Contents of its file."""
+        members = as_members(self.calibration)
+        members |= {f"{REPORT_MEMBERS}{name}": data for name, data in self.report.items()}
+        stream = BytesIO()
+        write_archive(stream, self.facts, members)
+        return stream.getvalue()
+
+    def write(self, path: Path) -> None:
+        """Write its file.
+
+        Raises
+        ------
+        OutputError
+            The place cannot be written; an old file stays.
+        """
+        write_output(path, self.as_file())
+
+
+def make_calibration(
+    frames: CalibrationFrames, facts: Callable[[Calibration], Facts], tell: Callable[[str], None] = lambda _: None
+) -> KeptCalibration:
+    """The calibration that frames carry, with its report; errors as for `calibrate`."""
+    calibration = calibrate_frames(frames, tell)
+    tell("drawing the calibration's report")
+    report = report_files(calibration)
+    return KeptCalibration(from_members(as_members(calibration), Calibration), report, facts(calibration))
+
+
+def facts_of(
+    calibration: Calibration,
+    made_from: str,
+    key: str = "",
+    *,
+    encoding: Encoding | None = None,
+    bundle: CalibrationRecord | None = None,
+) -> Facts:
+    """What the file of a calibration that is made now says of itself."""
+    return Facts(
+        calibration_id=calibration.calibration_id,
+        program=f"retrograph {version('retrograph')}",
+        made_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        made_from=made_from,
+        key=key,
+        encoding=encoding,
+        bundle_id=bundle.calibration_id if bundle else None,
+        gel_id=bundle.gel_id if bundle else None,
+        fingerprint=bundle.fingerprint if bundle else None,
+    )
+
+
+def read_calibration_file(source: Path | bytes, name: str | None = None) -> KeptCalibration:
+    """The calibration in a file, or in the bytes of one that is called `name`.
+
+    Raises
+    ------
+    CalibrationFileError
+        It is missing, damaged, of another version of the program, or no calibration.
+    """
+    called = name or str(source)
+    facts, members = read_archive(source, called)
+    report = {
+        file.removeprefix(REPORT_MEMBERS): data for file, data in members.items() if file.startswith(REPORT_MEMBERS)
+    }
+    try:
+        calibration = from_members(members, Calibration)
+        check_sound(calibration, called)
+    except (*READ_ERRORS, RecordError) as error:
+        raise CalibrationFileError(
+            f"{called}: is no calibration of this version of retrograph ({error}): calibrate again"
+        ) from error
+    if set(report) != REPORT_NAMES or facts.calibration_id != calibration.calibration_id:
+        raise CalibrationFileError(f"{called}: its report is not that of its calibration: calibrate again")
+    return KeptCalibration(calibration, report, facts)

@@ -1,0 +1,165 @@
+"""Whether a calibration that was read can be used: arrays of the shapes that kernels trust, numbers that are numbers.
+
+The types were checked when it was read. Kernels check no index, so that a table which points beyond its end would read
+foreign memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from device.inverse_map.model import InverseMap
+from device.inverse_map.training_domain import TrainingDomain
+from host_sync.calibration.calibrate import METHODS, Calibration
+from host_sync.frame_checks.lamp_levels import cells_shape
+from host_sync.frame_checks.pattern_windows import WindowGrid
+from host_sync.frame_checks.pigment_pattern import ReferencePattern
+from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
+from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
+from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.uncertainty.slope_error import SlopeError
+
+SHAPES: Final[dict[str, dict[str, str]]] = {
+    "Calibration": {"flat_field": "H W 3"},
+    "TaughtPress": {"picture": "h w 3"},
+    "InverseFit": {"kept": "n", "ball_error_deg": "n"},
+    "HeldOutReadings": {"slope": "n 2", "truth": "n 2", "place": "n 2", "ball": "n", "radius_px": "balls"},
+    "ReflectanceMaps": {"mean": "n n 3", "variance": "n n 3", "count": "n n"},
+    "HarmonicFit": {"coefficients": "terms 3"},
+    "LookupTable": {"low": "3", "step": "3", "bin_of": "n n n", "first": "filled", "candidates": "m fields"},
+    "ReferencePattern": {"squares": "n side side", "spectra": "n side half"},
+    "LevelModel": {"low": "3", "high": "3"},
+    "SlopeResponse": {"terms": "3 2 3"},
+    "LayoutModel": {"rest": "h w 3"},
+    "LightPositionModel": {"gradient": "cells 3 2"},
+    "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3"},
+    "FrameNoise": {"covariance": "3 3", "ratios": "3"},
+    "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
+    "GridPose": {"parameters": "k", "covariance": "k k"},
+}
+"""Shape of every array by record and field; one letter or word is one number within a record."""
+
+MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"), ("InverseFit", "ball_error_deg")}
+LARGEST_SIDE: Final = 32_768
+
+
+class Unsound(ValueError):
+    """A calibration that was read holds what no calibration does. The message names it."""
+
+
+def check_sound(calibration: Calibration, name: str) -> None:
+    """Refuse a calibration that cannot be used; `name` is that of its file.
+
+    Raises
+    ------
+    Unsound, RecordError
+        Names what is wrong.
+    """
+    for record in _records(calibration):
+        if isinstance(record, InverseMap):
+            _check_map(record, calibration.flat_field.shape[:2], name)
+        else:
+            _check_arrays(record)
+    _check_field(calibration)
+    _check_errors(calibration.slope_error, calibration.slope_noise)
+
+
+def _records(value: Any) -> Iterator[Any]:
+    """The record, and those within it; what is within an inverse map is its own business."""
+    if is_dataclass(value) or isinstance(value, msgspec.Struct) or hasattr(value, "_fields"):
+        yield value
+        if not isinstance(value, InverseMap):
+            for name in _names(value):
+                yield from _records(getattr(value, name))
+    elif type(value) is tuple:
+        for one in value:
+            yield from _records(one)
+
+
+def _names(record: Any) -> tuple[str, ...]:
+    if is_dataclass(record):
+        return tuple(one.name for one in fields(record))
+    return tuple(getattr(record, "__struct_fields__", None) or record._fields)
+
+
+def _check_arrays(record: Any) -> None:
+    known = SHAPES.get(type(record).__name__, {})
+    sizes: dict[str, int] = {"fields": CANDIDATE_FIELDS}
+    for name in _names(record):
+        value = getattr(record, name)
+        for array in value if type(value) is tuple else (value,):
+            if isinstance(array, np.ndarray):
+                _check_shape(array.shape, known[name], sizes, f"{type(record).__name__}.{name}")
+                if (type(record).__name__, name) not in MAY_BE_NAN and not np.isfinite(array).all():
+                    raise Unsound(f"{type(record).__name__}.{name} is not finite")
+    if isinstance(record, LookupTable):
+        _check_table(record)
+    elif isinstance(record, HarmonicFit) and not (
+        0 <= record.order <= FULL_ORDER and sizes["terms"] == (record.order + 1) ** 2
+    ):
+        raise Unsound(f"harmonics of order {record.order} with {sizes['terms']} terms")
+    elif isinstance(record, ReferencePattern) and (
+        sizes["n"] != record.grid.count or sizes["side"] != record.grid.side or sizes["half"] != sizes["side"] // 2 + 1
+    ):
+        raise Unsound("a pattern in other windows than its grid's")
+
+
+def _check_shape(shape: tuple[int, ...], wanted: str, sizes: dict[str, int], name: str) -> None:
+    words = wanted.split()
+    fits = len(words) == len(shape) and all(
+        size == (int(word) if word.isdigit() else sizes.setdefault(word, size))
+        for word, size in zip(words, shape, strict=True)
+    )
+    if not fits or 0 in shape:
+        raise Unsound(f"{name} has the shape {shape}")
+
+
+def _check_table(table: LookupTable) -> None:
+    """Refuse a table that points beyond its end."""
+    inside = table.first[0] == 0 and table.first[-1] == len(table.candidates) and (np.diff(table.first) > 0).all()
+    if not inside or table.bin_of.min() < 0 or table.bin_of.max() >= table.filled_bins or not (table.step > 0.0).all():
+        raise Unsound("a lookup table that points beyond its end")
+
+
+def _check_map(inverse: InverseMap, shape: tuple[int, ...], name: str) -> None:
+    InverseMap.from_arrays(inverse.arrays(), name)
+    domain: TrainingDomain = inverse.domain
+    widths = np.array([domain.cell, domain.spread, inverse.steepest, *domain.low])
+    if inverse.shape != shape or not np.isfinite(widths).all() or min(domain.cell, domain.spread) <= 0.0:
+        raise Unsound(f"an inverse map of a field of {inverse.shape}")
+    arrays = [array for array in inverse.arrays().values() if array.dtype.kind == "f"]
+    if not all(np.isfinite(array).all() for array in arrays) or 0 in domain.distance.shape:
+        raise Unsound("an inverse map that is not finite")
+
+
+def _check_field(calibration: Calibration) -> None:
+    """Refuse parts that are of fields of different sizes."""
+    rows, columns, _ = calibration.flat_field.shape
+    model, cells = calibration.frame_model, cells_shape((rows, columns))
+    grid = model.pattern.reference.grid if model.pattern.reference else None
+    if not (
+        max(rows, columns) <= LARGEST_SIDE
+        and float(calibration.flat_field.min()) > 0.0
+        and 0.0 < calibration.pitch_um < np.inf
+        and set(calibration.held_out_deg) == set(METHODS)
+        and model.layout.rest.shape[:2] == cells
+        and len(model.position.gradient) == cells[0] * cells[1]
+        and (grid is None or grid == WindowGrid.of((rows, columns)))
+    ):
+        raise Unsound("its parts are of fields of different sizes")
+
+
+def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:
+    """Refuse figures by tilt that are not as many as tilts."""
+    parts = [error.tilt_deg, error.pixel_deg, error.patch_deg]
+    alike = len({len(part) for part in parts}) == 1 and len(error.tilt_deg) > 0
+    if noise is not None:
+        alike = alike and len({len(part) for part in (noise.tilt_deg, noise.raw_deg, noise.shrunk_deg)}) == 1
+        parts += [noise.tilt_deg, noise.raw_deg, noise.shrunk_deg]
+    if not alike or not all(np.isfinite(part).all() for part in parts) or not 0.0 < error.patch_px < LARGEST_SIDE:
+        raise Unsound("errors of slopes that are not as many as their tilts")

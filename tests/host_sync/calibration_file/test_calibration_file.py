@@ -1,0 +1,236 @@
+"""A calibration as a file: the same bits again, found by what it was made from, refused when it is not sound."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from pressed_frames import write_frame_set
+
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
+from host_sync.calibration_file.cache import SETTING, CalibrationCache
+from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.inputs import frames_of_set, key_of_set
+from host_sync.calibration_file.kept_calibration import (
+    KeptCalibration,
+    facts_of,
+    make_calibration,
+    read_calibration_file,
+)
+from host_sync.calibration_file.soundness import Unsound, check_sound
+from host_sync.calibration_file.typed_members import READ_ERRORS, from_members
+from host_sync.cli.main import main
+from host_sync.errors import CalibrationFileError
+from host_sync.frames.frame_set import load_frame_set
+
+MUTATIONS = 60
+FIELDS = (
+    "height_um.tif",
+    "slope_p.tif",
+    "slope_q.tif",
+    "height_sigma_um.tif",
+    "slope_sigma.tif",
+    "height_draws_um.tif",
+)
+
+
+@pytest.fixture(scope="module")
+def frame_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_frame_set(tmp_path_factory.mktemp("frames") / "set")
+
+
+@pytest.fixture(scope="module")
+def kept(frame_set: Path) -> KeptCalibration:
+    described = load_frame_set(frame_set)
+    key = key_of_set(described)
+    return make_calibration(frames_of_set(described), lambda found: facts_of(found, "lamps", key, encoding="linear"))
+
+
+@pytest.fixture(scope="module")
+def file(kept: KeptCalibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("kept") / "gel.calibration"
+    kept.write(path)
+    return path
+
+
+@pytest.fixture
+def cache(kept: KeptCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CalibrationCache:
+    """A cache that holds the calibration, and is the user's."""
+    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    found = CalibrationCache.of_user()
+    assert found.keep(kept)
+    return found
+
+
+def test_what_was_read_is_the_same_to_the_last_bit(kept: KeptCalibration, file: Path) -> None:
+    read = read_calibration_file(file)
+    assert read.as_file() == file.read_bytes()
+    assert read.facts.calibration_id == kept.calibration.calibration_id
+    assert set(np.load(file, allow_pickle=False)) > {"arrays/0000"}
+
+
+def test_commands_take_the_file_and_give_the_same_bits(
+    file: Path, frame_set: Path, cache: CalibrationCache, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named, found = tmp_path / "named", tmp_path / "found"
+    assert main(["reconstruct", str(frame_set), "--calibration", str(file), "--out", str(named)]) == 0
+    calibration_id = read_calibration_file(file).facts.calibration_id
+    assert f"calibration {calibration_id} of lamps, from {file}, made 20" in capsys.readouterr().out
+    assert main(["reconstruct", str(frame_set), "--out", str(found)]) == 0
+    assert f"calibration {calibration_id} of lamps, made 20" in capsys.readouterr().out
+    for name in FIELDS:
+        assert (named / "ball" / name).read_bytes() == (found / "ball" / name).read_bytes()
+    assert (found / "calibration" / "report.json").read_bytes() == read_calibration_file(file).report["report.json"]
+
+
+def test_a_scan_without_presses_is_reconstructed_with_a_file(file: Path, frame_set: Path, tmp_path: Path) -> None:
+    shutil.copy(frame_set.parent / "ball-6.png", tmp_path / "own.png")
+    own = tmp_path / "own.toml"
+    own.write_text(
+        'name = "own"\npixel_pitch_um = 20\nencoding = "linear"\n[[scan]]\nname = "own"\nimage = "own.png"\n'
+    )
+    assert main(["reconstruct", str(own), "--calibration", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "own" / "height_um.tif").is_file()
+    own.write_text(own.read_text().replace("= 20", "= 30"))
+    assert main(["reconstruct", str(own), "--calibration", str(file), "--out", str(tmp_path / "out")]) == 2
+
+
+def test_calibrate_writes_the_file(frame_set: Path, cache: CalibrationCache, file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "again.calibration"
+    assert main(["calibrate", str(frame_set), "--out", str(out)]) == 0
+    assert out.read_bytes() == file.read_bytes()
+
+
+def test_the_key_changes_with_everything_that_the_calibration_is_made_from(frame_set: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(frame_set.parent, tmp_path / "set") / "frameset.toml"
+    key, text = key_of_set(load_frame_set(copy)), copy.read_text()
+    assert key == key_of_set(load_frame_set(frame_set))
+    for old, new in (("= 20.0", "= 20.1"), ("ball_radius_mm = 0.96", "ball_radius_mm = 0.95"), ('"linear"', '"srgb"')):
+        assert old in text
+        copy.write_text(text.replace(old, new))
+        assert key_of_set(load_frame_set(copy)) != key
+    copy.write_text(text + '[[scan]]\nname = "more"\nimage = "ball-6.png"\n')
+    assert key_of_set(load_frame_set(copy)) == key
+    picture = copy.parent / "ball-3.png"
+    picture.write_bytes(picture.read_bytes() + b"\0")
+    assert key_of_set(load_frame_set(copy)) != key
+
+
+def test_a_calibration_is_made_once_and_a_damaged_one_again(
+    frame_set: Path, kept: KeptCalibration, cache: CalibrationCache, tmp_path: Path
+) -> None:
+    sources: list[str] = []
+    calibrator = Calibrator(cache, obtained=lambda _, source: sources.append(source))
+    first = calibrator.of_frame_set(load_frame_set(frame_set))
+    assert calibrator.of_frame_set(load_frame_set(frame_set)) is first
+    assert sources == [f"made {kept.facts.made_utc} and kept since"]
+    (path,) = (tmp_path / "cache").rglob("*.calibration")
+    path.write_bytes(path.read_bytes()[:-100])
+    assert cache.find(kept.facts.key) is None
+    assert not path.exists()
+    assert not CalibrationCache(None).keep(kept)
+    assert not CalibrationCache(Path("/dev/null/nowhere")).keep(kept)
+
+
+def test_what_is_no_calibration_is_refused_in_a_sentence(
+    frame_set: Path, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(FACTS_FILE, "{}")
+        archive.writestr("arrays/0000.npy", bytes(10_000_000))
+    text, short = tmp_path / "text", tmp_path / "short"
+    text.write_text("not a calibration")
+    short.write_bytes(file.read_bytes()[:4000])
+    for path in (other, text, short, tmp_path / "missing", tmp_path):
+        command = ["reconstruct", str(frame_set), "--calibration", str(path), "--out", str(tmp_path / "out")]
+        assert main(command) == 2
+        said = capsys.readouterr()
+        assert said.err.startswith(f"retrosync: {path}")
+        assert said.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_of_random_damage_is_read_or_refused(file: Path, tmp_path: Path) -> None:
+    data, rng, path = file.read_bytes(), np.random.default_rng(0), tmp_path / "damaged"
+    refused = 0
+    for _ in range(MUTATIONS):
+        changed = bytearray(data)
+        for place in rng.integers(0, len(data), 4):
+            reach = len(data) if rng.random() < 0.5 else 3000
+            at = int(place) % reach
+            changed[at : at + 3] = rng.bytes(3)
+        path.write_bytes(changed)
+        try:
+            read_calibration_file(path)
+        except CalibrationFileError as error:
+            refused += 1
+            assert str(error).startswith(str(path))  # noqa: PT017
+    assert refused > 0.8 * MUTATIONS
+
+
+def test_a_forged_file_with_the_right_digest_is_read_or_refused(file: Path) -> None:
+    """Whoever forges a file can write its digest too: what it holds is looked at all the same."""
+    facts, members = read_archive(file, "file")
+    rng, refused = np.random.default_rng(1), 0
+    names = sorted(name for name in members if not name.startswith("report/"))
+    for number in range(MUTATIONS):
+        name = "records.msgpack" if number % 2 else names[int(rng.integers(len(names)))]
+        changed = bytearray(members[name])
+        reach = len(changed) if name == "records.msgpack" else min(200, len(changed))
+        changed[int(rng.integers(reach))] ^= 1 << int(rng.integers(8))
+        path = file.with_name("forged")
+        with path.open("wb") as stream:
+            write_archive(stream, facts, members | {name: bytes(changed)})
+        try:
+            read_calibration_file(path)
+        except CalibrationFileError:
+            refused += 1
+    assert refused > 0.2 * MUTATIONS
+
+
+def with_table(calibration: Calibration, **changed: Any) -> Calibration:
+    return replace(calibration, paper=replace(calibration.paper, table=calibration.paper.table._replace(**changed)))
+
+
+def with_map(calibration: Calibration, **changed: Any) -> Calibration:
+    return replace(calibration, inverse=replace(calibration.inverse, map=replace(calibration.inverse.map, **changed)))
+
+
+HARMS: dict[str, Callable[[Calibration], Calibration]] = {
+    "a table that points beyond its end": lambda one: with_table(one, bin_of=one.paper.table.bin_of + np.int32(10**6)),
+    "candidates that end early": lambda one: with_table(one, candidates=one.paper.table.candidates[:-1]),
+    "a negative bin": lambda one: with_table(one, bin_of=-one.paper.table.bin_of - np.int32(1)),
+    "a flat field of another size": lambda one: replace(one, flat_field=one.flat_field[:-2]),
+    "a flat field of zero": lambda one: replace(one, flat_field=0.0 * one.flat_field),
+    "a map of another field": lambda one: with_map(one, shape=(10, 10)),
+    "a map that is not finite": lambda one: with_map(one, steepest=float("nan")),
+    "a domain without width": lambda one: with_map(one, domain=replace(one.inverse.map.domain, cell=0.0)),
+    "no pitch": lambda one: replace(one, pitch_um=float("nan")),
+    "one method": lambda one: replace(one, held_out_deg={"direct": 1.0}),
+    "fewer errors than tilts": lambda one: replace(
+        one, slope_error=msgspec.structs.replace(one.slope_error, pixel_deg=())
+    ),
+}
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_what_kernels_would_trust_is_checked(kept: KeptCalibration, harm: str) -> None:
+    check_sound(kept.calibration, "file")
+    with pytest.raises(Unsound):
+        check_sound(HARMS[harm](kept.calibration), "file")
+
+
+def test_a_missing_array_or_one_of_another_type_is_an_error(file: Path) -> None:
+    _, members = read_archive(file, "file")
+    for changed in ({}, {"records.msgpack": b"\xc0"}, {"records.msgpack": members["records.msgpack"]}):
+        with pytest.raises(READ_ERRORS):
+            from_members(changed, Calibration)
