@@ -236,7 +236,7 @@ class Lesson:
         learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat)
         everyone = np.ones(self.count, bool)
         held_out = learner.ridge.held_out(PENALTIES, self.slope, np.ones(len(self.samples.p)), everyone)
-        errors = [_balanced_error(self.samples, slope_from_stereographic(u), self.slope) for u in held_out]
+        errors = _balanced_errors(self.samples, slope_from_stereographic(np.stack(held_out)), self.slope)
         least = int(np.argmin(errors))
         return replace(learner, penalty=PENALTIES[least]), errors[least]
 
@@ -250,10 +250,11 @@ def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None)
     return intensity if reading is None else reading.seen(intensity, place)
 
 
-def _balanced_error(samples: BallSamples, slope: Float64Array, truth: Float64Array) -> float:
-    """Mean absolute slope error after each ball's own median is taken out, so that centre errors do not count."""
-    error = slope - truth
+def _balanced_errors(samples: BallSamples, slopes: Float64Array, truth: Float64Array) -> list[float]:
+    """Mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not count."""
+    errors = slopes - truth
     for ball in np.unique(samples.ball):
-        rows = samples.ball == ball
-        error[rows] -= np.median(error[rows], axis=0)
-    return float(np.abs(error).mean())
+        rows = np.flatnonzero(samples.ball == ball)
+        own = errors[:, rows]
+        errors[:, rows] = own - np.median(own, axis=1, keepdims=True)
+    return [float(np.abs(error).mean()) for error in errors]

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from device.surface.fields import Float64Array, MaskArray
 from device.surface.stereographic import stereographic_from_slope
@@ -64,13 +66,13 @@ class GroupedRidgeCV:
         count = int(fold.max()) + 1
         parts = [self._normal_equations(alive[self.ball] & (fold == number), slope, weight) for number in range(count)]
         gram, moment = (np.sum([part[i] for part in parts], axis=0) for i in (0, 1))
-        predictions = [np.zeros((len(self.ball), 2)) for _ in penalties]
+        predictions = np.zeros((len(penalties), len(self.ball), 2))
         for number, (own_gram, own_moment) in enumerate(parts):
-            rows = fold == number
+            rows = np.flatnonzero(fold == number)
             taught = self._solutions(gram - own_gram, moment - own_moment, penalties)
-            for solution, prediction in zip(taught, predictions, strict=True):
-                prediction[rows] = self.design[rows] @ solution
-        return predictions
+            together = self.design[rows] @ np.concatenate(taught, axis=1)
+            predictions[:, rows] = together.reshape(len(rows), len(penalties), 2).swapaxes(0, 1)
+        return list(predictions)
 
     def _fold_of_row(self, alive: MaskArray) -> NDArray[np.intp]:
         return (np.arange(len(alive)) % min(FOLDS, len(alive)))[self.ball]
@@ -78,23 +80,38 @@ class GroupedRidgeCV:
     def _normal_equations(
         self, rows: MaskArray, slope: Float64Array, weight: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
+        # Both sides of a Gram matrix are one array, so that half of it need not be computed.
+        root = np.sqrt(weight[rows, None])
         design = self.design[rows]
-        weighted = design * weight[rows, None]
-        target = stereographic_from_slope(slope[rows, 0], slope[rows, 1])
-        gram, moment = weighted.T @ design, weighted.T @ target
+        design *= root
+        gram = design.T @ design
+        moment = design.T @ (root * stereographic_from_slope(slope[rows, 0], slope[rows, 1]))
         if self.prior is not None:
             moment -= gram @ self.prior
         return gram if self.anchor is None else gram + rows.mean() * self.anchor, moment
 
     def _solutions(self, gram: Float64Array, moment: Float64Array, penalties: Sequence[float]) -> list[Float64Array]:
-        """Ridge solutions of shape (F, 2), one a penalty, from one decomposition."""
-        values, vectors = np.linalg.eigh(gram)
-        turned = vectors.T @ moment
+        """Ridge solutions of shape (F, 2), one a penalty.
+
+        A Cholesky factor a penalty takes a fraction of one decomposition into eigenvectors, which is only taken where
+        rounding leaves a Gram matrix that is not positive.
+        """
         drawn_to = 0.0 if self.prior is None else self.prior
-        return [
-            drawn_to + vectors @ (turned / (np.maximum(values, 0.0) + self._scale * penalty)[:, None])
-            for penalty in penalties
-        ]
+        try:
+            return [drawn_to + self._cholesky_solution(gram, moment, penalty) for penalty in penalties]
+        except LinAlgError:
+            values, vectors = np.linalg.eigh(gram)
+            turned = vectors.T @ moment
+            return [
+                drawn_to + vectors @ (turned / (np.maximum(values, 0.0) + self._scale * penalty)[:, None])
+                for penalty in penalties
+            ]
+
+    def _cholesky_solution(self, gram: Float64Array, moment: Float64Array, penalty: float) -> Float64Array:
+        penalised = gram.copy()
+        penalised.flat[:: len(gram) + 1] += self._scale * penalty
+        factor = cho_factor(penalised, lower=True, overwrite_a=True, check_finite=False)
+        return np.asarray(cho_solve(factor, moment, check_finite=False))
 
     @property
     def _scale(self) -> float:
