@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from host_sync.cli.calibrator import calibrator_for, obtain_calibration
 from host_sync.cli.compile_notice import tell_of_compiling
@@ -15,11 +15,6 @@ from host_sync.frames.frame_set import load_frame_set
 
 if TYPE_CHECKING:
     from host_sync.certificate.certificate import Certificate
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(calibrate_command, name="calibrate")
 
 
 def calibrate_command(

@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from cyclopts import App, Parameter
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from cyclopts import Parameter
 
 from host_sync.text import printable
 
@@ -35,6 +33,9 @@ def print_error(what: object, code: int) -> int:
 @contextmanager
 def status_spinner() -> Iterator[Callable[[str], None]]:
     """A line with the current step and its time."""
+    from rich.console import Console  # here, because it takes as long to load as many a command takes
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -42,16 +43,15 @@ def status_spinner() -> Iterator[Callable[[str], None]]:
         yield lambda words: progress.update(task, description=words)
 
 
-def add_renamed(app: App, command: Callable[..., int], *, old: str, new: str) -> None:
-    """Add a command, and for one release its old name as a hidden alias that names the new one."""
+def renamed(command: Callable[..., int], *, old: str, new: str) -> Callable[..., int]:
+    """The command under its old name, for one release: it names the new one first."""
 
     @functools.wraps(command)
     def under_old_name(*arguments: Any, **named: Any) -> int:
         print_error(f"`{old}` is now `{new}`; the old name will be removed in the next release", DONE)
         return command(*arguments, **named)
 
-    app.command(command, name=new)
-    app.command(under_old_name, name=old, show=False)
+    return under_old_name
 
 
 def _named_folder(_: Any, tokens: Sequence[Any]) -> Path:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from cyclopts import App
-
 from device.pairing.exchange import PAIRING_PORT
 from host_sync.cli.console import CONNECTION, DONE, Folder, print_error, print_line
 from host_sync.errors import PairingError
@@ -14,13 +12,6 @@ from host_sync.offload.resolve import MAX_PORT
 
 CLOCK_SEEN_S: Final = 2.0
 UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
-
-
-def register(app: App) -> None:
-    """Add these commands."""
-    app.command(discover_command, name="discover")
-    app.command(pair_command, name="pair")
-    app.command(status_command, name="status")
 
 
 def known_devices() -> PairedDevices:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Final, Literal, cast, get_args
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from device.bundles.scan import SCAN_MANIFEST
 from host_sync.cli.console import DONE, Folder, print_line
@@ -21,11 +21,6 @@ ExportFormat = Literal[
 
 
 RAW: Final = get_args(RawFormat)
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(export_command, name="export")
 
 
 def export_command(

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-from cyclopts import App
 
-from host_sync.cli.console import DONE, Folder, add_renamed, print_line
+from host_sync.cli.console import DONE, Folder, print_line, renamed
 from host_sync.cli.measure import OutputFile, chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
 from host_sync.library.library import Library
@@ -17,11 +16,6 @@ from host_sync.library.library import Library
 if TYPE_CHECKING:
     from host_sync.gage.gage_table import GageRow
     from host_sync.measurement.recipe import Recipe
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    add_renamed(app, gage_command, old="gage", new="gage-rr")
 
 
 def gage_command(
@@ -115,3 +109,6 @@ def _measured(rows: Sequence[GageRow], recipe: Recipe, number: str) -> tuple[lis
         found.append((row.part, row.operator, quantity.value))
         unit = quantity.unit
     return found, unit
+
+
+gage_by_old_name = renamed(gage_command, old="gage", new="gage-rr")

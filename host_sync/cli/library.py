@@ -8,8 +8,6 @@ from datetime import date
 from pathlib import Path
 from typing import Literal
 
-from cyclopts import App
-
 from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
 from host_sync.cli.devices import known_devices
@@ -20,17 +18,6 @@ from host_sync.library.set_aside import list_set_aside
 from host_sync.library.verification import adopt as add_to_record
 from host_sync.library.verification import verify_library
 from host_sync.offload.resolve import open_source
-
-
-def register(app: App) -> None:
-    """Add the commands of this theme."""
-    app.command(search_command, name="search")
-    app.command(list_command, name="list")
-    app.command(verify_command, name="verify")
-    app.command(repair_command, name="repair")
-    app.command(mirror_command, name="mirror")
-    app.command(forget_command, name="forget")
-    app.command(reprocess_command, name="reprocess")
 
 
 def search_command(
@@ -217,7 +204,7 @@ def mirror_command(library: Folder, destination: str, *, verify: bool = False) -
 
 
 def reprocess_command(*names: str, library: Folder | None = None) -> int:
-    """Reconstruct scans with results again: the same version must give the same bits; across versions, list changes.
+    """Reconstruct scans with results again: the same version must give the same bits; others list changes.
 
     Parameters
     ----------

@@ -15,20 +15,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from device.errors import DeviceError
 from device.shutdown import signals_as_keyboard_interrupt
-from host_sync.cli import (
-    calibrate,
-    devices,
-    export,
-    gage,
-    library,
-    measure,
-    offload,
-    reconstruct,
-    render,
-    report,
-    video,
-    view,
-)
+from host_sync.cli.commands import COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error
 from host_sync.errors import HostError, SourceError
 
@@ -41,8 +28,8 @@ app = App(
     default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,
 )
-for room in (offload, devices, library, export, measure, calibrate, gage, report, view, render, reconstruct, video):
-    room.register(app)
+for command in COMMANDS:
+    app.command(command.function, name=command.name, help=command.summary or None, show=bool(command.summary))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

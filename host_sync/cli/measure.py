@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from device.errors import DeviceError
 from device.io.atomic import write_output
@@ -27,11 +27,6 @@ OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
 Region = tuple[float, float, float, float]
 
 
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(measure_command, name="measure")
-
-
 def measure_command(
     *results: Path,
     recipe: Path | None = None,
@@ -47,8 +42,7 @@ def measure_command(
     json: OutputFile = None,
     csv: OutputFile = None,
 ) -> int:
-    """Measure results: form removal, S-filter, L-filter, ISO 25178 parameters and a recipe's quantities, each with its
-    ±.
+    """Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.
 
     Parameters
     ----------

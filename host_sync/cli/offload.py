@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from cyclopts import App
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -30,13 +29,6 @@ from host_sync.offload.pull import PullProgress, pull, sync, sync_one, utc_now
 from host_sync.offload.resolve import Address, is_folder, open_device, open_source
 
 Show = Callable[[str, PullProgress], None]
-
-
-def register(app: App) -> None:
-    """Add these commands."""
-    app.command(pull_command, name="pull")
-    app.command(sync_command, name="sync")
-    app.command(push_command, name="push-calibration")
 
 
 def pull_command(source: str, *, library: Folder | None = None, at: str | None = None, verify: bool = False) -> int:

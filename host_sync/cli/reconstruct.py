@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from device.errors import DeviceError
 from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.compile_notice import tell_of_compiling
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, add_renamed, print_error, status_spinner
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, renamed, status_spinner
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
@@ -22,12 +22,6 @@ from host_sync.results.detail_name import DetailName
 PictureFormat = Literal["png", "pdf", "svg"]
 MethodName = Literal["direct", "paper"]
 """Methods of reconstruction; defined here too because importing them loads the numerics."""
-
-
-def register(app: App) -> None:
-    """Add the commands."""
-    app.command(reconstruct)
-    add_renamed(app, paper_figures, old="figures", new="paper-figures")
 
 
 def reconstruct(
@@ -184,3 +178,6 @@ def paper_figures(
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
+
+
+figures_by_old_name = renamed(paper_figures, old="figures", new="paper-figures")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -84,11 +84,6 @@ class Look:
             shadow=self.shadow,
             occlusion=self.occlusion,
         )
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(render_command, name="render")
 
 
 def render_command(

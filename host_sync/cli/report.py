@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from cyclopts import App
-
 from device.errors import DeviceError
 from device.io.atomic import write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line
@@ -18,15 +16,10 @@ MAX_NAME = 80
 NUMBERS_FILE = "numbers.csv"
 
 
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(report_command, name="report")
-
-
 def report_command(
     *results: Path, out: Folder, recipe: Path | None = None, library: Folder | None = None, force: bool = False
 ) -> int:
-    """Report on results: relief, frame, profiles, numbers with their ±, calibration and provenance, as HTML and PDF.
+    """Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.
 
     Parameters
     ----------

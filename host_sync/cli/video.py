@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclopts import App
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -27,11 +26,6 @@ if TYPE_CHECKING:
 DONE, PARTLY = 0, 1
 
 Tell = Callable[[str, int | None, int | None], None]
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(video)
 
 
 def video(

@@ -8,15 +8,8 @@ import webbrowser
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from cyclopts import App
-
 from host_sync.cli.console import DONE, Folder, print_error, print_line
 from host_sync.library.library import default_library
-
-
-def register(app: App) -> None:
-    """Add the command."""
-    app.command(view_command, name="view")
 
 
 def view_command(
