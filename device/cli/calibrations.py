@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from typing import Final
 
 from device.acquisition.gel_profile import profile_with_mounted_gel
-from device.cli.console import Commands, folder_argument, open_store, print_line
+from device.cli.console import open_store, print_line
 from device.errors import NoCalibration
 from device.store.gels import known_gel, known_gels, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
@@ -14,39 +13,9 @@ from device.store.registry_file import SHORT
 from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 
-_SLOTS: Final = ("user", "factory")
 
-
-def add_calibrations_commands(commands: Commands[argparse.ArgumentParser]) -> None:
-    """Add `gel` and `calibrations` to `retroscan`."""
-    gel = commands.add_parser("gel", help="show or change the mounted gel; its calibration becomes active")
-    gel.add_argument("gel_id", nargs="?", help="name of the gel that is mounted now")
-    gel.add_argument("--slab-mm", type=float, help="slab thickness of a new gel, mm; default: from the board profile")
-    gel.set_defaults(command=_gel)
-
-    calibrations = commands.add_parser(
-        "calibrations", help="calibrations by instrument, gel and lights: list, use, rollback, import, export"
-    )
-    actions = calibrations.add_subparsers(title="actions", metavar="ACTION")
-    calibrations.set_defaults(command=_list)
-    use = actions.add_parser("use", help="activate a calibration")
-    use.add_argument("calibration_id", help="its id, as `retroscan calibrations` lists it")
-    use.set_defaults(command=_use)
-    rollback = actions.add_parser("rollback", help="activate the previous version")
-    rollback.set_defaults(command=_roll_back)
-    imported = actions.add_parser("import", help="copy a calibration folder into the store")
-    imported.add_argument("folder", type=folder_argument, help="the calibration folder")
-    imported.add_argument("--slot", choices=_SLOTS, default="user", help="rollbacks end at the factory calibration")
-    imported.add_argument("--adopt", action="store_true", help="accept one made by this instrument under an earlier id")
-    imported.add_argument("--use", action="store_true", help="activate it too")
-    imported.set_defaults(command=_import)
-    export = actions.add_parser("export", help="copy a calibration into a folder")
-    export.add_argument("calibration_id", help="its id, as `retroscan calibrations` lists it")
-    export.add_argument("folder", type=folder_argument, help="destination; the calibration folder is created in it")
-    export.set_defaults(command=_export)
-
-
-def _gel(options: argparse.Namespace) -> int:
+def show_or_mount_gel(options: argparse.Namespace) -> int:
+    """List the gels, or mount one."""
     store, default = open_store(options), load_board_profile(options.board).gel
     if options.gel_id is None:
         mounted = mounted_gel(store.root, default)
@@ -69,7 +38,8 @@ def _gel(options: argparse.Namespace) -> int:
     return 0
 
 
-def _list(options: argparse.Namespace) -> int:
+def list_calibrations(options: argparse.Namespace) -> int:
+    """List the calibrations."""
     store = open_store(options)
     found = _registry(options, store).list()
     if not found:
@@ -90,19 +60,22 @@ def _list(options: argparse.Namespace) -> int:
     return 0
 
 
-def _use(options: argparse.Namespace) -> int:
+def use_calibration(options: argparse.Namespace) -> int:
+    """Activate a calibration."""
     entry = _registry(options, open_store(options)).activate(options.calibration_id)
     print_line(f"Calibration {entry.calibration_id} (version {entry.version}) is active.")
     return 0
 
 
-def _roll_back(options: argparse.Namespace) -> int:
+def roll_back(options: argparse.Namespace) -> int:
+    """Activate the previous version."""
     entry = _registry(options, open_store(options)).roll_back()
     print_line(f"Rolled back to version {entry.version} ({entry.slot}): calibration {entry.calibration_id} is active.")
     return 0
 
 
-def _import(options: argparse.Namespace) -> int:
+def import_calibration(options: argparse.Namespace) -> int:
+    """Copy a calibration folder into the store."""
     registry = _registry(options, open_store(options))
     entry = registry.import_(options.folder, options.slot, adopt=options.adopt)
     print_line(f"Calibration {entry.calibration_id} is imported as version {entry.version} ({entry.slot}).")
@@ -112,7 +85,8 @@ def _import(options: argparse.Namespace) -> int:
     return 0
 
 
-def _export(options: argparse.Namespace) -> int:
+def export_calibration(options: argparse.Namespace) -> int:
+    """Copy a calibration into a folder."""
     copied_to = _registry(options, open_store(options)).export(options.calibration_id, options.folder)
     print_line(f"Copied to {copied_to}.")
     return 0

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from device.store.store import BundleStore, default_store
-from hal.clock import SystemClock
-from hal.interfaces import Clock
+if TYPE_CHECKING:
+    from device.store.store import BundleStore
+    from hal.interfaces import Clock
 
 Commands = argparse._SubParsersAction  # the type of `add_subparsers()`, which argparse does not export
 MAX_PORT: Final = 65535
@@ -30,12 +30,17 @@ def print_error(what: object) -> None:
 
 def store_folder(options: argparse.Namespace) -> Path:
     """The folder given with `--store`, or the default one."""
+    from device.store.store import default_store
+
     folder: Path = options.store or default_store()
     return folder
 
 
 def open_store(options: argparse.Namespace, clock: Clock | None = None) -> BundleStore:
     """The store of the options; without a clock it takes the system's."""
+    from device.store.store import BundleStore  # here and above: help and wrong arguments need no store
+    from hal.clock import SystemClock
+
     return BundleStore(store_folder(options), clock or SystemClock())
 
 

@@ -8,21 +8,15 @@ from typing import Final
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.instrument_lock import open_exclusive
-from device.cli.console import Commands, count_argument, print_line
+from device.cli.console import print_line
 from device.imaging.focus import focus_figure
 from hal.board_profile import load_board_profile
 
 BAR: Final = 40
 
 
-def add_focus_command(commands: Commands[argparse.ArgumentParser]) -> None:
-    """Add `focus` to `retroscan`."""
-    focus = commands.add_parser("focus", help="show how sharp the lens is set, until Ctrl-C")
-    focus.add_argument("--frames", type=count_argument, help="end after that many frames")
-    focus.set_defaults(command=_focus)
-
-
-def _focus(options: argparse.Namespace) -> int:
+def focus(options: argparse.Namespace) -> int:
+    """Print the focus figure of every frame."""
     print_line("Turn the focus ring through the largest figure and back to it. Ctrl-C ends.")
     best = 0.0
     with open_exclusive(load_board_profile(options.board)) as hardware:

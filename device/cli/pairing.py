@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from device.cli.console import Commands, folder_argument, open_store, port_argument, print_line
+from device.cli.console import open_store, print_line
 from device.pairing.card import leave_device_card, take_host_cards
 from device.pairing.exchange import PAIRING_PORT
 from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize
@@ -12,22 +12,6 @@ from device.pairing_service.service import OFFLOAD_USER, PairingSetup, how_to_ca
 from device.store.inbox import InboxItem
 from device.store.store import BundleStore
 from hal.clock import SystemClock
-
-
-def add_pairing_commands(commands: Commands[argparse.ArgumentParser]) -> None:
-    """Add `pair` and `import-inbox` to `retroscan`."""
-    pair = commands.add_parser("pair", help="show a code for two minutes; a workstation that has it may fetch scans")
-    pair.add_argument("--port", type=port_argument, default=PAIRING_PORT, help="port that listens for the workstation")
-    pair.add_argument("--ssh-port", type=port_argument, default=22, help="port of sshd")
-    pair.add_argument("--user", default=OFFLOAD_USER, help="account that workstations log in to")
-    pair.add_argument("--keys", type=folder_argument, help="folder of authorized keys named in sshd's configuration")
-    pair.add_argument("--host-key", type=folder_argument, default=SSHD_HOST_KEY, help="sshd's public key")
-    pair.add_argument("--card", type=folder_argument, help="exchange keys through this memory card instead of a code")
-    pair.set_defaults(command=_pair)
-
-    inbox = commands.add_parser("import-inbox", help="import the calibrations that a workstation pushed")
-    inbox.add_argument("--activate", action="store_true", help="activate the last one imported")
-    inbox.set_defaults(command=_import_inbox)
 
 
 def import_inbox(store: BundleStore) -> list[InboxItem]:
@@ -38,9 +22,15 @@ def import_inbox(store: BundleStore) -> list[InboxItem]:
     return items
 
 
-def _pair(options: argparse.Namespace) -> int:
+def pair(options: argparse.Namespace) -> int:
+    """Pair with a workstation, by a code or by cards."""
     store = open_store(options)
-    setup = PairingSetup(options.port, options.ssh_port, options.user, options.host_key, options.keys)
+    port, user, host_key = (
+        options.port or PAIRING_PORT,
+        options.user or OFFLOAD_USER,
+        options.host_key or SSHD_HOST_KEY,
+    )
+    setup = PairingSetup(port, options.ssh_port, user, host_key, options.keys)
     if options.card:
         card, hosts = setup.card(store), take_host_cards(options.card)
         for host in hosts:
@@ -54,7 +44,8 @@ def _pair(options: argparse.Namespace) -> int:
     return 0
 
 
-def _import_inbox(options: argparse.Namespace) -> int:
+def import_pushed(options: argparse.Namespace) -> int:
+    """Import what workstations pushed."""
     store = open_store(options)
     items = import_inbox(store)
     imported = [item.name for item in items if item.refusal is None]

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
 from device.acquisition.sd_notify import SdNotify
-from device.cli.console import Commands, open_store, store_folder
+from device.cli.console import open_store, store_folder
 from device.cli.service import ServiceReport
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
@@ -71,12 +71,6 @@ class InstrumentThread:
                 instrument.step()
                 self._report.turn(instrument.state)
             self._report.ended()
-
-
-def add_screen_command(commands: Commands[argparse.ArgumentParser]) -> None:
-    """Add `tui` to `retroscan`."""
-    screens = commands.add_parser("tui", help="show the screens on this terminal (the default command)")
-    screens.set_defaults(command=run_screens)
 
 
 def run_screens(options: argparse.Namespace) -> int:

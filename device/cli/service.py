@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from device.acquisition.sd_notify import SdNotify
-from device.cli.console import Commands, open_store, print_error, print_line
+from device.cli.console import open_store, print_error, print_line
 from device.errors import DeviceError
 from device.instrument.state import InstrumentState
 from hal.board_profile import BoardProfile, load_board_profile
@@ -79,22 +79,14 @@ def status_line(state: InstrumentState) -> str:
     return "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
 
 
-def add_service_commands(commands: Commands[argparse.ArgumentParser]) -> None:
-    """Add `identity` and `guard-battery` to `retroscan`."""
-    identity = commands.add_parser("identity", help="print this device's id, created on first use")
-    identity.set_defaults(command=_identity)
-
-    guard = commands.add_parser("guard-battery", help="power the device off once the battery is nearly empty")
-    guard.add_argument("--check", action="store_true", help="only check whether this board measures a battery")
-    guard.set_defaults(command=_guard_battery)
-
-
-def _identity(options: argparse.Namespace) -> int:
+def identity(options: argparse.Namespace) -> int:
+    """Print the device's id."""
     print_line(open_store(options).device_id)
     return 0
 
 
-def _guard_battery(options: argparse.Namespace) -> int:
+def guard_battery(options: argparse.Namespace) -> int:
+    """Power the device off once the battery is nearly empty."""
     profile = load_board_profile(options.board)
     _check_gauge(profile)
     if options.check:

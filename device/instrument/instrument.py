@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any, Final, ParamSpec, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 from device.bundles.scan import Annotations
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup, gel_state
+from device.instrument.calibration_ball import BALL_RADIUS_MM
 from device.instrument.events import Event
 from device.instrument.history import History, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
@@ -29,7 +30,6 @@ from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, PressObject
 
-BALL_RADIUS_MM: Final = 3.0
 """Default radius of the calibration ball."""
 
 

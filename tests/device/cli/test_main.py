@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-import device.cli.main
+import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
-from device.cli.main import OLD_COMMANDS, _parser, main
+from device.cli.main import main
+from device.cli.parser import OLD_COMMANDS, make_parser
 from device.pairing.card import leave_host_card, read_device_card
 from device.pairing.exchange import HostCard
 from device.store.store import BundleStore
@@ -118,17 +119,17 @@ def test_an_old_command_still_works_and_names_the_new_one(
     warning = capsys.readouterr().err.splitlines()[0]
     assert code == (2 if old == "watch" else 0)
     assert warning == f"retroscan: `{old}` is now called `{new}`; the old name will be removed"
-    assert f"    {old}" not in _parser().format_help()
+    assert f"    {old}" not in make_parser().format_help()
 
 
 @pytest.mark.parametrize("option", ["--auto-exposure", "--balance"])
 def test_auto_exposure_keeps_its_old_name_unlisted(option: str) -> None:
-    assert _parser().parse_args(["--board", "twin", "calibrate", option]).auto_exposure
-    assert not _parser().parse_args(["--board", "twin", "calibrate"]).auto_exposure
+    assert make_parser().parse_args(["--board", "twin", "calibrate", option]).auto_exposure
+    assert not make_parser().parse_args(["--board", "twin", "calibrate"]).auto_exposure
 
 
 def test_help_explains_every_argument_of_every_command() -> None:
-    assert _unexplained(_parser(), "retroscan") == []
+    assert _unexplained(make_parser(), "retroscan") == []
 
 
 def test_a_store_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,7 +240,13 @@ def test_a_signal_ends_through_every_exit(
     class Board:
         lights = Dark()
 
-    monkeypatch.setattr(device.cli.main, "open_hardware", lambda _profile: Board())
+    monkeypatch.setattr(device.cli.instrument_commands, "open_hardware", lambda _profile: Board())
     assert main(["--board", "twin", "lights-off"]) == 130
     assert ended == ["dark"]
     assert "stopped" in capsys.readouterr().err
+
+
+def test_help_comes_without_the_numerics() -> None:
+    program = "import sys; from device.cli import main, parser; parser.make_parser().format_help(); print(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert {"numpy", "cv2", "scipy", "tifffile", "device.store.store"}.isdisjoint(said.stdout.split())

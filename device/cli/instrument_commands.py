@@ -1,0 +1,128 @@
+"""`retroscan calibrate`, `scan`, `run`, `selftest` and `lights-off`: what drives the instrument without its screens."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from contextlib import suppress
+
+from device.acquisition.auto_exposure import auto_exposure
+from device.acquisition.calibrate import calibrate
+from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
+from device.acquisition.scanner import Scanner, ScanOutcome
+from device.acquisition.sd_notify import SdNotify
+from device.acquisition.selftest import selftest
+from device.bundles.calibration import CalibrationRecord
+from device.bundles.scan import Annotations
+from device.cli.console import (
+    open_store,
+    print_error,
+    print_line,
+    store_folder,
+)
+from device.cli.headless import run_headless
+from device.cli.pairing import import_inbox
+from device.cli.service import ServiceReport
+from device.imaging.exposure import Brightness
+from device.instrument.instrument import Instrument
+from device.store.active import read_active
+from hal.board_profile import load_board_profile
+from hal.clock import SystemClock
+from hal.factory import open_hardware
+from hal.interfaces import PressObject
+
+
+def calibrate_guided(options: argparse.Namespace) -> int:
+    """Calibrate: a reference, then ball presses all over the field."""
+    with open_exclusive(load_board_profile(options.board)) as hardware:
+        store = open_store(options, hardware.clock)
+        plan = auto_exposure(hardware, options.ball_radius_mm, print_line).plan if options.auto_exposure else None
+        fitted = with_active_gel(hardware, store.root)
+        outcome = calibrate(fitted, store, options.ball_radius_mm, print_line, plan)
+    fit = outcome.fit
+    error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
+    print_line(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
+    _print_levels(outcome.bundle.record)
+    print_line(f"Calibration {outcome.bundle.calibration_id} is active.")
+    return 0
+
+
+def scan_once(options: argparse.Namespace) -> int:
+    """Wait for one press of the button and scan."""
+    with open_exclusive(load_board_profile(options.board)) as hardware:
+        read_active(store_folder(options))  # a store without a calibration is refused before anything is created
+        store = open_store(options, hardware.clock)
+        scanner = Scanner(with_active_gel(hardware, store.root), store)
+        scanner.check_room()
+        hardware.operator.ask(PressObject(options.object))
+        print_line("Press the object into the gel, then push the button.")
+        hardware.button.wait_for_push(None)
+        _report(scanner.scan(_annotations(options), _cue_lift))
+    return 0
+
+
+def run(options: argparse.Namespace) -> int:
+    """Scan at every press of the button."""
+    profile = load_board_profile(options.board)
+    with exclusive_instrument(profile):
+        # The loop waits for a person: the twin runs in real time too.
+        hardware = open_hardware(profile, SystemClock())
+        store = open_store(options, hardware.clock)
+        import_inbox(store)
+        with Instrument(hardware, store, ball_radius_mm=options.ball_radius_mm) as instrument:
+            instrument.set_sticky(_annotations(options))
+            report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
+            try:
+                run_headless(instrument, print_line, print_error, lambda: _goes_on(report, instrument))
+            finally:
+                report.ended()
+    return 0
+
+
+def _goes_on(report: ServiceReport, instrument: Instrument) -> bool:
+    report.turn(instrument.state)
+    return True
+
+
+def test_parts(options: argparse.Namespace) -> int:
+    """Test every part and name the faulty one."""
+    failed = 0
+    profile = load_board_profile(options.board)
+    with exclusive_instrument(profile):
+        for finding in selftest(open_hardware(profile), options.push):
+            print_line(f"{finding.state:8} {finding.part}: {finding.sentence}")
+            failed += finding.state == "failed"
+    return 3 if failed else 0
+
+
+def lights_off(options: argparse.Namespace) -> int:
+    """Switch all lights off."""
+    with open_hardware(load_board_profile(options.board)).lights as lights:
+        lights.off()
+    return 0
+
+
+def _annotations(options: argparse.Namespace) -> Annotations:
+    return Annotations(job=options.job, part=options.part, operator=options.operator, note=options.note)
+
+
+def _report(outcome: ScanOutcome) -> None:
+    verdict = outcome.bundle.record.verdict
+    print_line(f"{verdict.level}: {verdict.reason} ({outcome.bundle.scan_id})")
+    if outcome.quick_look_fault:
+        print_line(f"No quick look: {outcome.quick_look_fault}")
+
+
+def _print_levels(record: CalibrationRecord) -> None:
+    """Print how much of the sensor's range the calibration uses."""
+    if found := Brightness.of_figures(record.figures):
+        print_line(f"Levels: {found.sentence}.")
+        if found.warning:
+            print_line(f"Note: {found.warning}.")
+
+
+def _cue_lift() -> None:
+    """Print that the object may be lifted; a closed output must not cost the scan."""
+    with suppress(OSError):
+        print_line("You may lift.")
