@@ -9,6 +9,7 @@ import numpy as np
 
 from device.balls.sphere import BallSamples
 from device.calibration.cross_validation import GroupedRidgeCV
+from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading
 from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.fourier_features import RandomFourierFeatures
@@ -68,8 +69,15 @@ ANCHOR_SHARE: Final = 100.0
 anchored: near lights tell them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
 
 ANCHOR_COST: Final = 0.93
-"""Share of an anchored curve's held-out error that one without anchors must reach: balls show little that is
+"""Share of an anchored curve's held-out error below which one without anchors is taken: balls show little that is
 gentle, so that most of what anchors cost is seen and little of what they gain."""
+
+ANCHOR_GAIN: Final = 0.8
+"""Share of an anchored curve's gain error below which one without anchors is taken too: where the directions of the
+lights are off, anchors hold gentle slopes at a wrong gain, and all that lies between balls with them."""
+
+GENTLE_SLOPE: Final = 0.27
+"""Slopes up to 15 degrees tell the gain error."""
 
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
@@ -225,11 +233,21 @@ class Lesson:
             min((self._at_best_penalty(form, near) for form in forms), key=_error)
             for forms in (ANCHORED_FORMS, NEAR_FORMS)
         )
-        return free if free[1] < ANCHOR_COST * anchored[1] else anchored
+        if free[1] < ANCHOR_COST * anchored[1]:
+            return free
+        return free if self._gain_error(free[0]) < ANCHOR_GAIN * self._gain_error(anchored[0]) else anchored
 
     def root_learner(self) -> tuple[RegressorFit, float]:
         """The learner that reads the root of intensity, and its held-out error."""
         return self._at_best_penalty(ROOT_FORM, RootIntensity())
+
+    def _gain_error(self, learner: RegressorFit) -> float:
+        """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
+        everyone = np.ones(self.count, bool)
+        (u,) = learner.ridge.held_out([learner.penalty], self.slope, np.ones(len(self.slope)), everyone)
+        gentle = np.linalg.norm(self.slope, axis=1) < GENTLE_SLOPE
+        gains = gains_of_balls(slope_from_stereographic(u)[gentle], self.slope[gentle], self.samples.ball[gentle])
+        return float(np.sqrt(((gains - 1.0) ** 2).mean())) if gains.size else 0.0
 
     def _at_best_penalty(self, form: RegressorForm, reading: Reading | None) -> tuple[RegressorFit, float]:
         """The learner of this form with the penalty of least held-out error, and that error."""

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from device.calibration.held_out_readings import HeldOutReadings
 from device.surface.fields import Float64Array
@@ -63,10 +64,25 @@ def _gain(low: float, high: float, readings: HeldOutReadings) -> SlopeGain:
     return SlopeGain(low, high, float(total[0] / total[1]), sigma, len(readings.ball))
 
 
+def gains_of_balls(slope: Float64Array, truth: Float64Array, ball: NDArray[np.intp]) -> Float64Array:
+    """Gain of each ball that shows enough of these pixels, float64 array of shape (balls,).
+
+    slope, truth : float64 arrays of shape (N, 2)
+    ball : int array of shape (N,)
+    """
+    numbers = np.flatnonzero(np.bincount(ball) >= MIN_PIXELS)
+    return _ratios(np.array(_sums_of(slope[ball == number], truth[ball == number])) for number in numbers)
+
+
 def _sums(readings: HeldOutReadings, number: int) -> tuple[float, float]:
     own = readings.ball == number
-    true = readings.truth[own] - readings.truth[own].mean(axis=0)
-    return float((readings.slope[own] * true).sum()), float((true * true).sum())
+    return _sums_of(readings.slope[own], readings.truth[own])
+
+
+def _sums_of(slope: Float64Array, truth: Float64Array) -> tuple[float, float]:
+    """Of one ball: sums of read · true and true · true, both less the mean."""
+    true = truth - truth.mean(axis=0)
+    return float((slope * true).sum()), float((true * true).sum())
 
 
 def _ratios(sums: Iterable[Float64Array]) -> Float64Array:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.calibration.held_out_readings import HeldOutReadings
-from device.calibration.slope_gain import slope_gains
+from device.calibration.slope_gain import gains_of_balls, slope_gains
 
 
 def readings(gain: float, *, noise: float = 0.02, centre: float = 0.0, balls: int = 12) -> HeldOutReadings:
@@ -38,3 +38,10 @@ def test_centres_that_are_off_do_not_pass_for_a_gain() -> None:
 
 def test_one_ball_alone_has_no_uncertainty() -> None:
     assert all(band.sigma is None for band in slope_gains(readings(1.0, balls=1)))
+
+
+def test_every_ball_has_a_gain_of_its_own_whatever_its_centre() -> None:
+    truth = np.random.default_rng(4).uniform(-0.2, 0.2, (400, 2))
+    ball = np.repeat([0, 1, 2], [190, 190, 20])
+    read = np.array([0.98, 1.03, 1.0])[ball][:, None] * truth + 0.05
+    assert gains_of_balls(read, truth, ball) == pytest.approx([0.98, 1.03])
