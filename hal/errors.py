@@ -16,6 +16,10 @@ class CameraError(HalError, OSError):
     """The camera is absent or stalled, or granted other settings than requested. Check its cable and mode."""
 
 
+class CameraStuck(CameraError):
+    """A camera that was closed is still held by this process, which must end before the camera can be opened again."""
+
+
 class FrameTimeout(CameraError, TimeoutError):
     """No frame arrived in time. Check the camera cable; press again when it answers."""
 

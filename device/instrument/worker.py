@@ -20,7 +20,7 @@ from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.state import StateStore
 from device.store.store import BundleStore
-from hal.errors import HalError
+from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware
 
 RETRY_S: Final = 1.0
@@ -230,8 +230,10 @@ class InstrumentWorker:
             self._long_presses.on_long_press()
 
     def _out_of_order(self, error: Exception) -> None:
-        """Release all hardware after a failure and retry later."""
+        """Release all hardware after a failure and retry later; what only a new process can open ends the program."""
         self._release()
+        if isinstance(error, CameraStuck):
+            raise error
         if self.states.state.activity != "out of order" or self.states.state.sentence != str(error):
             self.states.publish(Failed(str(error)))
         self.states.update(activity="out of order", sentence=str(error), live=None)

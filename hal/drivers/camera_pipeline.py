@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 from hal.board_profile import LibcameraConfig, SensorConfig
 from hal.drivers.picamera_stack import CameraStack, Job, OpenCamera, Request
 from hal.drivers.raw_format import NO_RAW, RawStream, requested_format
-from hal.errors import CameraError
+from hal.errors import CameraError, CameraStuck
 from hal.frame import CameraSettings
 
 CLOSING_S: Final = 5.0
@@ -40,6 +40,7 @@ class CameraPipeline:
         self._load_stack = load_stack
         self._camera: OpenCamera | None = None
         self._stream: RawStream | None = None
+        self._closing: list[threading.Thread] = []
         self.camera_id = config.camera_id
 
     @property
@@ -61,12 +62,16 @@ class CameraPipeline:
         ------
         CameraError
             It is absent, in use, or grants other settings than the profile states; it is closed again then.
+        CameraStuck
+            This process itself still holds it, as it did not close.
         """
         stack = self._load_stack()
         number, self.camera_id = self._find(stack)
         try:
             self._camera = stack(number)
         except (RuntimeError, OSError, IndexError) as error:
+            if self._still_closing():
+                raise self._held() from error
             if isinstance(error.__cause__, AttributeError):  # how picamera2 fails on a camera without raw modes
                 raise CameraError(f"camera {self.camera_id} grants {NO_RAW}") from error
             raise CameraError(
@@ -125,6 +130,8 @@ class CameraPipeline:
         ------
         CameraError
             It does not stop; it is dropped anyway.
+        CameraStuck
+            It is the second that does not stop.
         """
         camera, self._camera, self._stream = self._camera, None, None
         if camera is None:
@@ -138,7 +145,21 @@ class CameraPipeline:
         closing.start()
         closing.join(CLOSING_S)
         if closing.is_alive():
+            self._closing.append(closing)
+            if self._still_closing() > 1:
+                raise self._held()
             raise CameraError(f"camera {self.camera_id} does not stop within {CLOSING_S:g} s: power-cycle it")
+
+    def _still_closing(self) -> int:
+        """How many cameras hang in being closed."""
+        self._closing = [thread for thread in self._closing if thread.is_alive()]
+        return len(self._closing)
+
+    def _held(self) -> CameraStuck:
+        return CameraStuck(
+            f"camera {self.camera_id} did not stop and is still held by this program: start the program again; "
+            "if it happens again, check the ribbon cable and power-cycle the camera"
+        )
 
     def _find(self, stack: CameraStack) -> tuple[int, str]:
         """Index and name of the one camera that the profile names."""

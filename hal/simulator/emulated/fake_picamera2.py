@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -59,6 +60,7 @@ class StackFaults:
     clock_offset_ns : frames are stamped by another clock, this much ahead
     unlisted : libcamera cannot list the cameras
     timed_out : a call that fails with "connection timed out", such as "configure"
+    hanging_closings : number of cameras that are not released before `FakePicamera2.let_go` is set
     late_requests : number of requests that complete during cancellation and are handed over afterwards
     """
 
@@ -74,6 +76,7 @@ class StackFaults:
     clock_offset_ns: int = 0
     unlisted: bool = False
     timed_out: str = ""
+    hanging_closings: int = 0
     late_requests: int = 0
 
     def check(self, call: str) -> None:
@@ -93,6 +96,7 @@ class FakePicamera2:
         self.openings = 0
         self.held_requests = 0
         self.others: list[str] = []
+        self.let_go = threading.Event()
 
     def global_camera_info(self) -> list[dict[str, Any]]:
         """The attached cameras."""
@@ -178,6 +182,9 @@ class FakeCamera:
 
     def close(self) -> None:
         """Stop and release the camera."""
+        if self.wire.faults.hanging_closings:
+            self.wire.faults.hanging_closings -= 1
+            self.wire.let_go.wait()
         self.sensor.__exit__()
         self.wire.opened -= 1
         self.wire.held_requests -= self.held
