@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, MaskArray
+from host_sync.frame_checks.turns import HALF_TURNS
 
 TURNED_SHARE: Final = 0.7
 """A frame is turned when a turned reference leaves less than this share of what the reference leaves unexplained."""
@@ -32,12 +33,6 @@ MIN_REST: Final = 0.1
 
 SAMPLES_ALONG: Final = 256
 """The frame is looked at with at most so many rows and columns, about; fewer will do where frames follow each other."""
-
-_TURNS: Final[tuple[tuple[str, int, int], ...]] = (
-    ("turned by 180 degrees", -1, -1),
-    ("mirrored left to right", 1, -1),
-    ("mirrored top to bottom", -1, 1),
-)
 
 
 def check_frame(
@@ -88,9 +83,9 @@ def _turn(intensity: NormalizedImage, flat_field: Float32Array, step: int) -> st
     shade = np.maximum(intensity.values[every], np.float32(DARK_FLOOR))
     light = np.log(shade) + rest
     left = _unexplained(light - rest)
-    for name, rows, columns in _TURNS:
-        if _unexplained(light - rest[::rows, ::columns]) < TURNED_SHARE * left:
-            return name
+    for turn in HALF_TURNS:
+        if _unexplained(light - turn.of(rest)) < TURNED_SHARE * left:
+            return turn.name
     return None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,13 @@ class Turn:
         return turned[:: -1 if self.rows_backwards else 1, :: -1 if self.columns_backwards else 1]
 
 
-_HALVES = (
+HALF_TURNS: Final = (
     Turn("turned by 180 degrees", False, True, True),
     Turn("mirrored left to right", False, False, True),
     Turn("mirrored top to bottom", False, True, False),
 )
+"""Every turn that keeps rows rows."""
+
 _QUARTERS = (
     Turn("turned by 90 degrees clockwise", True, True, False),
     Turn("turned by 90 degrees anticlockwise", True, False, True),
@@ -40,7 +42,7 @@ _QUARTERS = (
 
 def turns_of(shape: tuple[int, ...]) -> tuple[Turn, ...]:
     """Every way that leaves a field of shape (H, W, ...) its shape, the untouched one excepted."""
-    return _HALVES + (_QUARTERS if shape[0] == shape[1] else ())
+    return HALF_TURNS + (_QUARTERS if shape[0] == shape[1] else ())
 
 
 def median_deviation(field: NDArray[np.float32]) -> float:

@@ -14,7 +14,7 @@ from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.filters.detail import DetailBand
 from host_sync.library.library import Library
-from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.detail_name import DetailName
 
@@ -75,7 +75,7 @@ class LibraryReconstructor:
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
         chosen = method or self._method
-        reconstruction = reconstruct_raw(
+        reconstruction = reconstruct(
             scan.raw_frame(), calibration, name, chosen, force=self._force, detail=self._detail
         )
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)

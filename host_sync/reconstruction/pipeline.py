@@ -84,7 +84,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    frame: LinearFrame,
+    frame: LinearFrame | RawFrame,
     calibration: Calibration,
     name: str,
     method: Method | None = None,
@@ -104,36 +104,10 @@ def reconstruct(
     CalibrationMismatch
         Its size is not the calibration's, or it was made with other lights, gel, exposure or focus, shifted or turned.
     """
-    return reconstruct_intensity(
-        flat_field_correct(frame, calibration.flat_field), calibration, name, method, force=force, detail=detail
-    )
-
-
-def reconstruct_raw(
-    frame: RawFrame,
-    calibration: Calibration,
-    name: str,
-    method: Method | None = None,
-    *,
-    force: bool = False,
-    detail: DetailName = "shrunk",
-) -> Reconstruction:
-    """The same from a raw frame, which becomes intensity in one pass; errors as for `reconstruct`."""
-    return reconstruct_intensity(
-        raw_intensity(frame, calibration.flat_field), calibration, name, method, force=force, detail=detail
-    )
-
-
-def reconstruct_intensity(
-    intensity: NormalizedImage,
-    calibration: Calibration,
-    name: str,
-    method: Method | None = None,
-    *,
-    force: bool = False,
-    detail: DetailName = "shrunk",
-) -> Reconstruction:
-    """The same from intensity under the calibration's divisor; errors as for `reconstruct`."""
+    if isinstance(frame, RawFrame):
+        intensity = raw_intensity(frame, calibration.flat_field)
+    else:
+        intensity = flat_field_correct(frame, calibration.flat_field)
     chosen = method or calibration.preferred
     check_exposure(intensity, calibration.flat_field, name)
     checks = calibration.frame_model.check(intensity, calibration.flat_field)

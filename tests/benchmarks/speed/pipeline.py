@@ -18,7 +18,7 @@ from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import demosaic
 from host_sync.calibration.calibrate import Calibration
 from host_sync.reconstruction import pipeline as stages
-from host_sync.reconstruction.pipeline import Reconstruction, reconstruct_raw
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.uncertainty.height_error import HeightUncertainty
 from tests.benchmarks.speed.fresh import forget_peak, fresh, peak_mb
@@ -92,7 +92,7 @@ def run_pipeline(calibration: Calibration, folder: Path, shape: Shape, runs: int
 
 
 def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Reconstruction:
-    result = reconstruct_raw(read_raw(raw), calibration, raw.name)
+    result = reconstruct(read_raw(raw), calibration, raw.name)
     write_result(folder / "results", result, calibration, raw.stem)
     return result
 
