@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,9 @@ FILE_MODE: Final = 0o640
 SHARED_MODE: Final = 0o770
 UNWRITABLE: Final = 0o555
 _MANY: Final = 1 << 40
+
+StatVfs = Callable[[Path], os.statvfs_result]
+"""What a file system says of itself, as `os.statvfs` does."""
 
 
 def make_folder(folder: Path, mode: int) -> None:
@@ -37,7 +41,7 @@ def make_files_read_only(directory: Path) -> None:
         path.chmod(path.lstat().st_mode & UNWRITABLE)
 
 
-def require_writable(folder: Path) -> None:
+def require_writable(folder: Path, statvfs: StatVfs = os.statvfs) -> None:
     """Return when this user can make files in a folder.
 
     Raises
@@ -45,13 +49,19 @@ def require_writable(folder: Path) -> None:
     OSError
         Its file system is mounted read-only, or this user may not write there.
     """
-    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+    if statvfs(folder).f_flag & os.ST_RDONLY:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OSError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def free_entries(folder: Path) -> int:
+def free_bytes(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
+    """Space for this user on a file system, bytes."""
+    facts = statvfs(folder)
+    return facts.f_bavail * facts.f_frsize
+
+
+def free_entries(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
     """How many more files a file system can hold; 2^40 where it does not count them."""
-    facts = os.statvfs(folder)
+    facts = statvfs(folder)
     return facts.f_favail if facts.f_files else _MANY

@@ -22,8 +22,12 @@ def acknowledged_scans(root: Path) -> list[ScanBundle]:
     return [scan for scan in scans if _is_receipted(root, scan)]
 
 
-def evict_acknowledged(root: Path, enough: Callable[[], bool]) -> list[str]:
+def evict_acknowledged(
+    root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
+) -> list[str]:
     """Ids of the scans that were removed, one by one, until there is `enough` room or no more may be removed.
+
+    remove : removes the folder of a scan that no longer counts
 
     Raises
     ------
@@ -34,17 +38,17 @@ def evict_acknowledged(root: Path, enough: Callable[[], bool]) -> list[str]:
     for scan in acknowledged_scans(root):
         if enough():
             break
-        unpublish(root, scan)
+        unpublish(root, scan, remove)
         freed.append(scan.scan_id)
     return freed
 
 
-def unpublish(root: Path, scan: ScanBundle) -> None:
+def unpublish(root: Path, scan: ScanBundle, remove: Callable[[Path], object] = remove_tree_quietly) -> None:
     """Remove a scan; it disappears in one step, so that a power cut never leaves half of it."""
     vanished = scan.directory.with_name(partial_name(scan.scan_id))
     scan.directory.rename(vanished)
     sync_directory(vanished.parent)
-    remove_tree_quietly(vanished)
+    remove(vanished)
     with suppress(OSError), Folder(root) as folder:
         folder.remove_file(f"{RECEIPTS}/{receipt_name(scan.scan_id)}")
     with suppress(OSError):

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -26,7 +25,15 @@ from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError, StoreError
 from device.io.lock import locked_directory
 from device.io.os_errors import explain_os_error
-from device.io.permissions import FOLDER_MODE, SHARED_MODE, free_entries, make_folder, require_writable
+from device.io.permissions import (
+    FOLDER_MODE,
+    SHARED_MODE,
+    StatVfs,
+    free_bytes,
+    free_entries,
+    make_folder,
+    require_writable,
+)
 from device.store.active import read_active, write_active
 from device.store.allowance import tidy_shared_folders
 from device.store.device_id import DeviceState, count_press, current_boot_id, new_device, read_device, write_device
@@ -50,6 +57,7 @@ class BundleStore:
     root : folder of the store, made when absent
     clock : for identities and dates
     boot_id : of this boot; the kernel's when None
+    statvfs : state of the disk and the space on it
 
     Raises
     ------
@@ -59,8 +67,9 @@ class BundleStore:
         `device.json` is damaged.
     """
 
-    def __init__(self, root: Path, clock: Clock, boot_id: str | None = None) -> None:
+    def __init__(self, root: Path, clock: Clock, boot_id: str | None = None, statvfs: StatVfs = os.statvfs) -> None:
         self.root = root
+        self._statvfs = statvfs
         self._clock = clock
         self._boot_id = boot_id or current_boot_id()
         with self._translating("prepared"):
@@ -186,8 +195,8 @@ class BundleStore:
             The store cannot be written; so this is known before a press, not after it.
         """
         with self._translating("written"):
-            require_writable(self.root / "scans")
-        return min(self._room_bytes() // bytes_per_scan, free_entries(self.root) // ENTRIES_PER_SCAN)
+            require_writable(self.root / "scans", self._statvfs)
+        return min(self._room_bytes() // bytes_per_scan, free_entries(self.root, self._statvfs) // ENTRIES_PER_SCAN)
 
     def make_room(self, size_bytes: int) -> list[str]:
         """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
@@ -230,7 +239,7 @@ class BundleStore:
     def _room_bytes(self) -> int:
         """Free space without the reserve, bytes."""
         with self._translating("read"):
-            return max(shutil.disk_usage(self.root).free - RESERVE_BYTES, 0)
+            return max(free_bytes(self.root, self._statvfs) - RESERVE_BYTES, 0)
 
     def _device(self) -> DeviceState:
         state = read_device(self.root)

@@ -19,6 +19,7 @@ EVENT_BUFFER = 1024
 """Number of edges that the kernel buffers, its maximum; a bouncing press makes a dozen."""
 
 DEVICES = Path("/dev")
+"""Folder of the GPIO chips' device files."""
 _INSTALL = "pip install 'gpiod>=2.2' in the program's venv (bookworm's python3-libgpiod is version 1)"
 
 
@@ -66,7 +67,7 @@ class GpiodInput:
         self._place = place
 
     @classmethod
-    def open(cls, label: str, offset: int, active_low: bool) -> Self:
+    def open(cls, label: str, offset: int, active_low: bool, devices: Path = DEVICES) -> Self:
         """The line at an offset of the chip with that label, biased to its inactive level, reporting both edges.
 
         Raises
@@ -85,7 +86,7 @@ class GpiodInput:
             event_clock=Clock.MONOTONIC,
         )
         place = f"the button on line {offset} of GPIO chip {label!r}"
-        chip = _chip_path(label, place, ButtonError)
+        chip = _chip_path(label, place, ButtonError, devices)
         try:
             request = gpiod.request_lines(
                 chip, consumer=CONSUMER, config={offset: settings}, event_buffer_size=EVENT_BUFFER
@@ -133,7 +134,8 @@ class GpiodInput:
 class GpiodOutput:
     """An output line through libgpiod, low at first and when released."""
 
-    def __init__(self, label: str, offset: int) -> None:
+    def __init__(self, label: str, offset: int, devices: Path = DEVICES) -> None:
+        self._devices = devices
         self._label = label
         self._offset = offset
         self._request: gpiod.LineRequest | None = None
@@ -153,7 +155,7 @@ class GpiodOutput:
         try:
             if self._request is None:
                 settings = gpiod.LineSettings(direction=Direction.OUTPUT, output_value=Value.INACTIVE)
-                chip = _chip_path(self._label, place, IndicatorError)
+                chip = _chip_path(self._label, place, IndicatorError, self._devices)
                 self._request = gpiod.request_lines(chip, consumer=CONSUMER, config={self._offset: settings})
             self._request.set_value(self._offset, Value.ACTIVE if on else Value.INACTIVE)
         except (OSError, ValueError) as error:
@@ -189,12 +191,12 @@ def load_gpiod() -> ModuleType:
     return module
 
 
-def _chip_path(label: str, place: str, failure: type[HalError]) -> str:
+def _chip_path(label: str, place: str, failure: type[HalError], devices: Path) -> str:
     """Device file of the GPIO chip with that label."""
     import gpiod
 
     found = []
-    for path in sorted(DEVICES.glob("gpiochip*")):
+    for path in sorted(devices.glob("gpiochip*")):
         try:
             with gpiod.Chip(str(path)) as chip:
                 found.append(chip.get_info().label)

@@ -6,7 +6,9 @@ import re
 from contextlib import ExitStack
 from datetime import date
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
@@ -203,7 +205,11 @@ def mirror_command(library: Folder, destination: str, *, verify: bool = False) -
     return PARTLY if report.failed else DONE
 
 
-def reprocess_command(*names: str, library: Folder | None = None) -> int:
+def reprocess_command(
+    *names: str,
+    library: Folder | None = None,
+    job: Annotated[Any, Parameter(parse=False)] = None,
+) -> int:
     """Reconstruct scans with results again: the same version must give the same bits; others list changes.
 
     Parameters
@@ -218,7 +224,7 @@ def reprocess_command(*names: str, library: Folder | None = None) -> int:
 
     target = Library(library or default_library())
     scans = [target.find(name) for name in names] or list(target.scans().bundles)
-    job = LibraryReconstructor(target)
+    job = job or LibraryReconstructor(target)
     identical, broken = 0, 0
     for scan in scans:
         try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
 from cyclopts import App, CycloptsError, Parameter
@@ -33,10 +33,15 @@ for command in COMMANDS:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run the command that the arguments name; returns the exit code."""
+    return run(lambda: app(arguments, exit_on_error=False, print_error=True, result_action="return_value"))
+
+
+def run(command: Callable[[], int | None]) -> int:
+    """Run a command; returns its exit code, or that of the error that ended it, which is printed as one sentence."""
     try:
         with signals_as_keyboard_interrupt(signal.SIGTERM):
-            result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+            result = command()
         sys.stdout.flush()
     except SourceError as error:
         return print_error(error, CONNECTION)

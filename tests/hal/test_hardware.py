@@ -38,9 +38,11 @@ def test_opening_fails_loudly_and_releases_what_it_had(hardware: Hardware, bench
 
 
 def test_hardware_opens_again_after_it_was_closed(hardware: Hardware) -> None:
+    shapes = []
     for _ in range(2):
         with hardware:
-            hardware.camera.next_frame(1.0)
+            shapes.append(hardware.camera.next_frame(1.0).mosaic.shape)
+    assert shapes[0] == shapes[1]
 
 
 def test_a_board_without_its_tables_is_named_and_never_replaced(profile: BoardProfile) -> None:

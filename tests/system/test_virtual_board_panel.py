@@ -79,6 +79,7 @@ def test_the_camera_never_has_two_owners(panel: Board) -> None:
 
 
 def test_a_push_scans_behind_the_screen(panel: Board) -> None:
+    """`wait_for` fails unless one more scan is stored and its verdict is shown."""
     machine, scans = panel.machine, "(ls /data/store/scans 2>/dev/null || true) | wc -l"
     if status(panel).startswith("no scans yet"):
         with panel.stage("calibration, for the screen"):

@@ -65,6 +65,7 @@ def test_a_session_without_a_runtime_folder_is_locked_all_the_same(monkeypatch: 
 
 
 def test_simulated_boards_need_none() -> None:
+    """A lock would refuse the second of the two with InstrumentBusy."""
     twin = load_board_profile("twin")
     with exclusive_instrument(twin), exclusive_instrument(twin):
         pass

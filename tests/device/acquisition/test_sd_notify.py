@@ -82,6 +82,7 @@ def test_a_watchdog_for_another_process_is_not_fed(tmp_path: Path, heard: socket
 
 
 def test_a_service_manager_that_has_gone_costs_nothing(tmp_path: Path, heard: socket.socket) -> None:
+    """Neither message raises: without the closed socket, then without its file."""
     notify = SdNotify.from_environment(environment(tmp_path))
     heard.close()
     notify.ready("ready")

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
@@ -18,6 +19,7 @@ from device.bundles.scan import ScanBundle, ScanRecord
 from device.errors import FrameNotConfirmed, NoCalibration, RecordError, StoreError
 from device.io.lock import locked_directory
 from device.io.os_errors import explain_os_error
+from device.store.eviction import evict_acknowledged
 from device.store.store import RESERVE_BYTES, BundleStore, default_store
 from hal.clock import VirtualClock
 
@@ -173,33 +175,35 @@ def test_the_active_calibration_is_chosen_whole(store: BundleStore, publish_cali
         store.active_calibration()
 
 
-def test_scans_left_keeps_a_reserve(store: BundleStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage = type("Usage", (), {"free": RESERVE_BYTES + 10_500})
-    monkeypatch.setattr("device.store.store.shutil.disk_usage", lambda _: usage)
+def disk(free_bytes: int = 1 << 40, flags: int = 0, entries: int = 1000) -> Any:
+    """What a file system says of itself."""
+    return SimpleNamespace(
+        f_flag=flags,
+        f_files=1000,
+        f_favail=entries,
+        f_frsize=1,
+        f_blocks=1 << 42,
+        f_bfree=free_bytes,
+        f_bavail=free_bytes,
+    )
+
+
+def test_scans_left_keeps_a_reserve(tmp_path: Path) -> None:
+    found = disk(RESERVE_BYTES + 10_500)
+    store = BundleStore(tmp_path / "store", VirtualClock(), "b0071d00", statvfs=lambda _: found)
     assert store.scans_left(1_000) == 10
-    usage.free = RESERVE_BYTES - 1
+    found.f_bavail = RESERVE_BYTES - 1
     assert store.scans_left(1_000) == 0
 
 
-def test_a_press_is_refused_when_the_store_cannot_be_written(
-    store: BundleStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    genuine = os.statvfs
-
-    def mounted_read_only(path: Path) -> object:
-        facts = genuine(path)
-        return SimpleNamespace(f_flag=facts.f_flag | os.ST_RDONLY, f_files=facts.f_files, f_favail=facts.f_favail)
-
-    monkeypatch.setattr("device.io.permissions.os.statvfs", mounted_read_only)
+def test_a_press_is_refused_when_the_store_cannot_be_written(tmp_path: Path) -> None:
+    store = BundleStore(tmp_path / "store", VirtualClock(), "b0071d00", statvfs=lambda _: disk(flags=os.ST_RDONLY))
     with pytest.raises(StoreError, match=r"Read-only file system.*mount it"):
         store.scans_left(1_000)
 
 
-def test_a_disk_without_names_left_has_room_for_no_scan(store: BundleStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = SimpleNamespace(
-        f_flag=0, f_files=1000, f_favail=40, f_frsize=4096, f_blocks=1 << 30, f_bfree=1 << 30, f_bavail=1 << 30
-    )
-    monkeypatch.setattr("device.io.permissions.os.statvfs", lambda _: few)
+def test_a_disk_without_names_left_has_room_for_no_scan(tmp_path: Path) -> None:
+    store = BundleStore(tmp_path / "store", VirtualClock(), "b0071d00", statvfs=lambda _: disk(entries=40))
     assert store.scans_left(1) == 2
 
 
@@ -247,27 +251,22 @@ def test_only_what_a_workstation_vouches_for_is_freed_and_the_oldest_first(
         receipt_for(store, scan)
     receipt_for(store, scans[1], b"another manifest")
     (store.root / "receipts" / f"{scans[3].scan_id}.json").write_bytes(b"{}")
-    usage = type("Usage", (), {})
     taken = 1000
 
-    def disk_usage(_: Path) -> object:
-        usage.free = RESERVE_BYTES + taken * (6 - len(list((store.root / "scans").glob("rg*"))))
-        return usage
+    def statvfs(_: Path) -> Any:
+        return disk(RESERVE_BYTES + taken * (6 - len(list((store.root / "scans").glob("rg*")))))
 
-    monkeypatch.setattr("device.store.store.shutil.disk_usage", disk_usage)
+    store = BundleStore(store.root, VirtualClock(), "b0071d00", statvfs=statvfs)
     assert store.make_room(1500) == [scans[0].scan_id, scans[2].scan_id]
     assert store.make_room(10_000) == [scans[4].scan_id]
     assert {scan.scan_id for scan in store.scans().bundles} == {scans[i].scan_id for i in (1, 3, 5)}
     assert list((store.root / "scans").glob(".*")) == []
 
 
-def test_a_power_cut_while_freeing_leaves_nothing_half_visible(
-    store: BundleStore, publish_scan: PublishScan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_power_cut_while_freeing_leaves_nothing_half_visible(store: BundleStore, publish_scan: PublishScan) -> None:
     scan = publish_scan(store)
     receipt_for(store, scan)
-    monkeypatch.setattr("device.store.eviction.remove_tree_quietly", lambda _: None)
-    assert store.make_room(1 << 60) == [scan.scan_id]
+    assert evict_acknowledged(store.root, lambda: False, remove=lambda _: None) == [scan.scan_id]
     assert store.scans().bundles == ()
     assert store.scans().damaged == ()
     BundleStore(store.root, VirtualClock())
@@ -297,13 +296,10 @@ def test_a_pushed_calibration_is_proven_before_it_is_taken(
     assert list(inbox.iterdir()) == []
 
 
-def test_a_pushed_calibration_without_room_is_refused(
-    store: BundleStore, publish_calibration: PublishCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pushed_calibration_without_room_is_refused(publish_calibration: PublishCalibration, tmp_path: Path) -> None:
+    store = BundleStore(tmp_path / "store", VirtualClock(), "b0071d00", statvfs=lambda _: disk(RESERVE_BYTES + 100))
     bundle = publish_calibration(BundleStore(tmp_path / "other", VirtualClock(), boot_id="b0071d01"))
     shutil.copytree(bundle.directory, store.root / "inbox" / bundle.calibration_id)
-    usage = type("Usage", (), {"free": RESERVE_BYTES + 100})
-    monkeypatch.setattr("device.store.store.shutil.disk_usage", lambda _: usage)
     assert "free space first" in (store.import_inbox()[0].refusal or "")
     assert store.calibrations().bundles == ()
 

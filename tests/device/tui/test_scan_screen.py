@@ -1,14 +1,13 @@
 """The scan screen by key presses: cue, scan, verdict, profile, sticky fields, and every way in which a press fails."""
 
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from device.store.store import RESERVE_BYTES
+import device.store.store
 
 Stage = Any
 
@@ -101,7 +100,7 @@ def test_a_full_disk_refuses_and_says_what_to_do(
     play: Callable[..., None], root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario(stage: Stage) -> None:
-        monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(1, 1, RESERVE_BYTES))
+        monkeypatch.setattr(device.store.store, "RESERVE_BYTES", 1 << 62)
         await stage.press("space")
         await stage.live()
         assert "! Not scanned:" in stage.text()

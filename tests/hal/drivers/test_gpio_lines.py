@@ -88,12 +88,11 @@ def test_a_library_of_version_1_or_a_broken_one_is_named(
         GpiodOutput("pinctrl-rp1", 27).switch(True)
 
 
-def test_a_chip_that_is_not_there_lists_those_that_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chip_that_is_not_there_lists_those_that_are(tmp_path: Path) -> None:
     (tmp_path / "gpiochip0").write_text("no device")
-    monkeypatch.setattr("hal.drivers.gpio_lines.DEVICES", tmp_path)
     with pytest.raises(ButtonError, match=r"'pinctrl-rp1' not found: .*gpiochip0 \(cannot be opened\).*chip_label"):
-        GpiodInput.open("pinctrl-rp1", 17, active_low=True)
-    output = GpiodOutput("pinctrl-rp1", 27)
+        GpiodInput.open("pinctrl-rp1", 17, active_low=True, devices=tmp_path)
+    output = GpiodOutput("pinctrl-rp1", 27, tmp_path)
     with pytest.raises(IndicatorError, match="the indicator on line 27"):
         output.switch(True)
     output.release()

@@ -300,6 +300,6 @@ def test_a_picamera2_that_does_not_fit_its_surroundings_is_reported(
 
 
 def test_without_picamera2_its_installation_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hal.drivers.driver_library.find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, "picamera2", None)  # as if it were not installed
     with pytest.raises(DriverMissing, match="apt install python3-picamera2 --no-install-recommends"):
         load_picamera2()

@@ -19,7 +19,7 @@ from device.imaging.flat_field import demosaic, make_flat_field
 from device.inverse_map.npz import MODEL_FILE, read_model
 from device.store.active import read_active
 from host_sync.calibration_file.calibrator import Calibrator
-from host_sync.cli.main import main
+from host_sync.cli.main import main, run
 from host_sync.frame_checks.frame_model import FrameModel
 
 
@@ -131,28 +131,31 @@ def test_a_frames_name_that_is_no_text_neither_ends_the_run_nor_moves_the_termin
     assert (tmp_path / "out" / "result.json").is_file()
 
 
-def test_an_interrupted_command_says_so_and_ends_with_130(
-    calibrated_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_arguments: object, **_options: object) -> None:
+def test_an_interrupted_command_says_so_and_ends_with_130(capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt() -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("host_sync.cli.offload.pull", interrupt)
-    assert main(["pull", str(calibrated_root), "--library", str(tmp_path / "library")]) == 130
+    assert run(interrupt) == 130
     assert capsys.readouterr().err == "retrosync: stopped: unfinished results are not kept\n"
 
 
-def test_a_command_that_is_told_to_end_leaves_nothing_half_written(
+def test_a_command_that_is_asked_to_end_leaves_nothing_half_written(
     arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = signal.getsignal(signal.SIGTERM)
     begun: list[Path] = []
 
-    def told_to_end(*_arguments: object, **_options: object) -> None:
+    def end(*_arguments: object) -> list[str]:
         begun.extend(tmp_path.glob(".out*"))
         os.kill(os.getpid(), signal.SIGTERM)
+        return []
 
-    monkeypatch.setattr("host_sync.video.reconstruct.SolverPool", told_to_end)
+    def calibrate(_: Calibrator, bundle: CalibrationBundle) -> SimpleNamespace:
+        calibration = as_the_device_fitted_it(bundle)
+        calibration.calibration.frame_model = SimpleNamespace(check=end)  # while the first frame is solved
+        return calibration
+
+    monkeypatch.setattr(Calibrator, "of_bundle", calibrate)
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 130
     assert capsys.readouterr().err.endswith("stopped: unfinished results are not kept\n")
     assert begun

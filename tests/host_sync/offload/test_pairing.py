@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -301,7 +302,7 @@ def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert main(["pair", "localhost"]) == 2
     assert main(["pair", "localhost", "--port", "99999", "--code", "1"]) == 2
     assert main(["pull", "a" * 5000, "--library", str(tmp_path / "library")]) == 2
