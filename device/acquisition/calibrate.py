@@ -182,7 +182,7 @@ def report_figures(fit: InverseFit) -> dict[str, float | None]:
     """The figures of a calibration's report, angles in degrees."""
     figures: dict[str, float | None] = {
         "held_out_error_deg": fit.held_out_deg,
-        "steepest_deg": float(np.degrees(np.arctan(fit.map.steepest))),
+        "steepest_deg": float(np.degrees(np.arctan(fit.map.max_trained_slope))),
         "balls_used": float(fit.kept.sum()),
         "balls_rejected": float((~fit.kept).sum()),
         "degree_in_position": float(fit.map.curve.position_degree),

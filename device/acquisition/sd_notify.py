@@ -18,7 +18,7 @@ from typing import Final, Self
 BEATS_PER_TIMEOUT: Final = 4
 """Four beats per watchdog timeout leave time for one long scan."""
 
-PATIENCE_S: Final = 1.0
+SEND_TIMEOUT_S: Final = 1.0
 """Send timeout; a message that the service manager does not take in time is dropped, so that work never waits."""
 
 POWER_OFF_FILE: Final = "poweroff"
@@ -87,7 +87,7 @@ class SdNotify:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as connection:
-            connection.settimeout(PATIENCE_S)
+            connection.settimeout(SEND_TIMEOUT_S)
             connection.connect(address)
             connection.sendall(message.encode())
 

@@ -88,7 +88,7 @@ MIN_FOR_MANY_TERMS: Final = 8
 
 def fourier_form() -> RegressorForm:
     """The form for a skin with metal flakes, which bends more over colour than over place."""
-    return RegressorForm(2, 2, 10.0, RandomFourierFeatures.drawn())
+    return RegressorForm(2, 2, 10.0, RandomFourierFeatures.sample())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

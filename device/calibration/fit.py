@@ -285,21 +285,21 @@ def _map(
 ) -> InverseMap:
     """The map that all kept balls teach."""
 
-    def taught(learner: RegressorFit) -> FeatureRegressor:
+    def trained(learner: RegressorFit) -> FeatureRegressor:
         return learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
 
     light, near, root = None, None, None
     for learner, share in learners:
         if isinstance(learner.reading, IlluminationMap):
-            curve = taught(learner)
+            curve = trained(learner)
             at_rest = light_at_rest(curve, learner.reading) if learner.flat else None
             light = RawLightBranch(learner.reading, curve, share, at_rest)
         elif isinstance(learner.reading, NearLightModel):
-            near = NearLightBranch(learner.reading, taught(learner))
+            near = NearLightBranch(learner.reading, trained(learner))
         elif isinstance(learner.reading, RootIntensity):
-            root = RootCurve(taught(learner), share)
+            root = RootCurve(trained(learner), share)
     leverage = plain.leverage(state.slope, state.weight, state.kept)
-    found = InverseMap(shape, domain, taught(plain), steepest, light, leverage, near, root)
+    found = InverseMap(shape, domain, trained(plain), steepest, light, leverage, near, root)
     return found if all(learner.flat for learner, _ in learners) else replace(found, rest_bump=rest_nodes(found))
 
 

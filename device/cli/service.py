@@ -17,7 +17,7 @@ from hal.errors import PowerError
 from hal.factory import open_hardware
 from hal.interfaces import Clock, Power, PowerReading
 
-PATIENCE_S: Final = 10.0
+BROKEN_WAIT_S: Final = 10.0
 """Time for a bus or camera that comes up later than the program."""
 
 BROKEN: Final = "out of order"
@@ -34,8 +34,8 @@ EVERY_S: Final = 10.0
 class ServiceReport:
     """Reports one instrument's state to the service manager: ready, alive, status line.
 
-    Why ready in spite of a broken part, after `PATIENCE_S` and with a status that begins "out of order": a failed start
-    would be restarted again and again with a dark screen, whereas a started instrument shows the fault on screen and
+    A broken part is waited for `BROKEN_WAIT_S`; then it reports ready with a status that begins "out of order": a failed
+    start would be restarted again and again with a dark screen, whereas a started instrument shows the fault on screen and
     indicator and still hands over its scans. An update that starts so is not kept (`board/retrograph-slot confirm`).
 
     Parameters
@@ -54,7 +54,7 @@ class ServiceReport:
     def turn(self, state: InstrumentState) -> None:
         """Report the state after one turn of the work loop."""
         now = status_line(state)
-        if not self._is_ready and (state.activity != BROKEN or self._waited_s() >= PATIENCE_S):
+        if not self._is_ready and (state.activity != BROKEN or self._waited_s() >= BROKEN_WAIT_S):
             self._is_ready = True
             self._notify.ready(now)
         elif now != self._reported:

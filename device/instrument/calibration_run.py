@@ -22,7 +22,7 @@ from hal.interfaces import Cue
 _ENDS: Final[dict[bool, tuple[Cue, Cue]]] = {False: ("good", "retake"), True: ("calibration", "refused: calibration")}
 """Cues for passed and failed; without a screen none that would ask for one more press."""
 
-PATIENCE_S: Final = 180.0
+IDLE_TIMEOUT_S: Final = 180.0
 """A calibration started by the button ends after this long without a push."""
 
 
@@ -34,7 +34,7 @@ class CalibrationRun:
     hardware : with the mounted gel
     ball_radius_mm : of the calibration ball
     done : called at its end, passed or not
-    by_button : no screen: the indicator answers every press, and a long push, or none for `PATIENCE_S`, ends it
+    by_button : no screen: the indicator answers every press, and a long push, or none for `IDLE_TIMEOUT_S`, ends it
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class CalibrationRun:
             self._active_ns = now_ns
         if self._by_button and event == "long" and self._guide.progress.phase != "fitting":
             self.cancel()
-        elif self._by_button and now_ns - self._active_ns > PATIENCE_S * 1e9:
+        elif self._by_button and now_ns - self._active_ns > IDLE_TIMEOUT_S * 1e9:
             self.cancel("No push for three minutes: calibration stopped; the previous one stays active.")
         return event is not None
 

@@ -42,7 +42,7 @@ class RandomFourierFeatures:
     phase: Float32Array
 
     @classmethod
-    def drawn(cls, seed: int = 1) -> RandomFourierFeatures:
+    def sample(cls, seed: int = 1) -> RandomFourierFeatures:
         """`WAVES` waves whose sums bend over `BEND_LENGTH`; the same ones each time."""
         random = np.random.default_rng(seed)
         direction = random.standard_normal((3, WAVES)) / BEND_LENGTH

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from device.inverse_map.regressor import FeatureRegressor
 from device.surface.fields import Float32Array, Float64Array
 
-TAUGHT_PERCENT: Final = 99.9
+TRAINED_PERCENT: Final = 99.9
 """Percentile of the leverage over the balls that counts as taught: the last few pixels are dust."""
 
 
@@ -25,32 +25,32 @@ class Leverage:
     """What the leverage of a curve's features is computed with.
 
     root : float32 array of shape (M K, M K); h = |φᵀ root|² for features φ of the curve
-    taught : the highest leverage that counts as taught
+    trained : the highest leverage that counts as taught
     """
 
     root: Float32Array
-    taught: float
+    trained: float
 
     @classmethod
     def of(cls, root: Float64Array, design: Float64Array) -> Leverage:
         """The leverage whose root over the features of the balls, float64 array (N, M K), is known."""
-        return cls(root.astype(np.float32), float(np.percentile(((design @ root) ** 2).sum(axis=1), TAUGHT_PERCENT)))
+        return cls(root.astype(np.float32), float(np.percentile(((design @ root) ** 2).sum(axis=1), TRAINED_PERCENT)))
 
     def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
         """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest that was taught."""
         design = curve.design(colours, place)
-        return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.taught, np.float64)
+        return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.trained, np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays; `from_arrays` is its inverse."""
-        return {"root": self.root, "taught": np.array(self.taught)}
+        return {"root": self.root, "taught": np.array(self.trained)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], curve: FeatureRegressor) -> Leverage:
         """The leverage of `curve` that `arrays` wrote; KeyError or ValueError when malformed."""
         root = np.asarray(arrays["root"], np.float32)
         features = curve.coefficients.shape[0] * curve.coefficients.shape[1]
-        taught = float(arrays["taught"])
-        if root.shape != (features, features) or not taught > 0.0:
+        trained = float(arrays["taught"])
+        if root.shape != (features, features) or not trained > 0.0:
             raise ValueError(f"a leverage of shape {root.shape} for {features} features")
-        return cls(root, taught)
+        return cls(root, trained)

@@ -58,7 +58,7 @@ class InverseMap:
     shape : (H, W) of the full-size field that positions are scaled by
     domain : the colours that the balls showed
     curve : the curve that reads intensity; alone where there are no others, and always what the quick look tabulates
-    steepest : slope up to which the balls taught it; what lies beyond is extrapolated
+    max_trained_slope : slope up to which the balls taught it; what lies beyond is extrapolated
     light : the curve that reads light, None where it would not help
     leverage : of the curve that reads intensity, None where one ball alone taught it
     near : the curve in its place that reads a matt skin's slopes, None where it would not help
@@ -72,7 +72,7 @@ class InverseMap:
     shape: tuple[int, int]
     domain: TrainingDomain
     curve: FeatureRegressor
-    steepest: float
+    max_trained_slope: float
     light: RawLightBranch | None = None
     leverage: Leverage | None = None
     near: NearLightBranch | None = None
@@ -204,7 +204,7 @@ class InverseMap:
             named["noise_bias"] = self.noise_bias
         if self.rest_bump is not None:
             named["rest_bump"] = self.rest_bump
-        return named | {"shape": np.array(self.shape), "steepest": np.array(self.steepest)}
+        return named | {"shape": np.array(self.shape), "steepest": np.array(self.max_trained_slope)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> InverseMap:

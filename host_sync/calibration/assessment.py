@@ -41,14 +41,14 @@ class Assessment:
 def assess(
     presses: Sequence[PressFrame],
     used: Sequence[UsedPress],
-    taught: BallSamples,
+    training: BallSamples,
     inverse: InverseFit,
     pitch: PixelPitch | None,
 ) -> Assessment:
     """What a calibration is worth.
 
     used : the presses after the fit
-    taught : samples of their balls
+    training : samples of their balls
 
     Raises
     ------
@@ -56,11 +56,11 @@ def assess(
         Too few balls are left, their radii contradict each other, or held-out balls are wrong.
     """
     check_count(used)
-    shares = radius_shares(taught, inverse.map)
-    check_radii(shares, [press.called for press in used for _ in press.balls])
+    shares = radius_shares(training, inverse.map)
+    check_radii(shares, [press.label for press in used for _ in press.balls])
     check_fit(inverse)
     radii_px = np.array([ball.radius_px for press in used for ball in press.balls])
-    coverage = measure_coverage(taught, used[0].intensity.shape, inverse.map.steepest)
+    coverage = measure_coverage(training, used[0].intensity.shape, inverse.map.max_trained_slope)
     return Assessment(
         pitch=pitch,
         scale=scale_uncertainty(pitch, presses, shares, radii_px),
@@ -73,9 +73,9 @@ def assess(
 def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: PixelPitch | None) -> tuple[str, ...]:
     read = {reading.press for reading in pitch.readings} if pitch else set()
     notes = [
-        f"{press.called}: its balls form no square grid, so that it does not measure the pixel pitch"
+        f"{press.label}: its balls form no square grid, so that it does not measure the pixel pitch"
         for press in presses
-        if press.grid and press.called not in read
+        if press.grid and press.label not in read
     ]
-    notes += [f"{press.called} {press.fault}: it is not used" for press in used if press.fault]
+    notes += [f"{press.label} {press.error}: it is not used" for press in used if press.error]
     return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))

@@ -53,7 +53,7 @@ class PressFrame:
     radius_tolerance: float | None = None
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """The press and its file, for messages."""
         return f"{self.name} ({self.source})" if self.source else self.name
 
@@ -72,7 +72,7 @@ class FittedBall:
 class UsedPress:
     """A press in calibration: its intensity, the balls that teach, and those that were rejected with the reason.
 
-    fault : why the press as a whole teaches nothing, empty when it does
+    error : why the press as a whole teaches nothing, empty when it does
     seen : what was found in it, None when its balls were given by the instrument that took it
     fitted : every ball that took part in the fit, in the fit's order
     """
@@ -81,13 +81,13 @@ class UsedPress:
     intensity: NormalizedImage
     balls: tuple[Ball, ...]
     rejected: tuple[RejectedBall, ...]
-    fault: str = ""
+    error: str = ""
     source: str = ""
     seen: BallSearch | None = None
     fitted: tuple[FittedBall, ...] = ()
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """The press and its file, for messages."""
         return f"{self.name} ({self.source})" if self.source else self.name
 
@@ -104,7 +104,7 @@ def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) ->
     for press in presses:
         if press.frame.shape != shape:
             raise CalibrationMismatch(
-                f"{press.called} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
+                f"{press.label} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
                 f"the others {shape[1]}x{shape[0]}: use frames of one camera mode"
             )
 
@@ -119,13 +119,13 @@ def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
     CalibrationError
         No frame of this size could show a ball of that radius.
     """
-    check_exposed(press.frame, press.called)
-    check_channel_order(press.frame, flat_field, press.called)
+    check_exposed(press.frame, press.label)
+    check_channel_order(press.frame, flat_field, press.label)
     intensity = flat_field_correct(press.frame, flat_field)
     seen = None
     # A lens that fills the field shows gentle slopes only; its label is believed, for no finder could confirm it.
     if press.balls is None or press.grid or (press.labelled_by_hand and fits(press.radius_px, intensity.shape)):
-        seen = find_balls(intensity, press.radius_px, name=press.called)
+        seen = find_balls(intensity, press.radius_px, name=press.label)
     used = UsedPress(press.name, intensity, press.balls or (), (), "", press.source, seen)
     return used if press.balls is not None or seen is None else with_found(used, seen, press.radius_px)
 
@@ -136,7 +136,7 @@ def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPres
     if not seen.found:
         reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "nothing presses the skin"
         fault = f"shows no ball of radius {radius_px:.0f} px ({reasons})"
-    return replace(press, balls=seen.found, rejected=seen.rejected, fault=fault, seen=seen)
+    return replace(press, balls=seen.found, rejected=seen.rejected, error=fault, seen=seen)
 
 
 def drop_clipped(press: UsedPress) -> UsedPress:
@@ -161,7 +161,7 @@ def _without(press: UsedPress, out: Sequence[bool], reason: str) -> UsedPress:
     rejected = tuple(
         RejectedBall(ball.column, ball.row, reason) for ball, gone in zip(press.balls, out, strict=True) if gone
     )
-    return replace(press, balls=balls, rejected=press.rejected + rejected, fault="" if balls else reason)
+    return replace(press, balls=balls, rejected=press.rejected + rejected, error="" if balls else reason)
 
 
 def relocate_labels(press: UsedPress) -> UsedPress:
@@ -227,6 +227,6 @@ def apply_fit(located: Sequence[UsedPress], inverse: InverseFit) -> tuple[UsedPr
             FittedBall(number, inverse.balls[i], float(inverse.ball_error_deg[i]), bool(inverse.kept[i]))
             for number, i in enumerate(span, start=1)
         )
-        fault = press.fault if kept else press.fault or "; ".join(ball.reason for ball in dropped)
-        used.append(replace(press, balls=kept, rejected=press.rejected + dropped, fault=fault, fitted=fitted))
+        fault = press.error if kept else press.error or "; ".join(ball.reason for ball in dropped)
+        used.append(replace(press, balls=kept, rejected=press.rejected + dropped, error=fault, fitted=fitted))
     return tuple(used)

@@ -150,16 +150,16 @@ def calibrate(
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
-    taught = gather_samples(kept)
-    assessment = assess(presses, used, taught, inverse, pitch)
+    training = gather_samples(kept)
+    assessment = assess(presses, used, training, inverse, pitch)
     tell("building reflectance maps and the lookup table")
-    paper = fit_paper_model(taught)
+    paper = fit_paper_model(training)
     held_out: dict[Method, float] = {
         "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan"),
         "paper": held_out_paper_deg(kept),
     }
     tell("measuring the slope error")
-    error = measure_slope_error(kept, taught, inverse, _elevation_left(kept, taught, inverse, elevated))
+    error = measure_slope_error(kept, training, inverse, _elevation_left(kept, training, inverse, elevated))
     digest = _digest(inverse, flat_field, pitch_um, shrinkage, response)
     return Calibration(
         calibration_id=digest,
@@ -177,7 +177,7 @@ def calibrate(
         elevation=response,
         shrinkage=shrinkage,
         slope_noise=(
-            measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, taught) if shrinkage else None
+            measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training) if shrinkage else None
         ),
     )
 
@@ -203,7 +203,7 @@ def _locate_all(
 ) -> tuple[Sequence[UsedPress], PixelPitch | None]:
     """The presses with the balls that may teach, and the pixel pitch that grids among them measure."""
     labelled = [locate(press, flat_field) for press in presses]
-    check_agreement([p.called for p in presses], [used.intensity for used in labelled], has_reference)
+    check_agreement([p.label for p in presses], [used.intensity for used in labelled], has_reference)
     located, pitch = measure_pitch(presses, labelled, stated_um)
     located = [drop_clipped(used) for used in located]
     check_count(located)
@@ -280,14 +280,14 @@ def _lowered(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[Used
 
 def _elevation_left(
     kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
-    taught: BallSamples,
+    training: BallSamples,
     inverse: InverseFit,
     elevated: ElevatedBalls | None,
 ) -> ElevationCorrection:
     """What elevation leaves uncertain: of a correction its doubt, else as much of the lights' nearness as may be."""
     if elevated and elevated.response.is_certain:
         return elevated.left
-    nearness = elevation_correction(kept, taught, inverse.map)
+    nearness = elevation_correction(kept, training, inverse.map)
     return nearness.shared(elevated.response.possible_share) if elevated else nearness
 
 

@@ -22,8 +22,8 @@ def check_count(presses: Sequence[UsedPress]) -> None:
     balls = sum(len(press.balls) for press in presses)
     if balls >= MIN_BALLS:
         return
-    faults = [f"{press.called} {press.fault}" for press in presses if press.fault]
-    faults += [f"{press.called}: {ball.reason}" for press in presses if not press.fault for ball in press.rejected]
+    faults = [f"{press.label} {press.error}" for press in presses if press.error]
+    faults += [f"{press.label}: {ball.reason}" for press in presses if not press.error for ball in press.rejected]
     why = f" ({'; '.join(faults[:MIN_BALLS])})" if faults else ""
     raise CalibrationError(
         f"{balls} usable balls in {len(presses)} calibration presses{why}, and {MIN_BALLS} are needed: "
@@ -36,7 +36,7 @@ def checks(
 ) -> tuple[Check, ...]:
     """What the report judges; a calibration passes when all do."""
     balls = sum(len(press.balls) for press in presses)
-    rejected = sum(len(press.rejected) or bool(press.fault) for press in presses)
+    rejected = sum(len(press.rejected) or bool(press.error) for press in presses)
     first, share, *rest = fit_checks(balls, rejected, held_out_deg, coverage)
     spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
     return (first, share, spread, *rest)

@@ -90,9 +90,9 @@ def find_elevated_balls(
     reliefs = [_Relief.of(image, inverse, _grid_step(radius_px)) for image, _ in presses]
     reduced = [reduce_intensity(image, radius_px / REFINE_RADIUS_PX) for image, _ in presses]
     images = [image for image, of_press in presses for _ in of_press]
-    taught, found = ElevationCorrection(0.0, radius_px, 0.0), None
+    trained, found = ElevationCorrection(0.0, radius_px, 0.0), None
     for _ in range(ROUNDS):
-        skins = [relief.at(taught) for relief in reliefs]
+        skins = [relief.at(trained) for relief in reliefs]
         balls = tuple(
             tuple(_centred(seen, skin, ball, found.response if found else None) for ball in of_press)
             for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
@@ -106,7 +106,7 @@ def find_elevated_balls(
         found = ElevatedBalls(response, balls, apexes) if response else None
         if response is None or not response.is_certain:
             break
-        taught = ElevationCorrection(float(np.median(heights)), radius_px, response.nearness_per_px)
+        trained = ElevationCorrection(float(np.median(heights)), radius_px, response.nearness_per_px)
     return found
 
 
@@ -163,10 +163,10 @@ class _Relief:
         p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
         return cls(GradientField(p, q, valid, valid.astype(np.float32)), step, image.shape)
 
-    def at(self, taught: ElevationCorrection) -> _Skin:
+    def at(self, trained: ElevationCorrection) -> _Skin:
         """The skin, where slopes are read right at the elevation at which they were taught."""
         found = self.gradients
-        share = taught.steeper(self._elevation_px(found), found.p**2 + found.q**2)
+        share = trained.steeper(self._elevation_px(found), found.p**2 + found.q**2)
         right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
         return _Skin(right.p, right.q, self._elevation_px(right), self.step, self.shape)
 

@@ -66,7 +66,7 @@ def measure_pitch(
         found.append(own if press.balls is not None else with_found(own, grid.search, press.radius_px))
         if grid.lattice is not None:
             balls, shape = grid.search.found, used.intensity.shape
-            readings.append(read_pitch(press.called, grid.lattice, balls, press.grid, shape))
+            readings.append(read_pitch(press.label, grid.lattice, balls, press.grid, shape))
     if not readings:
         return found, None
     pitch = join_readings(stated_um, readings)

@@ -69,7 +69,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
             for band in inverse.gains
         ],
         "gain_of": "held-out balls" if inverse.of_another_radius is None else "balls of another radius",
-        "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.steepest))),
+        "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.max_trained_slope))),
         "reads": "intensity" if inverse.map.near is None else "slopes of a matt skin under near lights",
         "degree_in_colour": inverse.map.own.colour_degree,
         "waves_of_colour": inverse.map.own.waves.count,
@@ -89,7 +89,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
             {
                 "name": press.name,
                 "image": press.source or None,
-                "fault": press.fault or None,
+                "fault": press.error or None,
                 "balls": [
                     {"x": ball.column, "y": ball.row, "r": ball.contact_radius_px, "radius_px": ball.radius_px}
                     for ball in press.balls

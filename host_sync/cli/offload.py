@@ -23,9 +23,9 @@ from host_sync.errors import PairingError, SourceError
 from host_sync.library.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ingest import ReceiptWriter
-from host_sync.offload.ledger import PullReport
 from host_sync.offload.paired_devices import this_host
 from host_sync.offload.pull import PullProgress, pull, sync, sync_one, utc_now
+from host_sync.offload.pull_log import PullReport
 from host_sync.offload.resolve import Address, is_folder, open_device, open_source
 
 Show = Callable[[str, PullProgress], None]

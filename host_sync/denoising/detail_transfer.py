@@ -65,7 +65,7 @@ class TransferBench:
         side = (TILE_PX + 2 * HALO_PX,) * 2
         self._colour = colour
         self._noise = noise
-        self._drawn = [noise.drawn(side, rng) for _ in PLACES]
+        self._drawn = [noise.sample(side, rng) for _ in PLACES]
 
     def measure(self, shrinkage: Shrinkage) -> DetailTransfer:
         """The transfer of a shrinkage."""

@@ -57,7 +57,7 @@ class FrameNoise:
         """The shrinkage of this noise; thresholds and shares kept by level."""
         return Shrinkage(self.whitening(), np.array(threshold, np.float32), np.array(kept, np.float32))
 
-    def drawn(self, shape: tuple[int, int], rng: np.random.Generator) -> Float32Array:
+    def sample(self, shape: tuple[int, int], rng: np.random.Generator) -> Float32Array:
         """Noise of the root of intensity: float32 array of shape (H, W, 3).
 
         White noise, each level of it so much louder that the sum's own levels have this noise's variance; what is

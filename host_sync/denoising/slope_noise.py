@@ -36,7 +36,7 @@ def measure_slope_noise(
 ) -> SlopeNoise:
     """The noise of slopes that a map reads at the places and colours of a calibration's samples."""
     rng = np.random.default_rng(0)
-    raw = noise.drawn((TILE_PX, TILE_PX), rng)
+    raw = noise.sample((TILE_PX, TILE_PX), rng)
     everywhere = np.ones(raw.shape[:2], np.bool_)
     flat = NormalizedImage(np.asarray((1.0 + raw) ** 2, np.float32), everywhere, ~everywhere)
     shrunk = root_of(np.ascontiguousarray(shrink(flat, shrinkage).values)) - np.float32(1.0)

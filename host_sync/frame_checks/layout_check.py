@@ -8,8 +8,8 @@ import numpy as np
 
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.surface.fields import Float32Array
-from host_sync.frame_checks.lamp_levels import cell_logs
 from host_sync.frame_checks.light_layout import CLEARLY_BETTER, find_exchanges, hidden_turns
+from host_sync.frame_checks.light_levels import cell_logs
 from host_sync.results.frame_check import FrameCheck, not_checked
 
 NAME = "light layout"

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.frame_checks.lamp_levels import LevelSight, SlopeResponse, pressed_levels, untouched_levels
+from host_sync.frame_checks.light_levels import LevelSight, SlopeResponse, pressed_levels, untouched_levels
 from host_sync.results.frame_check import FrameCheck, not_checked
 
 NAME: Final = "light levels"

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.frame_checks.lamp_levels import AGREEING
+from host_sync.frame_checks.light_levels import AGREEING
 from host_sync.results.frame_check import FrameCheck, not_checked
 
 NAME: Final = "light position"

@@ -36,7 +36,7 @@ def extrapolated(intensity: NormalizedImage, inverse: InverseMap, p: Float32Arra
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
     """
     out = np.empty(intensity.shape, np.bool_)
-    limit = np.float32((STEEPER * inverse.steepest) ** 2)
+    limit = np.float32((STEEPER * inverse.max_trained_slope) ** 2)
     parallel_rows(_mark, out.shape, p, q, limit, _strange(intensity, inverse), _step(intensity.shape), out)
     return out
 

@@ -20,7 +20,7 @@ from host_sync.library.index import files_by_hash
 from host_sync.library.library import Library
 from host_sync.library.set_aside import accept
 from host_sync.offload.bundle_transfer import Advance, RemoteBundle, download, verify
-from host_sync.offload.ledger import PullLog
+from host_sync.offload.pull_log import PullLog
 from host_sync.offload.source import Source
 
 MAX_UNDER_WAY: Final = 2

@@ -32,7 +32,7 @@ class CalibrationDoubt:
     p: Float32Array
     q: Float32Array
 
-    def drawn(self, normal: Float32Array) -> tuple[Float32Array, Float32Array]:
+    def sample(self, normal: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Slope errors (h, w) that the calibration allows, for K standard normal numbers."""
         p, q = (np.asarray(np.tensordot(normal, part, axes=1), np.float32) for part in (self.p, self.q))
         return p, q

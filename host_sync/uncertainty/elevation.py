@@ -65,14 +65,14 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
 
 
 def elevation_correction(
-    presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], taught: BallSamples, inverse: InverseMap
+    presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], training: BallSamples, inverse: InverseMap
 ) -> ElevationCorrection:
     """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
     radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
     shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
     apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))
     most = NEAREST_SHARE / max(apex_px, 1.0)
-    return ElevationCorrection(apex_px, radius_px, min(nearness_per_px(taught, inverse.shape), most))
+    return ElevationCorrection(apex_px, radius_px, min(nearness_per_px(training, inverse.shape), most))
 
 
 def _apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:

@@ -160,7 +160,7 @@ def height_uncertainty(
             for steep, rest in zip(steeper, bias, strict=True)
         )
         if doubt is not None:
-            unsure = doubt.drawn(rng.standard_normal(len(doubt.p), np.float32))
+            unsure = doubt.sample(rng.standard_normal(len(doubt.p), np.float32))
             p, q = p + unsure[0], q + unsure[1]
         draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         # Skin at rest is flat: by how much its heights differ, their zero is unknown.

@@ -27,18 +27,18 @@ MIN_SINGULAR_VALUE: Final = 0.1
 """Singular value, as a share of the largest, from which a combination of bends is taken; a dozen balls reach 0.19."""
 
 
-def nearness_per_px(taught: BallSamples, shape: tuple[int, int]) -> float:
+def nearness_per_px(training: BallSamples, shape: tuple[int, int]) -> float:
     """One over the height of the lights, per pixel of a full-size field (H, W); 0 for lights that are far away.
 
     0 too where no slope is gentle: then nothing tells it.
     """
-    gentle = np.flatnonzero(np.hypot(taught.p, taught.q) < GENTLE)
+    gentle = np.flatnonzero(np.hypot(training.p, training.q) < GENTLE)
     if gentle.size < MIN_SAMPLES:
         return 0.0
     rows = gentle[:: max(1, gentle.size // MAX_SAMPLES)]
-    slope = np.stack([taught.p[rows], taught.q[rows]], axis=-1).astype(np.float64)
-    place = field_position(taught.column[rows].astype(np.float64), taught.row[rows].astype(np.float64), shape)
-    brightness = lit_by(taught.intensity[rows], slope)
+    slope = np.stack([training.p[rows], training.q[rows]], axis=-1).astype(np.float64)
+    place = field_position(training.column[rows].astype(np.float64), training.row[rows].astype(np.float64), shape)
+    brightness = lit_by(training.intensity[rows], slope)
     features = direction_features(slope, monomials(place, PLACE_DEGREE))
     directions = _of_points(slope, place, brightness, shape)
     directions += np.linalg.lstsq(features, brightness - features @ directions, rcond=MIN_SINGULAR_VALUE)[0]

@@ -82,7 +82,7 @@ class _BallError:
 
 
 def measure_slope_error(
-    presses: Pressed, taught: BallSamples, fit: InverseFit, elevation: ElevationCorrection | None = None
+    presses: Pressed, training: BallSamples, fit: InverseFit, elevation: ElevationCorrection | None = None
 ) -> SlopeError:
     """The slope error on the balls of a calibration, which taught their samples.
 
@@ -93,7 +93,7 @@ def measure_slope_error(
     errors = list(_ball_errors(presses, fit.map))
     bands = _by_band(errors)
     sums = [_height_errors(error) for error in errors]
-    inflation = held_out_inflation(taught, fit)
+    inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     scale = float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0
     return SlopeError(
@@ -101,7 +101,7 @@ def measure_slope_error(
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
-        elevation=elevation or elevation_correction(presses, taught, fit.map),
+        elevation=elevation or elevation_correction(presses, training, fit.map),
         scale_share=(1.0 if known else inflation.throughout(noise_deg)) * scale,
     )
 

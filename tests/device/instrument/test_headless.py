@@ -8,7 +8,7 @@ import pytest
 
 from device.acquisition.selftest import selftest
 from device.cli.headless import run_headless
-from device.instrument.calibration_run import PATIENCE_S
+from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument
 from device.pairing_service.service import PairingSetup
 from device.store.store import BundleStore
@@ -179,7 +179,7 @@ def test_a_long_push_stops_a_calibration_by_the_button(calibrating: Board) -> No
 
 
 def test_a_calibration_without_pushes_ends(calibrating: Board) -> None:
-    calibrating.wired.bench.clock.sleep(PATIENCE_S - 10.0)
+    calibrating.wired.bench.clock.sleep(IDLE_TIMEOUT_S - 10.0)
     calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "calibrating"
     calibrating.wired.bench.clock.sleep(15.0)

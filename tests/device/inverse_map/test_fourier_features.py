@@ -21,7 +21,7 @@ def curve() -> FeatureRegressor:
     colours = random.lognormal(0.0, 0.3, (500, 3)).astype(np.float32)
     terms = (len(colour_exponents(2)) + WAVES, len(position_exponents(1)), 2)
     coefficients = random.standard_normal(terms).astype(np.float32)
-    return FeatureRegressor(FeatureScaler.observed(colours), 2, 1, coefficients, RandomFourierFeatures.drawn())
+    return FeatureRegressor(FeatureScaler.observed(colours), 2, 1, coefficients, RandomFourierFeatures.sample())
 
 
 def samples_of(sharpness: float) -> BallSamples:
@@ -43,8 +43,8 @@ def samples_of(sharpness: float) -> BallSamples:
 
 
 def test_waves_are_cosines_of_colour_and_the_same_each_time() -> None:
-    waves, variables = RandomFourierFeatures.drawn(), np.random.default_rng(1).normal(size=(2000, 3))
-    np.testing.assert_array_equal(waves.direction, RandomFourierFeatures.drawn().direction)
+    waves, variables = RandomFourierFeatures.sample(), np.random.default_rng(1).normal(size=(2000, 3))
+    np.testing.assert_array_equal(waves.direction, RandomFourierFeatures.sample().direction)
     values = waves.values(variables)
     np.testing.assert_allclose(
         values[:, 3], waves.amplitude * np.cos(variables @ waves.direction[:, 3] + waves.phase[3]), atol=1e-6

@@ -15,7 +15,7 @@ COVARIANCE = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -0.4], [0.5, -0.4, 6.0]]) * 1
 
 @pytest.mark.parametrize("ratios", [(1.0, 0.116, 0.0226), (1.0, 0.5, 0.3)])
 def test_drawn_noise_has_its_covariance_and_levels(ratios: tuple[float, float, float]) -> None:
-    noise = FrameNoise(COVARIANCE, np.array(ratios)).drawn((400, 400), np.random.default_rng(0))
+    noise = FrameNoise(COVARIANCE, np.array(ratios)).sample((400, 400), np.random.default_rng(0))
     details, _ = detail_planes(noise)
     np.testing.assert_allclose(robust_covariance(details[0].reshape(-1, 3)), COVARIANCE, rtol=0.15, atol=4e-7)
     power = [float((detail[16:-16, 16:-16] ** 2).mean()) for detail in details]
@@ -25,12 +25,12 @@ def test_drawn_noise_has_its_covariance_and_levels(ratios: tuple[float, float, f
 def test_noise_of_frames_is_found_beside_edges() -> None:
     known = FrameNoise(COVARIANCE, np.array([1.0, 0.3, 0.1]))
     rng = np.random.default_rng(1)
-    root = 1.0 + known.drawn((200, 260), rng)
+    root = 1.0 + known.sample((200, 260), rng)
     root[:, 60:64] += 0.2
     root[90:, :] *= 0.8
     everywhere = np.ones((200, 260), np.bool_)
     image = NormalizedImage((root**2).astype(np.float32), everywhere, ~everywhere)
-    untouched = ((1.0 + known.drawn((200, 260), rng)) ** 2).astype(np.float32)
+    untouched = ((1.0 + known.sample((200, 260), rng)) ** 2).astype(np.float32)
     found = measure_noise([(image, [Ball(70.0, 80.0, 50.0, 70.0), Ball(180.0, 80.0, 50.0, 70.0)])], [untouched])
     assert found is not None
     np.testing.assert_allclose(found.covariance, COVARIANCE, rtol=0.2, atol=6e-7)

@@ -86,7 +86,7 @@ def test_without_energy_only_the_share_in_any_case_is_kept() -> None:
 
 
 def test_the_recipe_takes_most_of_the_noise() -> None:
-    noise = NOISE.drawn((300, 300), np.random.default_rng(4))
+    noise = NOISE.sample((300, 300), np.random.default_rng(4))
     found = np.sqrt(shrink(image_of((1.0 + noise) ** 2), RECIPE).values) - 1.0
     before, after = (detail_planes(part.astype(np.float32))[0] for part in (noise, found))
     shares = [float(a.std() / b.std()) for a, b in zip(after, before, strict=True)]

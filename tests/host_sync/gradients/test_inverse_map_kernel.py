@@ -28,7 +28,7 @@ def colours(seed: int = 0) -> np.ndarray:
 
 def curve_of(degree: int, position_degree: int, *, linear: bool = False, wavy: bool = False) -> FeatureRegressor:
     random = np.random.default_rng(degree)
-    waves = RandomFourierFeatures.drawn() if wavy else RandomFourierFeatures.none()
+    waves = RandomFourierFeatures.sample() if wavy else RandomFourierFeatures.none()
     terms = (len(colour_exponents(degree)) + waves.count, len(position_exponents(position_degree)), 2)
     coefficients = (0.1 * random.standard_normal(terms)).astype(np.float32)
     return FeatureRegressor(

@@ -28,10 +28,10 @@ from host_sync.library.library import Library
 from host_sync.library.verification import verify_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ingest import ReceiptWriter
-from host_sync.offload.ledger import PullReport
 from host_sync.offload.mirror import SftpPlace, mirror_to_sftp
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import pull, sync
+from host_sync.offload.pull_log import PullReport
 from host_sync.offload.sftp import BLOCK_BYTES, RateFloor, SftpSource
 from host_sync.offload.sftp_link import Timeouts
 

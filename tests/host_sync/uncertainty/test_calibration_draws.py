@@ -48,7 +48,7 @@ def test_doubt_is_the_jackknifes_and_stands_where_replicas_part() -> None:
 def test_draws_spread_as_the_doubt_says_and_keep_its_shape() -> None:
     doubt = calibration_doubt(image(), [tilting(slope) for slope in (0.01, 0.02, 0.03)], SIZE)
     rng = np.random.default_rng(0)
-    drawn = np.stack([doubt.drawn(rng.standard_normal(3, np.float32))[0] for _ in range(400)])
+    drawn = np.stack([doubt.sample(rng.standard_normal(3, np.float32))[0] for _ in range(400)])
     expected = np.sqrt((doubt.p**2).sum(axis=0))
     np.testing.assert_allclose(drawn.std(axis=0)[:, [0, -1]], expected[:, [0, -1]], rtol=0.12)
     correlation = np.corrcoef(drawn[:, 15, 0], drawn[:, 15, -1])[0, 1]
@@ -59,7 +59,7 @@ def test_without_replicas_there_is_no_doubt_to_draw() -> None:
     doubt = calibration_doubt(image(), [], SIZE)
     assert doubt.p.shape == (0, 30, 40)
     assert doubt.sigma(SHAPE).max() == 0.0
-    assert np.abs(doubt.drawn(np.zeros(0, np.float32))[0]).max() == 0.0
+    assert np.abs(doubt.sample(np.zeros(0, np.float32))[0]).max() == 0.0
 
 
 def test_a_replica_of_a_full_size_map_is_read_on_the_reduced_field() -> None:
