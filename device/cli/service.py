@@ -34,9 +34,10 @@ EVERY_S: Final = 10.0
 class ServiceReport:
     """Reports one instrument's state to the service manager: ready, alive, status line.
 
-    A broken part is waited for `BROKEN_WAIT_S`; then it reports ready with a status that begins "out of order": a failed
-    start would be restarted again and again with a dark screen, whereas a started instrument shows the fault on screen and
-    indicator and still hands over its scans. An update that starts so is not kept (`board/retrograph-slot confirm`).
+    After `BROKEN_WAIT_S` an instrument with a broken part is reported as ready, with a status that begins "out of
+    order": a failed start would be restarted again and again with a dark screen, whereas a started instrument shows the
+    fault on screen and indicator and still hands over its scans. An update that starts so is not kept
+    (`board/retrograph-slot confirm`).
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from device.surface.fields import Float64Array
 from host_sync.certificate.specimen_file import SpecimenFile
 from host_sync.errors import MeasurementError
-from host_sync.measurement.height_draws import HeightDraws, StatedScale
+from host_sync.measurement.height_samples import HeightSamples, StatedScale
 from host_sync.measurement.quantity import Quantity, uncertainty_of
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.results.reader import ResultSurface
@@ -29,7 +29,7 @@ MIN_EXPLAINED: Final = 0.5
 
 
 def measured_period(specimen: SpecimenFile, surface: ResultSurface, scale: StatedScale) -> Quantity:
-    """The period along the specimen's line, and its ± from every surface that the result's draws allow.
+    """The period along the specimen's line, and its ± from every surface that the result's samples allow.
 
     scale : standard uncertainties that the calibration did not measure
 
@@ -45,12 +45,12 @@ def measured_period(specimen: SpecimenFile, surface: ResultSurface, scale: State
     profile = profile_along(surface.height.z_um, pitch_um, line)
     value = period_um(profile, specimen.certified_um, str(surface.folder))
     drawn = []
-    for one in HeightDraws(surface, scale).surfaces():
+    for one in HeightSamples(surface, scale).surfaces():
         seen = profile_along(one.z_um, pitch_um, line)
         try:
             drawn.append(one.stretch * period_um(seen, specimen.certified_um, str(surface.folder)))
         except MeasurementError:
-            drawn.append(float("nan"))  # as any number that a draw does not show
+            drawn.append(float("nan"))  # as any number that a sample does not show
     known = uncertainty_of(value, np.array(drawn))
     return Quantity(
         subject=specimen.name,
@@ -60,7 +60,7 @@ def measured_period(specimen: SpecimenFile, surface: ResultSurface, scale: State
         uncertainty=known[0] if known else None,
         coverage_factor=1,
         offset=known[1] if known else None,
-        draws=known[2] if known else 0,
+        samples=known[2] if known else 0,
         masked_share=profile.masked_share,
     )
 

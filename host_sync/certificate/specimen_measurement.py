@@ -15,7 +15,7 @@ import numpy as np
 from host_sync.certificate.period import measured_period
 from host_sync.certificate.specimen_file import SpecimenFile
 from host_sync.errors import MeasurementError
-from host_sync.measurement.height_draws import StatedScale
+from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Place, RadiusTable, Recipe, StepTable

@@ -95,8 +95,8 @@ def _measured(rows: Sequence[GageRow], recipe: Recipe, number: str) -> tuple[lis
     subject, _, name = number.rpartition("/")
     found = []
     unit = ""
-    # The spread of the repeats replaces the draws.
-    for row, measurement in zip(rows, measured([Path(row.value) for row in rows], recipe, draws=False), strict=True):
+    # The spread of the repeats replaces the samples.
+    for row, measurement in zip(rows, measured([Path(row.value) for row in rows], recipe, samples=False), strict=True):
         if isinstance(measurement, str):
             raise MeasurementError(measurement)
         known = {(one.subject, one.name): one for one in measurement.quantities}

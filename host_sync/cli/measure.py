@@ -149,7 +149,7 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
     return found
 
 
-def measured(folders: Sequence[Path | str], recipe: Recipe, *, draws: bool = True) -> Iterator[Measurement | str]:
+def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:
     """The measurement of each folder in turn, or a sentence that says why there is none."""
     with status_spinner() as tell:
         tell("loading compiled code")
@@ -160,7 +160,7 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, draws: bool = Tru
                 yield folder
                 continue
             try:
-                yield measure_result(folder, recipe, tell, draws=draws)
+                yield measure_result(folder, recipe, tell, samples=samples)
             except (DeviceError, HostError) as error:
                 words = str(error)
                 yield words if words.startswith(str(folder)) else f"{folder}: {words}"

@@ -56,7 +56,7 @@ def read_surface(folder: Path) -> SourceSurface:
     ExportError
         No height is valid.
     """
-    result = read_result(folder, draws=False)
+    result = read_result(folder, samples=False)
     record = result.record
     parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *record.warnings)
     return checked_surface(

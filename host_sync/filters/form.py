@@ -2,7 +2,7 @@
 
 A polynomial of degree n has the terms column^i row^j with i + j <= n. Its normal equations are sums over rows and
 columns in the form of matrix products, a fraction of a second for 12 megapixels; the matrix depends on the mask only
-and is computed once for a surface and its draws.
+and is computed once for a surface and its samples.
 """
 
 from __future__ import annotations

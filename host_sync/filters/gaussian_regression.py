@@ -6,7 +6,7 @@ Why a local plane: at borders and beside holes some weights are missing, and a w
 slope. The filter returns the value of the weighted least-squares plane: a tilt passes unchanged everywhere, and where
 no pixel is missing the value equals the mean.
 
-Terms that depend on the mask only are computed once for a surface and its draws.
+Terms that depend on the mask only are computed once for a surface and its samples.
 """
 
 from __future__ import annotations

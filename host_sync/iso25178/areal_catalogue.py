@@ -42,7 +42,7 @@ FUNCTIONAL: Final = {
     "Vvv": _PER_AREA,
 }
 SHAPE: Final = frozenset({"Ssk", "Spk", "Smr1", "Str"})
-"""Parameters of shape. Without an L-filter, waviness dominates them; slopes determine it least and the draws do not
+"""Parameters of shape. Without an L-filter, waviness dominates them; slopes determine it least and the samples do not
 contain
 its error, so no uncertainty is stated."""
 

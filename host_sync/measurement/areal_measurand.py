@@ -62,7 +62,7 @@ class ArealMeasurand:
 
     @property
     def without_sigma(self) -> frozenset[str]:
-        """Parameters whose uncertainty the draws do not give."""
+        """Parameters whose uncertainty the samples do not give."""
         return frozenset() if self._recipe.l_filter_um is not None else SHAPE
 
     def surface(self, z_um: Float32Array) -> HeightMap:

@@ -1,8 +1,8 @@
-"""Height noise that is finer than the reduced grid of the draws.
+"""Height noise that is finer than the reduced grid of the samples.
 
-A cell of the draws covers several pixels. Slope uncertainty beyond the slopes of the draws is noise from pixel to
+A cell of the samples covers several pixels. Slope uncertainty beyond the slopes of the samples is noise from pixel to
 pixel; integration turns it into heights that are correlated over a few pixels only. One periodic tile of such noise is
-made: white slopes, integrated by least squares, minus the part that the cells represent. Each draw lays it over the
+made: white slopes, integrated by least squares, minus the part that the cells represent. Each sample lays it over the
 field at a random place, scaled by the missing uncertainty.
 """
 
@@ -21,16 +21,16 @@ SMOOTHINGS_PX: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Standard deviations of the Gaussians that make white noise as smooth as measured noise is."""
 
 SMOOTH_CELLS: Final = 4.0
-"""Standard deviation of the Gaussian that smooths the slope variance of the draws, cells."""
+"""Standard deviation of the Gaussian that smooths the slope variance of the samples, cells."""
 
 
 class FineNoise:
-    """Noise at scales between a pixel and a cell of the draws.
+    """Noise at scales between a pixel and a cell of the samples.
 
     Parameters
     ----------
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid
-    draws_um : float32 array of shape (K, h, w)
+    samples_um : float32 array of shape (K, h, w)
     pitch_um : pixel pitch, µm
     height_px : measured noise of heights over noise of slopes, pixels; correlated noise has more
     """
@@ -38,19 +38,20 @@ class FineNoise:
     def __init__(
         self,
         slope_sigma: Float32Array,
-        draws_um: Float32Array,
+        samples_um: Float32Array,
         pitch_um: float,
         height_px: float | None = None,
     ) -> None:
         rows, columns = slope_sigma.shape
-        cell_px = columns / draws_um.shape[2]
-        held = cv2.resize(_slope_square(draws_um, cell_px * pitch_um), (columns, rows), interpolation=cv2.INTER_LINEAR)
+        cell_px = columns / samples_um.shape[2]
+        square = _slope_square(samples_um, cell_px * pitch_um)
+        held = cv2.resize(square, (columns, rows), interpolation=cv2.INTER_LINEAR)
         missing = np.sqrt(np.maximum(np.nan_to_num(slope_sigma) ** 2 - held, np.float32(0.0)))
         self._scale_um = np.asarray(missing * np.float32(pitch_um), np.float32)
         self._tile = _unit_tile(round(cell_px), height_px)
 
-    def draw_um(self, rng: np.random.Generator) -> Float32Array:
-        """One draw: float32 array of shape (H, W), µm."""
+    def sample_um(self, rng: np.random.Generator) -> Float32Array:
+        """One sample: float32 array of shape (H, W), µm."""
         tile = np.roll(self._tile, rng.integers(0, TILE_PX, 2), (0, 1))
         if rng.integers(2):
             tile = tile.T
@@ -59,12 +60,12 @@ class FineNoise:
         return np.asarray(np.tile(tile, repeats)[:rows, :columns] * self._scale_um, np.float32)
 
 
-def _slope_square(draws_um: Float32Array, cell_um: float) -> Float32Array:
-    """Mean square of either slope over the draws: float32 array of shape (h, w)."""
-    total = np.zeros(draws_um.shape[1:], np.float32)
-    for draw_um in draws_um:
-        q, p = np.gradient(draw_um / np.float32(cell_um))
-        total += (p * p + q * q) / np.float32(2 * len(draws_um))
+def _slope_square(samples_um: Float32Array, cell_um: float) -> Float32Array:
+    """Mean square of either slope over the samples: float32 array of shape (h, w)."""
+    total = np.zeros(samples_um.shape[1:], np.float32)
+    for sample_um in samples_um:
+        q, p = np.gradient(sample_um / np.float32(cell_um))
+        total += (p * p + q * q) / np.float32(2 * len(samples_um))
     return np.asarray(cv2.GaussianBlur(total, (0, 0), SMOOTH_CELLS), np.float32)
 
 

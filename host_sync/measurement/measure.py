@@ -14,7 +14,7 @@ from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
-from host_sync.measurement.height_draws import DrawnSurface, HeightDraws
+from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.measurands import (
     AngleMeasurand,
     DistanceMeasurand,
@@ -35,7 +35,7 @@ from host_sync.measurement.quantity import (
 )
 from host_sync.measurement.recipe import Recipe
 from host_sync.profile.profile_line import Profile
-from host_sync.results.files import DRAWS_FILE, SLOPE_SIGMA_FILE
+from host_sync.results.files import SAMPLES_FILE, SLOPE_SIGMA_FILE
 from host_sync.results.reader import ResultSurface, read_result
 
 DIRECTION: Final = "Std"
@@ -119,11 +119,11 @@ class _MeasurementPlan:
 
 
 def measure_result(
-    folder: Path, recipe: Recipe, tell: Callable[[str], None] = lambda _: None, *, draws: bool = True
+    folder: Path, recipe: Recipe, tell: Callable[[str], None] = lambda _: None, *, samples: bool = True
 ) -> Measurement:
     """The measurement of a result folder.
 
-    draws : whether to compute uncertainties; without them a measurement takes a fraction of the time
+    samples : whether to compute uncertainties; without them a measurement takes a fraction of the time
 
     Raises
     ------
@@ -134,7 +134,7 @@ def measure_result(
     """
     tell(f"{folder.name}: reading")
     surface = read_result(folder)
-    return measure(surface if draws else replace(surface, draws_um=None), recipe, tell)
+    return measure(surface if samples else replace(surface, samples_um=None), recipe, tell)
 
 
 def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] = lambda _: None) -> Measurement:
@@ -143,16 +143,16 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     surface = surface.with_detail(recipe.detail or "raw")
     plan = _MeasurementPlan(surface, smooth.height, recipe)
     found = plan.evaluate(surface.height.z_um, smooth.height.z_um)
-    draws = HeightDraws(surface, recipe.scale)
-    raised = _raised(plan, found, draws.noisier())
+    samples = HeightSamples(surface, recipe.scale)
+    raised = _raised(plan, found, samples.noisier())
     drawn: list[Sequence[Numbers]] = []
     squares = [np.zeros_like(trace) for trace in found.traces]
-    for number, (allowed, smoother) in enumerate(_drawn(draws, surface, smooth, recipe), start=1):
-        tell(f"{surface.folder.name}: draw {number} of {len(draws)}")
+    for number, (allowed, smoother) in enumerate(_drawn(samples, surface, smooth, recipe), start=1):
+        tell(f"{surface.folder.name}: sample {number} of {len(samples)}")
         try:
             sample = plan.evaluate(allowed.z_um, smoother.z_um, allowed.stretch)
         except MeasurementError:
-            continue  # a sample without the measurand gives no value; each quantity states its number of draws
+            continue  # a sample without the measurand gives no value; each quantity states its number of samples
         drawn.append(sample.numbers)
         for square, trace, first in zip(squares, sample.traces, found.traces, strict=True):
             square += (trace - first) ** 2
@@ -163,7 +163,7 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
         record=surface.record,
         recipe=recipe,
         quantities=tuple(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised)),
-        notes=(*plan.areal.notes(), *_notes(surface, recipe, len(draws))),
+        notes=(*plan.areal.notes(), *_notes(surface, recipe, len(samples))),
         height=smooth.height,
         surface=found.surface,
         sigma_um=surface.sigma_um,
@@ -176,12 +176,12 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
 
 
 def _drawn(
-    draws: HeightDraws, surface: ResultSurface, smooth: ResultSurface, recipe: Recipe
-) -> Iterator[tuple[DrawnSurface, DrawnSurface]]:
-    """Every draw on the surface for roughness and on that for steps and radii, which may be one."""
+    samples: HeightSamples, surface: ResultSurface, smooth: ResultSurface, recipe: Recipe
+) -> Iterator[tuple[SampledSurface, SampledSurface]]:
+    """Every sample on the surface for roughness and on that for steps and radii, which may be one."""
     if smooth.detail == surface.detail:
-        return ((drawn, drawn) for drawn in draws.surfaces())
-    return zip(draws.surfaces(), HeightDraws(smooth, recipe.scale).surfaces(), strict=True)
+        return ((drawn, drawn) for drawn in samples.surfaces())
+    return zip(samples.surfaces(), HeightSamples(smooth, recipe.scale).surfaces(), strict=True)
 
 
 def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float32Array]) -> Sequence[Numbers]:
@@ -228,14 +228,14 @@ def _quantities(
             others = np.array([sample[index][name] for sample in drawn])
             known = uncertainty_of(value, others, is_direction=name == DIRECTION)
             if known and known[0] == 0.0:
-                known = None  # the draws do not vary it: a lateral length whose pitch has no uncertainty
+                known = None  # the samples do not vary it: a lateral length whose pitch has no uncertainty
             words = (*warnings.get("", ()), *warnings.get(name, ()))
             if known and measurand is plan.areal and name in plan.areal.without_sigma:
                 known, words = None, (*words, NO_SHAPE_SIGMA)
             taken = noise[index].get(name) if index < len(noise) else None
             if known and taken is not None:
                 value -= taken
-                # Its spread over the draws, and beside it the uncertainty of the noise.
+                # Its spread over the samples, and beside it the uncertainty of the noise.
                 spread = float(np.sqrt(max(known[0] ** 2 - known[1] ** 2, 0.0)))
                 known = float(np.hypot(spread, NOISE_SHARE_UNSURE * taken)), 0.0, known[2]
             if known and abs(known[1]) > max(NOISE_WARNING * known[0], NOISE_SHARE * abs(value)):
@@ -250,21 +250,24 @@ def _quantities(
                 coverage_factor=factor,
                 offset=known[1] if known else None,
                 noise_taken_off=taken if known else None,
-                draws=known[2] if known else 0,
+                samples=known[2] if known else 0,
                 masked_share=measurand.masked_share,
                 warnings=words,
             )
 
 
-def _notes(surface: ResultSurface, recipe: Recipe, draws: int) -> Iterable[str]:
-    """Notes on all numbers: draws, scale, warnings of the reconstruction."""
-    if draws:
-        own = uncertainty_of_uncertainty(draws)
-        yield f"± from {draws} draws of the height error; the relative uncertainty of each ± is {own:.0%} (k = 1)"
+def _notes(surface: ResultSurface, recipe: Recipe, samples: int) -> Iterable[str]:
+    """Notes on all numbers: samples, scale, warnings of the reconstruction."""
+    if samples:
+        own = uncertainty_of_uncertainty(samples)
+        yield (
+            f"± from {samples} Monte Carlo samples of the height error; "
+            f"the relative uncertainty of each ± is {own:.0%} (k = 1)"
+        )
     else:
-        yield f"± not known: the result holds no {DRAWS_FILE}: reconstruct the scan again"
-    if draws and surface.slope_sigma is None:
-        yield f"± without pixel noise finer than the draws: the result holds no {SLOPE_SIGMA_FILE}"
+        yield f"± not known: the result holds no {SAMPLES_FILE}: reconstruct the scan again"
+    if samples and surface.slope_sigma is None:
+        yield f"± without pixel noise finer than the samples: the result holds no {SLOPE_SIGMA_FILE}"
     scale = surface.record.height_scale
     for name, measured, stated in (
         ("pixel pitch", scale.pixel_pitch_share, recipe.scale.pixel_pitch_share),
@@ -276,7 +279,7 @@ def _notes(surface: ResultSurface, recipe: Recipe, draws: int) -> Iterable[str]:
             yield f"scale: ± of the {name} is included, {stated:.2%} as stated by the recipe"
         else:
             yield f"scale: ± of the {name} is not known and not included: set scale.{name.replace(' ', '_')}_share"
-    if draws and recipe.scale.unlike_balls_share:
+    if samples and recipe.scale.unlike_balls_share:
         yield f"scale: ± of {recipe.scale.unlike_balls_share:.1%} is included, for surfaces unlike the balls"
     for warning in surface.record.warnings:
         yield f"reconstruction: {warning}"

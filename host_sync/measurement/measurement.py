@@ -15,7 +15,7 @@ from host_sync.results.record import ResultRecord
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredProfile:
-    """A profile and its standard uncertainty: float64 array of shape (N,), µm; None without draws."""
+    """A profile and its standard uncertainty: float64 array of shape (N,), µm; None without samples."""
 
     name: str
     line: Line
@@ -25,7 +25,7 @@ class MeasuredProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSpectrum:
-    """A power spectral density and its standard uncertainty: float64 array of shape (N,), µm³; None without draws."""
+    """A power spectral density and its standard uncertainty: float64 array of shape (N,), µm³; None without samples."""
 
     spectrum: PowerSpectrum
     sigma_um3: Float64Array | None

@@ -118,7 +118,7 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
         one.coverage_factor,
         one.unit,
         f"{100.0 * one.masked_share:.4g}",
-        one.draws,
+        one.samples,
         "" if one.offset is None else repr(one.offset),
         _harmless("; ".join(one.warnings)),
     ]

@@ -24,11 +24,11 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     subject : the surface, or the recipe's name of a line, place or region
     name, unit : the parameter; a pure number has an empty unit
     value : None where it is not defined
-    uncertainty : expanded uncertainty (coverage factor times standard uncertainty); None without draws
+    uncertainty : expanded uncertainty (coverage factor times standard uncertainty); None without samples
     coverage_factor : k
-    offset : noise bias, estimated from the draws; it is not subtracted
+    offset : noise bias, estimated from the samples; it is not subtracted
     noise_taken_off : noise bias of the pixels that was subtracted; None where nothing was
-    draws : number of draws that gave a value
+    samples : number of Monte Carlo samples that gave a value; `draws` in files
     masked_share : fraction of the subject without a height
     warnings : reasons to distrust the number; `doubts` in files
     """
@@ -40,7 +40,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     uncertainty: float | None
     coverage_factor: int
     offset: float | None
-    draws: int
+    samples: int = msgspec.field(name="draws")
     masked_share: float
     warnings: tuple[str, ...] = msgspec.field(default=(), name="doubts")
     noise_taken_off: float | None = None
@@ -79,11 +79,11 @@ def decimals(uncertainty: float) -> int:
 
 
 def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:
-    """Standard uncertainty of a number, its noise bias, and the number of draws with a value; None with too few.
+    """Standard uncertainty of a number, its noise bias, and the number of samples with a value; None with too few.
 
-    The uncertainty combines the spread of the draws about their mean with the noise bias, which is not subtracted.
+    The uncertainty combines the spread of the samples about their mean with the noise bias, which is not subtracted.
 
-    drawn : float64 array of shape (K,), NaN where a draw gave no value
+    drawn : float64 array of shape (K,), NaN where a sample gave no value
     is_direction : an angle in degrees with a period of 180°
     """
     seen = drawn[np.isfinite(drawn)]
@@ -109,6 +109,6 @@ def noise_bias(value: float, offset: float) -> float:
     return offset if value <= 0.0 else value - float(np.sqrt(max(square, 0.0)))
 
 
-def uncertainty_of_uncertainty(draws: int) -> float:
-    """Relative standard uncertainty of an uncertainty from K draws, 1 / sqrt(2 K)."""
-    return float(1.0 / np.sqrt(2.0 * draws)) if draws else float("nan")
+def uncertainty_of_uncertainty(samples: int) -> float:
+    """Relative standard uncertainty of an uncertainty from K samples, 1 / sqrt(2 K)."""
+    return float(1.0 / np.sqrt(2.0 * samples)) if samples else float("nan")

@@ -1,7 +1,7 @@
 """Least-squares sphere of a surface (Gaussian associated sphere).
 
 The linear algebraic fit is the start; Gauss-Newton then minimises the squared distances. Each step is one compiled
-pass, because the fit runs over every pixel of the field and of every draw.
+pass, because the fit runs over every pixel of the field and of every sample.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SphereForm:
     def remove(self, z_um: Float32Array) -> Float32Array:
         """Heights above the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
 
-        Pixels beside the first surface's sphere stay invalid in later ones, so that a surface and its draws are
+        Pixels beside the first surface's sphere stay invalid in later ones, so that a surface and its samples are
         compared on the same pixels.
         """
         self._last = sphere = fit_sphere(z_um, self._pitch_um, self._last)

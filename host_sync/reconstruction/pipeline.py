@@ -26,7 +26,7 @@ from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
 from host_sync.results.detail_name import DetailName
 from host_sync.results.frame_check import FrameCheck, refusals
-from host_sync.uncertainty.calibration_draws import calibration_doubt
+from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     NOISE_KEPT,
     flat_bias,
@@ -45,7 +45,7 @@ class Reconstruction:
     method : the method that estimated the slopes
     height : the height map, zero at untouched skin
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm
-    draws_um : float32 array of shape (K, h, w), height errors that the data allow, over the field reduced, µm
+    samples_um : float32 array of shape (K, h, w), height errors that the data allow, over the field reduced, µm
     p, q : float32 arrays of shape (H, W), slopes of the height map
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either of them
     gradients : the slopes as estimated per pixel, before integration
@@ -63,7 +63,7 @@ class Reconstruction:
     method: Method
     height: HeightMap
     sigma_um: Float32Array
-    draws_um: Float32Array
+    samples_um: Float32Array
     p: Float32Array
     q: Float32Array
     slope_sigma: Float32Array
@@ -130,7 +130,7 @@ def reconstruct(
     contradiction = nonintegrable_residual(gradients, p, q)
     resting = flat_bias(calibration.inverse.map)
     replicas = calibration.inverse.replicas if chosen == "direct" else ()
-    doubt = calibration_doubt(intensity, replicas, reduced_size(p.shape))
+    doubt = calibration_uncertainty(intensity, replicas, reduced_size(p.shape))
     known = height_uncertainty(
         height, gradients, contradiction, error, resting, datum, known_scale_share(calibration), doubt=doubt
     )
@@ -149,7 +149,7 @@ def reconstruct(
         method=chosen,
         height=height,
         sigma_um=known.sigma_um,
-        draws_um=known.draws_um,
+        samples_um=known.samples_um,
         p=p,
         q=q,
         slope_sigma=steepness_sigma,

@@ -24,13 +24,13 @@ from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import (
     DETAIL_FILE,
     DETAIL_PICTURE_FILE,
-    DRAWS_FILE,
     EXTRAPOLATED_FILE,
     HEIGHT_FILE,
     HEIGHT_SIGMA_FILE,
     OTHER_HEIGHT_FILES,
     RECORD_FILE,
     RELIEF_FILE,
+    SAMPLES_FILE,
     SLOPE_P_FILE,
     SLOPE_Q_FILE,
     SLOPE_SIGMA_FILE,
@@ -78,7 +78,7 @@ def write_result(
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
             jobs.append(writers.submit(write_mask, folder / EXTRAPOLATED_FILE, reconstruction.extrapolated))
-            jobs.append(writers.submit(write_draws, folder / DRAWS_FILE, reconstruction, calibration.pitch_um))
+            jobs.append(writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um))
             for job in jobs:
                 job.result()
         detail_record = None if band is None else _write_detail(folder, reconstruction.height, band, name)
@@ -103,13 +103,13 @@ def _write_detail(folder: Path, height: HeightMap, band: DetailBand, name: str) 
     )
 
 
-def write_draws(path: Path, reconstruction: Reconstruction, pitch_um: float) -> None:
+def write_samples(path: Path, reconstruction: Reconstruction, pitch_um: float) -> None:
     """Write the height errors that the data allow, float32 TIFF of one page a draw, µm, over the field reduced."""
-    draws_um = reconstruction.draws_um
-    reduced_um = pitch_um * reconstruction.p.shape[1] / draws_um.shape[2]
+    samples_um = reconstruction.samples_um
+    reduced_um = pitch_um * reconstruction.p.shape[1] / samples_um.shape[2]
     tifffile.imwrite(
         path,
-        draws_um,
+        samples_um,
         photometric="minisblack",
         compression="zlib",
         predictor=True,

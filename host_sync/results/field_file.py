@@ -1,7 +1,7 @@
 """Fields and masks on disk: float32 TIFF and PNG, written plainly and read with every declared size checked first.
 
 A TIFF of a few kilobytes can declare gigabytes. Before anything is decoded, the declared size is compared with the
-pixel budget and with what the file holds: fields are not compressed, and the segments of draws are inflated to count.
+pixel budget and with what the file holds: fields are not compressed, and the segments of samples are inflated to count.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def read_field(path: Path, shape: tuple[int, int] | None = None) -> Float32Array
         return np.asarray(tiff.asarray(), np.float32)
 
 
-def read_draws(path: Path, max_values: int = MAX_PIXELS) -> Float32Array:
+def read_samples(path: Path, max_values: int = MAX_PIXELS) -> Float32Array:
     """Monte Carlo samples of the height error: float32 array of shape (K, h, w).
 
     Raises

@@ -12,19 +12,19 @@ import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
 from host_sync.results.detail_name import DetailName, other_detail
-from host_sync.results.field_file import MAX_TILE_VALUES, read_draws, read_field, read_mask
+from host_sync.results.field_file import MAX_TILE_VALUES, read_field, read_mask, read_samples
 from host_sync.results.files import (
-    DRAWS_FILE,
     EXTRAPOLATED_FILE,
     HEIGHT_FILE,
     HEIGHT_SIGMA_FILE,
     OTHER_HEIGHT_FILES,
+    SAMPLES_FILE,
     SLOPE_SIGMA_FILE,
 )
 from host_sync.results.record import ResultRecord, read_record
 
 MAX_DRAW_RATIO: Final = 4
-"""Values of all draws over those of the height map; honest results stay below 1."""
+"""Values of all samples over those of the height map; honest results stay below 1."""
 
 MAX_SQUARE: Final = np.float32(9.0)
 """Largest p² + q² for which the slope noise is looked up; steeper pixels are as noisy as these."""
@@ -36,7 +36,7 @@ FieldT = TypeVar("FieldT")
 class ResultSurface:
     """One reconstruction's surface and its uncertainty; a field is None when the folder does not hold it.
 
-    draws_um : float32 array of shape (K, h, w), Monte Carlo samples of the height error on a reduced grid, µm
+    samples_um : float32 array of shape (K, h, w), Monte Carlo samples of the height error on a reduced grid, µm
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training samples
@@ -46,7 +46,7 @@ class ResultSurface:
     folder: Path
     record: ResultRecord
     height: HeightMap
-    draws_um: Float32Array | None = None
+    samples_um: Float32Array | None = None
     slope_sigma: Float32Array | None = None
     sigma_um: Float32Array | None = None
     extrapolated: MaskArray | None = None
@@ -100,10 +100,10 @@ def _squared_slope(height: HeightMap) -> Float32Array:
     return np.asarray(np.nan_to_num(np.minimum(across * across + down * down, MAX_SQUARE)), np.float32)
 
 
-def read_result(folder: Path, *, draws: bool = True) -> ResultSurface:
+def read_result(folder: Path, *, samples: bool = True) -> ResultSurface:
     """The surface in a result folder.
 
-    draws : whether to read the Monte Carlo samples and the slope uncertainty too
+    samples : whether to read the Monte Carlo samples and the slope uncertainty too
 
     Raises
     ------
@@ -112,7 +112,7 @@ def read_result(folder: Path, *, draws: bool = True) -> ResultSurface:
     """
     record = read_record(folder)
     shape = (record.rows, record.columns)
-    limit = max_draw_values(shape)
+    limit = max_sample_values(shape)
     other = _optional(
         folder / OTHER_HEIGHT_FILES[other_detail(record.surface_detail)], lambda path: read_field(path, shape)
     )
@@ -120,15 +120,15 @@ def read_result(folder: Path, *, draws: bool = True) -> ResultSurface:
         folder=folder,
         record=record,
         height=HeightMap(read_field(folder / HEIGHT_FILE, shape), record.pixel_pitch_um),
-        draws_um=_optional(folder / DRAWS_FILE, lambda path: read_draws(path, limit)) if draws else None,
-        slope_sigma=_optional(folder / SLOPE_SIGMA_FILE, lambda path: read_field(path, shape)) if draws else None,
+        samples_um=_optional(folder / SAMPLES_FILE, lambda path: read_samples(path, limit)) if samples else None,
+        slope_sigma=_optional(folder / SLOPE_SIGMA_FILE, lambda path: read_field(path, shape)) if samples else None,
         sigma_um=_optional(folder / HEIGHT_SIGMA_FILE, lambda path: read_field(path, shape)),
         extrapolated=_optional(folder / EXTRAPOLATED_FILE, lambda path: read_mask(path, shape)),
         other=None if other is None else HeightMap(other, record.pixel_pitch_um),
     )
 
 
-def max_draw_values(shape: tuple[int, int]) -> int:
+def max_sample_values(shape: tuple[int, int]) -> int:
     """Most values in the Monte Carlo samples of a height map: they are on a reduced grid."""
     return max(MAX_DRAW_RATIO * shape[0] * shape[1], MAX_TILE_VALUES)
 

@@ -28,7 +28,7 @@ RecordT = TypeVar("RecordT", bound=msgspec.Struct)
 
 
 class HeightScale(msgspec.Struct, frozen=True):
-    """Standard uncertainties of the scale; None is not measured. The draws of the height contain the measured parts.
+    """Standard uncertainties of the scale; None is not measured. The samples of the height contain the measured parts.
 
     pixel_pitch_sigma_um : of the pixel pitch, µm
     pixel_pitch_share, ball_radius_share, height_share : relative, of pitch, ball radius and height

@@ -1,6 +1,6 @@
-"""Uncertainty of slopes by their tilt, and of heights by drawing slope errors and integrating each draw.
+"""Uncertainty of slopes by their tilt, and of heights by integrating Monte Carlo samples of the slope errors.
 
-Slope errors are correlated over the field, so that no formula per pixel can give the height's. The draws are levelled
+Slope errors are correlated over the field, so that no formula per pixel can give the height's. The samples are levelled
 as the height map is: σ is that of the height above untouched skin, which is what the user sees. They are kept, for a
 number that is later taken from the height map (a roughness, a step) has an uncertainty only through them.
 """
@@ -17,7 +17,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum
-from host_sync.uncertainty.calibration_draws import CalibrationDoubt
+from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
     removed_slope,
@@ -27,7 +27,7 @@ from host_sync.uncertainty.kernels import (
 )
 from host_sync.uncertainty.slope_error import SlopeError
 
-DRAWS: Final = 16
+SAMPLES: Final = 16
 WIDEST_PX: Final = 512
 """Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
 
@@ -81,12 +81,12 @@ class HeightUncertainty:
     """What is known of a height map's errors.
 
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
-    draws_um : float32 array of shape (DRAWS, h, w), height errors that the data allow, µm, over the same field reduced;
-        each levelled as the height map is, scale included
+    samples_um : float32 array of shape (SAMPLES, h, w), Monte Carlo samples of the height error over the same field
+        reduced, µm; each levelled as the height map is, scale included
     """
 
     sigma_um: Float32Array
-    draws_um: Float32Array
+    samples_um: Float32Array
 
 
 def reduced_size(shape: tuple[int, ...]) -> tuple[int, int]:
@@ -130,9 +130,9 @@ def height_uncertainty(
     datum: Datum,
     scale_share: float = 0.0,
     seed: int = 0,
-    doubt: CalibrationDoubt | None = None,
+    doubt: CalibrationUncertainty | None = None,
 ) -> HeightUncertainty:
-    """Standard uncertainty of the height, and the draws it comes from.
+    """Standard uncertainty of the height, and the samples it comes from.
 
     height : levelled, zero at untouched skin
     contradiction : as `nonintegrable_residual` returns it
@@ -152,8 +152,8 @@ def height_uncertainty(
     zero /= max(float(zero.sum()), 1e-6)
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
-    draws_um = np.empty((DRAWS, *z_small.shape), np.float32)
-    for draw_um in draws_um:
+    samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
+    for sample_um in samples_um:
         raised, tilted = rng.standard_normal(2, np.float32)
         p, q = (
             _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
@@ -162,12 +162,12 @@ def height_uncertainty(
         if doubt is not None:
             unsure = doubt.sample(rng.standard_normal(len(doubt.p), np.float32))
             p, q = p + unsure[0], q + unsure[1]
-        draw_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
+        sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         # Skin at rest is flat: by how much its heights differ, their zero is unknown.
-        draw_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((draw_um * zero).sum())
-    sigma = cv2.resize(np.sqrt((draws_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
-    draws_um += np.float32(share) * rng.standard_normal((DRAWS, 1, 1)).astype(np.float32) * z_small
-    return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), draws_um)
+        sample_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((sample_um * zero).sum())
+    sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    samples_um += np.float32(share) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32) * z_small
+    return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), samples_um)
 
 
 def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:

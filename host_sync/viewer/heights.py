@@ -11,9 +11,9 @@ import numpy as np
 
 from device.surface.fields import Float32Array
 from host_sync.errors import ViewError
-from host_sync.results.field_file import read_draws, read_field, read_stack_page
-from host_sync.results.files import DRAWS_FILE, HEIGHT_SIGMA_FILE
-from host_sync.results.reader import max_draw_values
+from host_sync.results.field_file import read_field, read_samples, read_stack_page
+from host_sync.results.files import HEIGHT_SIGMA_FILE, SAMPLES_FILE
+from host_sync.results.reader import max_sample_values
 from host_sync.viewer.entry import Entry
 
 KEPT: Final = 3
@@ -56,7 +56,7 @@ class Heights:
             return None
         return self._holding((entry.stamp(), path.name), lambda: read_field(path, entry.shape))
 
-    def draws(self, entry: Entry) -> Float32Array | None:
+    def samples(self, entry: Entry) -> Float32Array | None:
         """Monte Carlo samples of the height error, float32 array of shape (K, h, w), µm; None when there are none.
 
         Raises
@@ -64,10 +64,10 @@ class Heights:
         UnreadableResult
             They are damaged.
         """
-        path = entry.folder / DRAWS_FILE
+        path = entry.folder / SAMPLES_FILE
         if entry.kind != "result" or not path.is_file():
             return None
-        return self._holding((entry.stamp(), path.name), lambda: read_draws(path, max_draw_values(entry.shape)))
+        return self._holding((entry.stamp(), path.name), lambda: read_samples(path, max_sample_values(entry.shape)))
 
     def _holding(self, key: tuple[str, int | str], read: Callable[[], Float32Array]) -> Float32Array:
         with self._lock:

@@ -22,32 +22,32 @@ class MeasuredLine(Profile):
 
     rows, columns : float64 arrays of shape (N,), places of the samples, px
     sigma_um : float64 array of shape (N,), standard uncertainty of each height above untouched skin; None if unknown
-    draws_um : float64 array of shape (K, N), Monte Carlo samples of the error along the line; None if there are none
+    samples_um : float64 array of shape (K, N), Monte Carlo samples of the error along the line; None if there are none
     """
 
     rows: Float64Array
     columns: Float64Array
     sigma_um: Float64Array | None
-    draws_um: Float64Array | None
+    samples_um: Float64Array | None
 
     def difference_sigma_um(self, first: int, last: int) -> float | None:
         """Standard uncertainty of z[last] - z[first]: smaller than that of either, as most of their error is common."""
-        if self.draws_um is None:
+        if self.samples_um is None:
             return None
-        return float(np.sqrt(np.mean((self.draws_um[:, last] - self.draws_um[:, first]) ** 2)))
+        return float(np.sqrt(np.mean((self.samples_um[:, last] - self.samples_um[:, first]) ** 2)))
 
 
 def measure_line(
     z_um: Float32Array,
     pitch_um: float,
     line: Line,
-    draws_um: Float32Array | None = None,
+    samples_um: Float32Array | None = None,
     sigma_um: Float32Array | None = None,
 ) -> MeasuredLine:
     """The profile along a line; along a row or a column it is the array itself.
 
-    draws_um : float32 array of shape (K, h, w), samples of the height error on a reduced grid
-    sigma_um : float32 array of shape (H, W), used where there are no draws
+    samples_um : float32 array of shape (K, h, w), samples of the height error on a reduced grid
+    sigma_um : float32 array of shape (H, W), used where there are no samples
 
     Raises
     ------
@@ -57,7 +57,7 @@ def measure_line(
     shape = (z_um.shape[0], z_um.shape[1])
     rows, columns = _places(line, pitch_um, shape)
     places = np.stack([columns, rows], axis=-1)
-    errors = None if draws_um is None else _drawn(draws_um, rows, columns, shape)
+    errors = None if samples_um is None else _drawn(samples_um, rows, columns, shape)
     if errors is not None:
         known = np.sqrt(np.mean(errors**2, axis=0))
     else:
@@ -68,7 +68,7 @@ def measure_line(
         rows=rows,
         columns=columns,
         sigma_um=known,
-        draws_um=errors,
+        samples_um=errors,
     )
 
 
@@ -87,17 +87,17 @@ def _places(line: Line, pitch_um: float, shape: tuple[int, int]) -> tuple[Float6
     return rows, columns
 
 
-def _drawn(draws_um: Float32Array, rows: Float64Array, columns: Float64Array, shape: tuple[int, int]) -> Float64Array:
-    """The draws along the line: their cells cover several pixels each."""
-    factor_rows, factor_columns = shape[0] / draws_um.shape[1], shape[1] / draws_um.shape[2]
+def _drawn(samples_um: Float32Array, rows: Float64Array, columns: Float64Array, shape: tuple[int, int]) -> Float64Array:
+    """The samples along the line: their cells cover several pixels each."""
+    factor_rows, factor_columns = shape[0] / samples_um.shape[1], shape[1] / samples_um.shape[2]
     down = ((rows + 0.5) / factor_rows - 0.5).astype(np.float32)[None]
     right = ((columns + 0.5) / factor_columns - 0.5).astype(np.float32)[None]
     step = 4096  # cv2.remap takes at most 32767 places per line
-    found = np.empty((len(draws_um), len(rows)))
-    for draw_um, errors in zip(draws_um, found, strict=True):
+    found = np.empty((len(samples_um), len(rows)))
+    for sample_um, errors in zip(samples_um, found, strict=True):
         for first in range(0, len(rows), step):
             part = slice(first, first + step)
             errors[part] = cv2.remap(
-                draw_um, right[:, part], down[:, part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+                sample_um, right[:, part], down[:, part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )[0]
     return found

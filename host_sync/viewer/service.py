@@ -21,7 +21,7 @@ from host_sync.frames.frame_set import FrameSet
 from host_sync.profile.profile_line import Line
 from host_sync.render.shading import steep_slope
 from host_sync.results.field_file import write_field
-from host_sync.results.files import DRAWS_FILE, HEIGHT_SIGMA_FILE
+from host_sync.results.files import HEIGHT_SIGMA_FILE, SAMPLES_FILE
 from host_sync.results.record import SequenceRecord
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
@@ -95,9 +95,9 @@ class ViewerService:
         row_0, column_0, row_1, column_1 = (end * entry.pitch_um for end in ends_px)
         line = Line((column_0, row_0), (column_1, row_1))
         with self._turn:
-            draws_um = self._heights.draws(entry)
-            sigma_um = self._heights.sigma(entry) if draws_um is None else None
-            return measure_line(self._heights.read(entry, page), entry.pitch_um, line, draws_um, sigma_um)
+            samples_um = self._heights.samples(entry)
+            sigma_um = self._heights.sigma(entry) if samples_um is None else None
+            return measure_line(self._heights.read(entry, page), entry.pitch_um, line, samples_um, sigma_um)
 
     def height(self, key: str, page: int, row: int, column: int) -> float:
         """One pixel's height, µm; NaN where invalid."""
@@ -127,7 +127,7 @@ class ViewerService:
             "masked_share": float(np.isnan(sample).mean()),
             "has_frame": entry.kind != "difference" and (entry.scan is not None or entry.title in self._frames),
             "has_sigma": entry.kind in {"result", "difference"} and (entry.folder / HEIGHT_SIGMA_FILE).is_file(),
-            "has_draws": entry.kind == "result" and (entry.folder / DRAWS_FILE).is_file(),
+            "has_samples": entry.kind == "result" and (entry.folder / SAMPLES_FILE).is_file(),
         }
 
     def compare(self, first_key: str, second_key: str) -> Entry:

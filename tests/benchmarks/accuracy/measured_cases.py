@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
-from host_sync.measurement.height_draws import StatedScale
+from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import ProfileTable, RadiusTable, Recipe, StepTable
 from host_sync.results.reader import ResultSurface
@@ -62,7 +62,7 @@ def judged(
 ) -> Iterator[Case]:
     """Every number of a press of the named object (or ball) beside its truth."""
     masked = np.where(np.isfinite(found.height.z_um), truth_um, np.float32(np.nan)).astype(np.float32)
-    true = replace(found, height=HeightMap(masked, found.height.pitch_um), draws_um=None)
+    true = replace(found, height=HeightMap(masked, found.height.pitch_um), samples_um=None)
     for plain in RECIPES.get(name) or (_ball(contact, found.height.pitch_um),):
         recipe = msgspec.structs.replace(plain, scale=scale)
         pairs = zip(measure(found, recipe).quantities, measure(true, recipe).quantities, strict=True)

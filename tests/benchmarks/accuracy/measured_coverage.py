@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from host_sync.measurement.height_draws import StatedScale
+from host_sync.measurement.height_samples import StatedScale
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.reader import read_result
 from tests.benchmarks.accuracy.measured_cases import RECIPES, Case, judged, shares

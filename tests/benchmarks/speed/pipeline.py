@@ -47,7 +47,7 @@ STAGES = {
     "sigma map": (
         "height_error.flat_bias",
         "height_error.nonintegrable_residual",
-        "calibration_draws.calibration_doubt",
+        "calibration_uncertainty.calibration_uncertainty",
         "height_error.height_uncertainty",
     ),
     "sigma of slopes": ("height_error.slope_sigma",),
@@ -99,7 +99,7 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights known already."""
-    sigma = HeightUncertainty(known.sigma_um, known.draws_um)
+    sigma = HeightUncertainty(known.sigma_um, known.samples_um)
     spared = {"flat_bias": None, "nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma}
     with ExitStack() as stack:
         for name, value in spared.items():

@@ -24,14 +24,14 @@ LINE: dict[str, Any] = {"from_um": (500.0, 600.0), "to_um": (3500.0, 600.0), "wi
 
 
 def surface_of(z_um: np.ndarray, scale_sigma: float = 0.01) -> ResultSurface:
-    """A result whose draws are the height times a scale error."""
+    """A result whose samples are the height times a scale error."""
     rows, columns = z_um.shape
     record = ResultRecord(
         schema="retrograph.result/1", name="made", rows=rows, columns=columns, pixel_pitch_um=PITCH_UM
     )
     errors = scale_sigma * np.linspace(-1.5, 1.5, 16) / np.linspace(-1.5, 1.5, 16).std()
-    draws = np.stack([error * z_um for error in errors]).astype(np.float32)
-    return ResultSurface(Path("made"), record, HeightMap(z_um.astype(np.float32), PITCH_UM), draws, None)
+    samples = np.stack([error * z_um for error in errors]).astype(np.float32)
+    return ResultSurface(Path("made"), record, HeightMap(z_um.astype(np.float32), PITCH_UM), samples, None)
 
 
 def step(height_um: float, flank_um: float = 0.0) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_scatter_of_scans_comes_beside_what_they_share() -> None:
     assert three.expanded_um == pytest.approx(np.hypot(one.expanded_um, 2.0 * 30.0 / np.sqrt(3.0)), rel=0.05)
 
 
-def test_without_draws_nothing_is_judged() -> None:
+def test_without_samples_nothing_is_judged() -> None:
     file = specimen("step", 100.0)
     surface = surface_of(step(100.0))
     plain = ResultSurface(surface.folder, surface.record, surface.height, None, None)

@@ -29,14 +29,14 @@ def smooth_error() -> Callable[[np.random.Generator, float], np.ndarray]:
 @pytest.fixture
 def write_result(tmp_path: Path) -> Callable[..., Path]:
     def write(
-        z_um: np.ndarray, name: str = "wave", error_um: float = 0.1, seed: int = 0, draws: int = 16, **facts: object
+        z_um: np.ndarray, name: str = "wave", error_um: float = 0.1, seed: int = 0, samples: int = 16, **facts: object
     ) -> Path:
         folder = tmp_path / name.replace("/", "_")[:40]
         folder.mkdir(exist_ok=True)
         random = np.random.default_rng(seed)
         tifffile.imwrite(folder / "height_um.tif", z_um.astype(np.float32))
-        if draws:
-            errors = [_smooth_error(random, error_um) for _ in range(draws)]
+        if samples:
+            errors = [_smooth_error(random, error_um) for _ in range(samples)]
             tifffile.imwrite(folder / "height_draws_um.tif", np.stack(errors).astype(np.float32))
         record = {
             "schema": "retrograph.result/1",

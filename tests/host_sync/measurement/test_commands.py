@@ -161,7 +161,7 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     for part in range(2):
         for operator in ("ada", "<b>bob</b>"):
             for repeat in range(2):
-                result = write_result((1.0 + part) * wave + 0.01 * repeat, f"r{part}{operator[0]}{repeat}", draws=2)
+                result = write_result((1.0 + part) * wave + 0.01 * repeat, f"r{part}{operator[0]}{repeat}", samples=2)
                 notes = Annotations(part=f"part {part}", operator=operator, note=HOSTILE)
                 annotated(store, first, notes, result)
     chosen = recipe(tmp_path, 'parameters = ["Sa"]\n')

@@ -14,7 +14,7 @@ import pytest
 from device.surface.fields import HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.measurement.fine_noise import FineNoise
-from host_sync.measurement.height_draws import HeightDraws, StatedScale
+from host_sync.measurement.height_samples import HeightSamples, StatedScale
 from host_sync.measurement.measure import measure, measure_result
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty
@@ -38,11 +38,11 @@ def test_a_sentence_says_it_all(write_result: Write, wave: np.ndarray) -> None:
     found = measure_result(write_result(torn), Recipe())
     sa = number(found, "Sa")
     assert sa.value == pytest.approx(4.0 / np.pi, rel=0.02)
-    assert sa.draws == 16
+    assert sa.samples == 16
     assert sa.sentence.startswith("Sa 1.2")
     assert sa.sentence.endswith(" µm (k = 1), 4.2 % masked")
     assert uncertainty_of_uncertainty(16) == pytest.approx(0.177, abs=1e-3)
-    assert any("16 draws" in note and "18%" in note for note in found.notes)
+    assert any("16 Monte Carlo samples" in note and "18%" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_two_figures_of_the_uncertainty_are_shown(value: float | None, uncertain
         uncertainty=uncertainty,
         coverage_factor=1,
         offset=None,
-        draws=16,
+        samples=16,
         masked_share=0.0,
     )
     assert shown.number == words
@@ -83,17 +83,17 @@ def test_k_2_doubles_the_uncertainty_and_says_so(write_result: Write, wave: np.n
 def test_stated_intervals_hold_the_truth_two_times_of_three(
     write_result: Write, wave: np.ndarray, smooth_error: Draw, name: str
 ) -> None:
-    """Errors of the kind that the draws are drawn from are put into the surface itself."""
+    """Errors of the kind that the samples are drawn from are put into the surface itself."""
     recipe = Recipe(parameters=(name,), scale=LIKE_BALLS)
-    draws = read_result(write_result(wave, error_um=0.5))
-    truth = number(measure(replace(draws, draws_um=None), recipe), name).value
+    samples = read_result(write_result(wave, error_um=0.5))
+    truth = number(measure(replace(samples, samples_um=None), recipe), name).value
     assert truth is not None
     held = []
     for seed in range(40):
         random = np.random.default_rng(1000 + seed)
         measured = (wave + smooth_error(random, 0.5)).astype(np.float32)
         errors = np.stack([smooth_error(random, 0.5) for _ in range(16)]).astype(np.float32)
-        found = number(measure(replace(draws, height=HeightMap(measured, PITCH_UM), draws_um=errors), recipe), name)
+        found = number(measure(replace(samples, height=HeightMap(measured, PITCH_UM), samples_um=errors), recipe), name)
         assert found.value is not None
         assert found.uncertainty is not None
         held.append(abs(found.value - truth) <= found.uncertainty)
@@ -109,8 +109,8 @@ def test_the_filter_takes_what_it_removes_out_of_the_uncertainty_too(write_resul
     assert filtered.uncertainty < 0.6 * plain.uncertainty
 
 
-def test_a_result_without_draws_has_no_uncertainty_and_says_so(write_result: Write, wave: np.ndarray) -> None:
-    found = measure_result(write_result(wave, draws=0), Recipe())
+def test_a_result_without_samples_has_no_uncertainty_and_says_so(write_result: Write, wave: np.ndarray) -> None:
+    found = measure_result(write_result(wave, samples=0), Recipe())
     assert number(found, "Sa").uncertainty is None
     assert "± not known" in number(found, "Sa").sentence
     assert any("no height_draws_um.tif" in note for note in found.notes)
@@ -127,14 +127,14 @@ def test_scale_that_is_stated_moves_heights_and_lengths_as_it_should(write_resul
         distance=(DistanceTable(name="d", from_um=(0.0, 450.0), to_um=(1000.0, 450.0)),),
     )
     found = measure_result(write_result(ball, error_um=0.0), recipe)
-    share = np.std([one.stretch for one in HeightDraws(read_result(found.folder), recipe.scale).surfaces()])
+    share = np.std([one.stretch for one in HeightSamples(read_result(found.folder), recipe.scale).surfaces()])
     sq, length, radius = number(found, "Sq"), number(found, "along the skin", "d"), number(found, "radius", "ball")
     assert sq.uncertainty / sq.value == pytest.approx(2.0 * share, rel=0.15)
     assert length.uncertainty / length.value == pytest.approx(share, rel=0.15)
     assert radius.uncertainty / radius.value < 0.1 * share
     measured = {"pixel_pitch_share": 0.01, "ball_radius_share": 0.002}
     folder = write_result(ball, "measured", error_um=0.0, height_scale=measured)
-    # What the calibration measured is in the draws' heights already, which are zero here.
+    # What the calibration measured is in the samples' heights already, which are zero here.
     assert number(measure_result(folder, recipe), "Sq").uncertainty is None
     assert number(measure_result(folder, recipe), "along the skin", "d").uncertainty is not None
 
@@ -161,7 +161,7 @@ def test_noise_finer_than_the_draws_counts_in_the_slopes() -> None:
     sigma = np.full((400, 640), 0.05, np.float32)
     sigma[:, :100] = np.nan
     noise = FineNoise(sigma, np.zeros((16, 100, 160), np.float32), PITCH_UM)
-    drawn = noise.draw_um(np.random.default_rng(0))
+    drawn = noise.sample_um(np.random.default_rng(0))
     slope = (drawn[:, 102:] - drawn[:, 100:-2]) / (2.0 * PITCH_UM)
     assert slope.std() == pytest.approx(0.05, rel=0.1)
     assert np.abs(drawn[:, :100]).max() == 0.0
@@ -213,7 +213,7 @@ def test_a_shape_without_an_l_filter_states_no_uncertainty_and_says_why(write_re
 def test_large_volumes_are_shown_in_cubic_millimetres() -> None:
     volume = Quantity(
         subject="pit", name="void volume", unit="µm³", value=2.345e8, uncertainty=1.2e7, coverage_factor=1, offset=None,
-        draws=16, masked_share=0.0,
+        samples=16, masked_share=0.0,
     )  # fmt: skip
     assert volume.number == "0.235 ± 0.012 mm³"
     assert msgspec.structs.replace(volume, value=2345.0, uncertainty=12.0).number == "2345 ± 12 µm³"
@@ -249,7 +249,7 @@ def test_a_sphere_under_a_texture_comes_off_for_every_draw(write_result: Write, 
     ball = np.sqrt(3_000.0**2 - (column - 600.0) ** 2 - (row - 450.0) ** 2)
     found = measure_result(write_result(ball + wave), Recipe(form="sphere"))
     assert number(found, "Sq").value == pytest.approx(np.sqrt(2.0), rel=0.03)
-    assert number(found, "Sq").draws == 16
+    assert number(found, "Sq").samples == 16
 
 
 def test_what_is_nothing_but_noise_has_an_uncertainty_as_large_as_itself() -> None:

@@ -15,19 +15,19 @@ import tifffile
 from host_sync.errors import UnreadableResult
 from host_sync.results.field_file import (
     MAX_PIXELS,
-    read_draws,
     read_field,
     read_mask,
+    read_samples,
     read_shape,
     read_stack_page,
     write_mask,
 )
 from host_sync.results.files import (
-    DRAWS_FILE,
     EXTRAPOLATED_FILE,
     HEIGHT_FILE,
     HEIGHT_SIGMA_FILE,
     RECORD_FILE,
+    SAMPLES_FILE,
     SLOPE_SIGMA_FILE,
 )
 from host_sync.results.reader import read_result
@@ -47,9 +47,9 @@ def folder(tmp_path: Path) -> Path:
     """A whole result folder."""
     for name in (HEIGHT_FILE, HEIGHT_SIGMA_FILE, SLOPE_SIGMA_FILE):
         tifffile.imwrite(tmp_path / name, Z_UM, tile=(16, 16), metadata=None)
-    draws = np.stack([Z_UM[::2, ::2]] * 3)
+    samples = np.stack([Z_UM[::2, ::2]] * 3)
     tifffile.imwrite(
-        tmp_path / DRAWS_FILE, draws, photometric="minisblack", compression="zlib", predictor=True, metadata=None
+        tmp_path / SAMPLES_FILE, samples, photometric="minisblack", compression="zlib", predictor=True, metadata=None
     )
     write_mask(tmp_path / EXTRAPOLATED_FILE, Z_UM > 1.0)
     (tmp_path / RECORD_FILE).write_bytes(encode_record(record()))
@@ -76,7 +76,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "name", [RECORD_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, SLOPE_SIGMA_FILE, DRAWS_FILE, EXTRAPOLATED_FILE]
+    "name", [RECORD_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, SLOPE_SIGMA_FILE, SAMPLES_FILE, EXTRAPOLATED_FILE]
 )
 def test_a_mutated_file_is_read_or_refused_with_one_error(folder: Path, name: str) -> None:
     """Any other exception ends the test; a file that is still read has the size of its record."""
@@ -153,7 +153,7 @@ def test_a_declared_size_costs_no_memory(tmp_path: Path, make: Callable[[Path], 
     path = make(tmp_path / "bomb.tif")
     tracemalloc.start()
     try:
-        for read in (read_field, read_shape, read_draws):
+        for read in (read_field, read_shape, read_samples):
             with pytest.raises(UnreadableResult):
                 read(path)
         peak = tracemalloc.get_traced_memory()[1]

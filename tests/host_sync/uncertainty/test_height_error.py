@@ -154,7 +154,7 @@ def test_what_the_map_reads_on_untouched_skin_is_not_known_better_than_that() ->
     bowl = 1e-3 * np.broadcast_to(across, (8, 8)).astype(np.float32)
     known = known_of(gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0), resting=(bowl, np.zeros_like(bowl)))
     sag_um = 0.5 * 1e-3 * 0.5 * SHAPE[1] * PITCH_UM
-    drawn_um = np.abs(known.draws_um[:, 100, 2] - known.draws_um[:, 100, 128])
+    drawn_um = np.abs(known.samples_um[:, 100, 2] - known.samples_um[:, 100, 128])
     assert 0.5 * sag_um < np.sqrt((drawn_um**2).mean()) < 1.5 * sag_um
 
 
@@ -165,8 +165,8 @@ def test_an_unsure_scale_of_the_pixel_pitch_counts_as_well() -> None:
 
 def test_the_draws_spread_as_sigma_says() -> None:
     known = known_of(gradients_of(bump(), 0.0), error_of(1.0, 0.5, 6.0, 0.02))
-    spread = np.sqrt((known.draws_um**2).mean(axis=0))
-    assert known.draws_um.shape[1:] == SHAPE
+    spread = np.sqrt((known.samples_um**2).mean(axis=0))
+    assert known.samples_um.shape[1:] == SHAPE
     assert np.median(spread / known.sigma_um) == pytest.approx(1.0, abs=0.15)
 
 

@@ -57,8 +57,8 @@ def write_result(folder: Path, z_um: Float32Array, name: str, *, known: bool = T
     }
     if known:
         write_field(folder / "height_sigma_um.tif", np.full_like(z_um, 1.5), PITCH_UM, "sigma, um")
-        draws = np.repeat(np.array([1.5, -1.5, 1.5, -1.5], np.float32)[:, None, None], 70, axis=1).repeat(93, axis=2)
-        tifffile.imwrite(folder / "height_draws_um.tif", draws, photometric="minisblack", metadata=None)
+        samples = np.repeat(np.array([1.5, -1.5, 1.5, -1.5], np.float32)[:, None, None], 70, axis=1).repeat(93, axis=2)
+        tifffile.imwrite(folder / "height_draws_um.tif", samples, photometric="minisblack", metadata=None)
     (folder / "result.json").write_bytes(msgspec.json.encode(record))
     return folder
 

@@ -40,10 +40,10 @@ def test_an_invalid_pixel_spoils_only_what_needs_it() -> None:
 
 def test_the_difference_of_two_heights_is_known_better_than_either_when_their_error_is_one() -> None:
     rng = np.random.default_rng(1)
-    draws = (
+    samples = (
         rng.normal(size=(16, 1, 1)).astype(np.float32) * 5.0 + rng.normal(size=(16, 20, 30)).astype(np.float32) * 0.1
     )
-    found = profile(Z, 1.0, (5, 2, 5, 50), draws_um=draws)
+    found = profile(Z, 1.0, (5, 2, 5, 50), samples_um=samples)
     assert found.sigma_um is not None
     assert found.sigma_um.mean() == pytest.approx(5.0, rel=0.5)
     step_sigma = found.difference_sigma_um(0, 48)
@@ -54,12 +54,12 @@ def test_the_difference_of_two_heights_is_known_better_than_either_when_their_er
 def test_draws_lie_where_the_field_they_reduce_lies() -> None:
     """A draw that rises along the columns rises along the profile as much."""
     reduced = np.repeat((np.arange(15, dtype=np.float32) * 4.0 + 1.5)[None, :], 10, axis=0)[None]
-    found = profile(Z, 1.0, (20, 2, 20, 57), draws_um=reduced)
-    assert found.draws_um is not None
-    np.testing.assert_allclose(found.draws_um[0], np.arange(2, 58), atol=0.2)
+    found = profile(Z, 1.0, (20, 2, 20, 57), samples_um=reduced)
+    assert found.samples_um is not None
+    np.testing.assert_allclose(found.samples_um[0], np.arange(2, 58), atol=0.2)
 
 
-def test_without_draws_the_map_of_sigma_counts_and_no_difference_is_claimed() -> None:
+def test_without_samples_the_map_of_sigma_counts_and_no_difference_is_claimed() -> None:
     found = profile(Z, 1.0, (5, 2, 5, 50), sigma_um=np.full_like(Z, 0.75))
     assert found.sigma_um == pytest.approx(np.full(49, 0.75))
     assert found.difference_sigma_um(0, 48) is None
@@ -73,4 +73,4 @@ def test_a_line_that_is_none_is_refused(ends: tuple[float, float, float, float])
 
 def test_a_very_long_line_is_not_sampled_without_end() -> None:
     wide = np.zeros((2, 70_000), np.float32)
-    assert len(profile(wide, 1.0, (0, 0, 0, 69_999), draws_um=np.zeros((2, 2, 900), np.float32)).z_um) <= 20_000
+    assert len(profile(wide, 1.0, (0, 0, 0, 69_999), samples_um=np.zeros((2, 2, 900), np.float32)).z_um) <= 20_000

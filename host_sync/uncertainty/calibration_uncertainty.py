@@ -19,11 +19,11 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.kernels.planes import as_stored
-from host_sync.uncertainty.resolution_doubt import unresolved_slope
+from host_sync.uncertainty.resolution_uncertainty import unresolved_slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationDoubt:
+class CalibrationUncertainty:
     """Slopes' deviations from replica to replica on the reduced field, so scaled that their squares add to a variance.
 
     p, q : float32 arrays of shape (K, h, w); K is 0 where a calibration has no replicas
@@ -53,20 +53,20 @@ def _resampled(field: Float32Array, shape: tuple[int, int]) -> Float32Array:
     return np.asarray(cv2.resize(field, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def calibration_doubt(
+def calibration_uncertainty(
     image: NormalizedImage, replicas: Sequence[InverseMap], size: tuple[int, int]
-) -> CalibrationDoubt:
+) -> CalibrationUncertainty:
     """The doubt of an image's slopes on a reduced field of `size` (w, h)."""
     if not replicas:
         nothing = np.zeros((0, size[1], size[0]), np.float32)
-        return CalibrationDoubt(nothing, nothing)
+        return CalibrationUncertainty(nothing, nothing)
     values = _shrunk(image.values, size)
     everywhere = np.ones(values.shape[:2], np.bool_)
     small = NormalizedImage(values, everywhere, ~everywhere)
     read = [evaluate(replace(one, shape=small.shape), small) for one in replicas]
     share = np.float32(np.sqrt((len(read) - 1) / len(read)))
     slopes = [np.stack([part.p for part in read]), np.stack([part.q for part in read])]
-    return CalibrationDoubt(*(share * (part - part.mean(axis=0)) for part in slopes))
+    return CalibrationUncertainty(*(share * (part - part.mean(axis=0)) for part in slopes))
 
 
 def _shrunk(values: Float32Array, size: tuple[int, int]) -> Float32Array:

@@ -1,11 +1,12 @@
-"""Surfaces that the data allow: the height map plus one draw of its error at a time.
+"""Surfaces that the data allow: the height map plus one sample of its error at a time.
 
 A number's uncertainty is the spread of what it becomes on these surfaces, each levelled, filtered and measured as the
 height map itself is; no formula per pixel can give it, as errors are correlated over the field.
 
-Scale: what was measured of pixel pitch and ball radius is in the draws' heights already. Lengths along the skin get the
-pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the
-pitch, one of the radius) and to lengths alike, from one draw, so that a number that depends on both sees it as it is.
+Scale: what was measured of pixel pitch and ball radius is in the samples' heights already. Lengths along the skin get
+the pitch's share here. What was not measured but is stated in the recipe is added here, to heights (two shares of the
+pitch, one of the radius) and to lengths alike, from one random number, so that a quantity that depends on both sees it
+as it is.
 
 Surfaces unlike the balls: a calibration knows its errors on balls, and a ball shows shallow slopes at its apex only. On
 a raised flat face shallow slopes are read with another gain. That error is the same all over a press, no draw of the
@@ -56,7 +57,7 @@ class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnSurface:
+class SampledSurface:
     """One surface that the data allow.
 
     z_um : float32 array of shape (H, W)
@@ -67,8 +68,8 @@ class DrawnSurface:
     stretch: float
 
 
-class HeightDraws:
-    """The draws of one result; each is made when it is asked for, and one alone is held.
+class HeightSamples:
+    """The samples of one result; each is made when it is asked for, and one alone is held.
 
     Parameters
     ----------
@@ -78,11 +79,11 @@ class HeightDraws:
 
     def __init__(self, surface: ResultSurface, stated: StatedScale | None = None) -> None:
         self._z_um = surface.height.z_um
-        draws_um = surface.draws_um
-        self._draws_um = draws_um if draws_um is not None else np.zeros((0, 1, 1), np.float32)
+        samples_um = surface.samples_um
+        self._samples_um = samples_um if samples_um is not None else np.zeros((0, 1, 1), np.float32)
         self._fine = None
-        if surface.slope_sigma is not None and draws_um is not None and draws_um.shape[2] < self._z_um.shape[1]:
-            self._fine = FineNoise(surface.slope_sigma, draws_um, surface.height.pitch_um, surface.noise_height_px)
+        if surface.slope_sigma is not None and samples_um is not None and samples_um.shape[2] < self._z_um.shape[1]:
+            self._fine = FineNoise(surface.slope_sigma, samples_um, surface.height.pitch_um, surface.noise_height_px)
         self._pixel_noise = None
         noise_sigma = surface.pixel_noise_sigma()
         if noise_sigma is not None:
@@ -100,7 +101,7 @@ class HeightDraws:
             self._height_factor += (stated.ball_radius_share or 0.0) * radius
 
     def __len__(self) -> int:
-        return len(self._draws_um)
+        return len(self._samples_um)
 
     def noisier(self) -> Iterator[Float32Array]:
         """The height map with its pixel noise once more, `NOISE_DRAWS` times: float32 arrays of shape (H, W), µm.
@@ -110,22 +111,22 @@ class HeightDraws:
         rng = np.random.default_rng(SEED + 2)
         if self._pixel_noise is not None:
             for _ in range(NOISE_DRAWS):
-                yield self._z_um + self._pixel_noise.draw_um(rng)
+                yield self._z_um + self._pixel_noise.sample_um(rng)
 
-    def surfaces(self) -> Iterator[DrawnSurface]:
+    def surfaces(self) -> Iterator[SampledSurface]:
         """Every surface, one after the other; the same ones at each call."""
         size = (self._z_um.shape[1], self._z_um.shape[0])
         rng = np.random.default_rng(SEED + 1)
-        for draw_um, factor, stretch in zip(self._draws_um, self._height_factor, self._stretch, strict=True):
-            z_um = self._z_um + np.asarray(cv2.resize(draw_um, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        for sample_um, factor, stretch in zip(self._samples_um, self._height_factor, self._stretch, strict=True):
+            z_um = self._z_um + np.asarray(cv2.resize(sample_um, size, interpolation=cv2.INTER_LINEAR), np.float32)
             if self._fine is not None:
-                z_um += self._fine.draw_um(rng)
+                z_um += self._fine.sample_um(rng)
             z_um *= np.float32(factor)
-            yield DrawnSurface(z_um, float(stretch))
+            yield SampledSurface(z_um, float(stretch))
 
 
 def _balanced(rng: np.random.Generator, count: int) -> Float64Array:
-    """Normal numbers in random order, of mean 0 and mean square 1 exactly: few draws then hold a share as stated."""
+    """Normal numbers in random order, of mean 0 and mean square 1 exactly: few samples then hold a share as stated."""
     if count < 2:
         return np.zeros(count)
     quantiles = norm.ppf((np.arange(count) + 0.5) / count)

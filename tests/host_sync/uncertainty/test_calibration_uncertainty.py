@@ -10,7 +10,7 @@ from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.model import InverseMap
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
-from host_sync.uncertainty.calibration_draws import calibration_doubt
+from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 
 SHAPE, SIZE = (60, 80), (40, 30)
 
@@ -31,14 +31,14 @@ def image() -> NormalizedImage:
 
 
 def test_replicas_that_agree_leave_no_doubt() -> None:
-    doubt = calibration_doubt(image(), [tilting(0.02)] * 5, SIZE)
+    doubt = calibration_uncertainty(image(), [tilting(0.02)] * 5, SIZE)
     assert np.abs(doubt.p).max() < 1e-6
     assert doubt.sigma(SHAPE).max() < 1e-6
 
 
 def test_doubt_is_the_jackknifes_and_stands_where_replicas_part() -> None:
     slopes = np.array([0.010, 0.012, 0.008, 0.011, 0.009])
-    doubt = calibration_doubt(image(), [tilting(slope) for slope in slopes], SIZE)
+    doubt = calibration_uncertainty(image(), [tilting(slope) for slope in slopes], SIZE)
     jackknife = np.sqrt(4.0 / 5.0 * ((slopes - slopes.mean()) ** 2).sum())
     sigma = doubt.sigma(SHAPE)
     assert sigma[30, 79] == pytest.approx(jackknife / np.sqrt(2.0), rel=0.03)  # of two components one alone is unsure
@@ -46,7 +46,7 @@ def test_doubt_is_the_jackknifes_and_stands_where_replicas_part() -> None:
 
 
 def test_draws_spread_as_the_doubt_says_and_keep_its_shape() -> None:
-    doubt = calibration_doubt(image(), [tilting(slope) for slope in (0.01, 0.02, 0.03)], SIZE)
+    doubt = calibration_uncertainty(image(), [tilting(slope) for slope in (0.01, 0.02, 0.03)], SIZE)
     rng = np.random.default_rng(0)
     drawn = np.stack([doubt.sample(rng.standard_normal(3, np.float32))[0] for _ in range(400)])
     expected = np.sqrt((doubt.p**2).sum(axis=0))
@@ -56,12 +56,12 @@ def test_draws_spread_as_the_doubt_says_and_keep_its_shape() -> None:
 
 
 def test_without_replicas_there_is_no_doubt_to_draw() -> None:
-    doubt = calibration_doubt(image(), [], SIZE)
+    doubt = calibration_uncertainty(image(), [], SIZE)
     assert doubt.p.shape == (0, 30, 40)
     assert doubt.sigma(SHAPE).max() == 0.0
     assert np.abs(doubt.sample(np.zeros(0, np.float32))[0]).max() == 0.0
 
 
 def test_a_replica_of_a_full_size_map_is_read_on_the_reduced_field() -> None:
-    doubt = calibration_doubt(image(), [replace(tilting(0.0), shape=(600, 800)), tilting(0.1)], SIZE)
+    doubt = calibration_uncertainty(image(), [replace(tilting(0.0), shape=(600, 800)), tilting(0.1)], SIZE)
     assert doubt.p.shape == (2, 30, 40)
