@@ -19,8 +19,8 @@ mount -t 9p -o trans=virtio,version=9p2000.L,ro source /mnt/source
 mount -t 9p -o trans=virtio,version=9p2000.L,ro handover /mnt/handover
 """
 ONE_NETWORK = """
-mkdir -p /etc/systemd/network/wired.network.d
-printf '[Match]\\nDriver=virtio_net\\n' >/etc/systemd/network/wired.network.d/one.conf
+mkdir -p /etc/systemd/network/emulated.network.d
+printf '[Match]\\nDriver=virtio_net\\n' >/etc/systemd/network/emulated.network.d/one.conf
 networkctl reload
 """
 PATIENCE = """

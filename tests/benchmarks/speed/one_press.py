@@ -92,8 +92,8 @@ def presses(shape: Shape, folder: Path, count: int) -> dict[str, Any]:
 
 def _instrument(shape: Shape, folder: Path) -> tuple[SimulatedScene, Instrument]:
     clock = VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)
-    wired = emulated_hardware(build(twin_of(shape), clock), "PCA9955B")
-    return wired.bench, Instrument(wired.hardware, BundleStore(folder, clock, boot_id="b0075e1f"))
+    emulated = emulated_hardware(build(twin_of(shape), clock), "PCA9955B")
+    return emulated.bench, Instrument(emulated.hardware, BundleStore(folder, clock, boot_id="b0075e1f"))
 
 
 def _push(bench: SimulatedScene, in_s: float, held_s: float = 0.12) -> int:

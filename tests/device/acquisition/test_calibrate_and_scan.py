@@ -131,11 +131,11 @@ def test_a_dead_light_is_a_retake_that_names_it_with_and_without_a_flag(
 def test_one_led_of_two_that_is_open_or_shorted_is_a_retake(
     bench: SimulatedScene, calibrated: BundleStore, chip: Chip, how: str
 ) -> None:
-    wired = emulated_hardware(bench, chip)
-    with wired.hardware as board:
+    emulated = emulated_hardware(bench, chip)
+    with emulated.hardware as board:
         scanner = Scanner(board, calibrated)
         assert scanner.scan(Annotations()).bundle.record.verdict.level != "retake"
-        getattr(wired.leds, how).add(4)
+        getattr(emulated.leds, how).add(4)
         verdict = scanner.scan(Annotations()).bundle.record.verdict
     assert verdict.level == "retake"
     assert "light green is at" in verdict.reason
@@ -175,11 +175,11 @@ def test_a_supply_that_sags_under_the_lights_or_under_the_work_is_noted(
     bench: SimulatedScene, calibrated: BundleStore
 ) -> None:
     for dip in (0, 1):
-        wired = emulated_hardware(bench, "PCA9955B")
+        emulated = emulated_hardware(bench, "PCA9955B")
         readings = ["0", "0"]
         readings[dip] = "50001"
-        wired.hardware.power._throttled_text = iter(readings).__next__  # type: ignore[attr-defined]
-        with wired.hardware as board:
+        emulated.hardware.power._throttled_text = iter(readings).__next__  # type: ignore[attr-defined]
+        with emulated.hardware as board:
             power = Scanner(board, calibrated).scan(Annotations()).bundle.record.power
         assert (power.under_voltage, power.was_under_voltage, power.throttled) == (True, True, False)
 
@@ -187,14 +187,14 @@ def test_a_supply_that_sags_under_the_lights_or_under_the_work_is_noted(
 def test_granted_currents_are_recorded_and_a_dead_gauge_costs_no_scan(
     bench: SimulatedScene, calibrated: BundleStore
 ) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired.firmware.throttled = "50005"
-    with wired.hardware as board:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.firmware.throttled = "50005"
+    with emulated.hardware as board:
         scanner = Scanner(board, calibrated)
         full = scanner.scan(Annotations()).bundle.record
-        wired.wire.faults.unplugged.add(GAUGE_AT)
+        emulated.wire.faults.unplugged.add(GAUGE_AT)
         unmeasured = scanner.scan(Annotations()).bundle.record
-    driver = wired.hardware.profile.light_driver
+    driver = emulated.hardware.profile.light_driver
     assert driver is not None
     steps = [current * driver.reference_ohm / 225.0 for current in full.currents_ma.values()]
     assert steps == pytest.approx([round(step) for step in steps])

@@ -53,23 +53,23 @@ def test_a_stalled_camera_leaves_the_lights_dark(hardware: Hardware, bench: Simu
 
 
 def test_a_stalled_camera_is_opened_anew_in_the_dark_and_the_capture_goes_on(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
+    emulated = emulated_hardware(bench, "PCA9955B")
     lit_at_opening: list[bool] = []
-    opened = wired.cameras.__class__.__call__
+    opened = emulated.cameras.__class__.__call__
 
-    class Watched(wired.cameras.__class__):  # type: ignore[misc, name-defined]
+    class Watched(emulated.cameras.__class__):  # type: ignore[misc, name-defined]
         def __call__(self, camera_num: int) -> object:
-            lit_at_opening.append(any(wired.leds.currents_ma()))
+            lit_at_opening.append(any(emulated.leds.currents_ma()))
             return opened(self, camera_num)
 
-    wired.cameras.__class__ = Watched
-    wired.cameras.faults.stalled_openings = MAX_RESTARTS
-    with wired.hardware as hardware:
+    emulated.cameras.__class__ = Watched
+    emulated.cameras.faults.stalled_openings = MAX_RESTARTS
+    with emulated.hardware as hardware:
         frame = capture(hardware, CaptureSettings.of_board(hardware))
         assert frame.mosaic.mean() > frame.black_level_dn + 100
         assert lit_at_opening == [False] * (1 + MAX_RESTARTS)
-        assert not any(wired.leds.currents_ma())
-        wired.bench.faults.camera_stalled = True
+        assert not any(emulated.leds.currents_ma())
+        emulated.bench.faults.camera_stalled = True
         with pytest.raises(FrameTimeout, match=f"even after {MAX_RESTARTS} restarts: check its ribbon"):
             capture(hardware, CaptureSettings.of_board(hardware))
     assert not any(lit_at_opening)
@@ -106,20 +106,20 @@ def test_a_frame_one_step_off_the_calibration_is_not_taken(hardware: Hardware, b
 
 @pytest.mark.parametrize("chip", ["PCA9955B", "TLC59116"])
 def test_driver_faults_during_the_exposure_come_with_the_frame(bench: SimulatedScene, chip: Chip) -> None:
-    wired = emulated_hardware(bench, chip)
-    with wired.hardware as hardware:
+    emulated = emulated_hardware(bench, chip)
+    with emulated.hardware as hardware:
         plan = CaptureSettings.of_board(hardware)
         assert capture_with_faults(hardware, plan).light_faults == ()
-        wired.leds.open_channels.add(4)
+        emulated.leds.open_channels.add(4)
         assert capture_with_faults(hardware, plan).light_faults == (LightFault("green", "open"),)
-        wired.leds.open_channels.clear()
+        emulated.leds.open_channels.clear()
         assert capture_with_faults(hardware, plan).light_faults == ()
-        assert not any(wired.leds.currents_ma())
+        assert not any(emulated.leds.currents_ma())
 
 
 def test_a_driver_that_cannot_be_asked_for_faults_costs_no_frame(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    with wired.hardware as hardware:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    with emulated.hardware as hardware:
 
         def mute() -> tuple[LightFault, ...]:
             raise LightError("silent")
@@ -152,23 +152,23 @@ def test_a_plan_names_the_currents_that_the_driver_grants(bench: SimulatedScene)
 
 
 def test_a_bus_that_dies_while_lights_are_on_is_reported_and_the_next_capture_ends_dark(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    with wired.hardware as hardware:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    with emulated.hardware as hardware:
         plan = CaptureSettings.of_board(hardware)
         switch_on = hardware.lights.switch_on
 
         def switch_on_and_lose_the_bus(currents_ma: Mapping[str, float]) -> None:
             switch_on(currents_ma)
-            wired.wire.faults.stuck = True
+            emulated.wire.faults.stuck = True
 
         hardware.lights.switch_on = switch_on_and_lose_the_bus  # type: ignore[method-assign]
         with pytest.raises(LightError, match="switching all channels off"):
             capture(hardware, plan)
-        assert any(wired.leds.currents_ma())
+        assert any(emulated.leds.currents_ma())
         hardware.lights.switch_on = switch_on  # type: ignore[method-assign]
-        wired.wire.faults.stuck = False
+        emulated.wire.faults.stuck = False
         assert capture(hardware, plan).granted.exposure_us > 0.0
-        assert not any(wired.leds.currents_ma())
+        assert not any(emulated.leds.currents_ma())
 
 
 def test_silent_lights_are_an_error_of_the_lights(hardware: Hardware, bench: SimulatedScene) -> None:

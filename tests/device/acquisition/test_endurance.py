@@ -38,36 +38,36 @@ def _set(thing: object, name: str, value: object, well: object) -> Callable[[], 
     return lambda: setattr(thing, name, well)
 
 
-def _lose_the_chip_while_lit(wired: EmulatedBoard) -> Callable[[], None]:
-    lights = wired.hardware.lights
+def _lose_the_chip_while_lit(emulated: EmulatedBoard) -> Callable[[], None]:
+    lights = emulated.hardware.lights
     switch_on = lights.switch_on
 
     def switch_on_and_lose_the_chip(currents_ma: Mapping[str, float]) -> None:
         switch_on(currents_ma)
-        wired.wire.faults.unplugged = {LIGHTS_AT}
+        emulated.wire.faults.unplugged = {LIGHTS_AT}
 
     lights.switch_on = switch_on_and_lose_the_chip  # type: ignore[method-assign]
 
     def mend() -> None:
         lights.switch_on = switch_on  # type: ignore[method-assign]
-        wired.wire.faults.unplugged = set()
+        emulated.wire.faults.unplugged = set()
         lights.off()  # as `watch` does every second
 
     return mend
 
 
-def break_something(wired: EmulatedBoard, dice: np.random.Generator) -> tuple[bool, Callable[[], None]]:
+def break_something(emulated: EmulatedBoard, dice: np.random.Generator) -> tuple[bool, Callable[[], None]]:
     """Whether the press must fail, and how to mend it."""
-    bus, cameras, world = wired.wire.faults, wired.cameras.faults, wired.bench.faults
+    bus, cameras, world = emulated.wire.faults, emulated.cameras.faults, emulated.bench.faults
     faults: list[tuple[bool, Callable[[], Callable[[], None]]]] = [
         (False, lambda: _set(bus, "refused", 2, 0)),
-        (False, lambda: _set(wired.firmware, "throttled", "50005", "0")),
+        (False, lambda: _set(emulated.firmware, "throttled", "50005", "0")),
         (False, lambda: _set(bus, "unplugged", {GAUGE_AT}, set())),
-        (False, lambda: _set(wired.leds, "open_channels", {4}, set())),
-        (False, lambda: _set(wired.leds, "shorted_channels", {0, 1}, set())),
+        (False, lambda: _set(emulated.leds, "open_channels", {4}, set())),
+        (False, lambda: _set(emulated.leds, "shorted_channels", {0, 1}, set())),
         (False, lambda: _set(cameras, "late_requests", 1, 0)),
         (False, lambda: _set(cameras, "stalled_openings", 1, 0)),
-        (True, lambda: _lose_the_chip_while_lit(wired)),
+        (True, lambda: _lose_the_chip_while_lit(emulated)),
         (True, lambda: _set(cameras, "timed_out", "get_result", "")),
         (True, lambda: _set(bus, "unplugged", {LIGHTS_AT}, set())),
         (True, lambda: _set(bus, "stuck", True, False)),
@@ -82,15 +82,15 @@ def break_something(wired: EmulatedBoard, dice: np.random.Generator) -> tuple[bo
     return must_fail, throw()
 
 
-def press_for_a_while(wired: EmulatedBoard, store: BundleStore, presses: int) -> tuple[int, int]:
+def press_for_a_while(emulated: EmulatedBoard, store: BundleStore, presses: int) -> tuple[int, int]:
     """How many presses were published and how many failed, each as it should."""
     dice = np.random.default_rng(5)
     published: set[str] = set()
     failed = 0
-    with wired.hardware as hardware:
+    with emulated.hardware as hardware:
         scanner = Scanner(hardware, store)
         for _ in range(presses):
-            must_fail, mend = break_something(wired, dice) if dice.random() < FAULT_SHARE else (False, lambda: None)
+            must_fail, mend = break_something(emulated, dice) if dice.random() < FAULT_SHARE else (False, lambda: None)
             hardware.operator.ask(LiftOff())
             assert hardware.button.wait_for_push(10.0) is not None
             try:
@@ -106,9 +106,9 @@ def press_for_a_while(wired: EmulatedBoard, store: BundleStore, presses: int) ->
                 shutil.rmtree(bundle.directory)
             mend()
             assert store.scans().bundles == ()
-            assert not any(wired.leds.currents_ma())
-        assert wired.cameras.held_requests == 0
-    assert wired.cameras.opened == wired.wire.opened == 0
+            assert not any(emulated.leds.currents_ma())
+        assert emulated.cameras.held_requests == 0
+    assert emulated.cameras.opened == emulated.wire.opened == 0
     return len(published), failed
 
 
@@ -118,11 +118,11 @@ def press_for_a_while(wired: EmulatedBoard, store: BundleStore, presses: int) ->
 def test_every_good_press_is_published_once_and_nothing_leaks(
     bench: SimulatedScene, calibrated: BundleStore, presses: int, most_growth_mb: float
 ) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    press_for_a_while(wired, calibrated, 20)
+    emulated = emulated_hardware(bench, "PCA9955B")
+    press_for_a_while(emulated, calibrated, 20)
     before = (open_files(), threading.active_count())
     before_mb = resident_mb()
-    good, failed = press_for_a_while(wired, calibrated, presses)
+    good, failed = press_for_a_while(emulated, calibrated, presses)
     grown_mb = resident_mb() - before_mb
     after = (open_files(), threading.active_count())
     figures = f"{good} published, {failed} failed; open files and threads {before} -> {after}; {grown_mb:+.1f} MB\n"

@@ -1,4 +1,4 @@
-"""`retroscan` on a wired board in real time that prints what its LEDs do; a test sends it signals.
+"""`retroscan` on an emulated board in real time that prints what its LEDs do; a test sends it signals.
 
 Its camera delivers nothing, so that it stays lit while it waits for a frame. With SLOW_BUS set, each transfer while it
 is lit is printed and takes 0.2 s.
@@ -21,8 +21,8 @@ from hal.simulator.emulated.hardware import emulated_hardware
 
 def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:
     """A board whose button is pushed at once, and whose chip model reports every change of its outputs."""
-    wired = emulated_hardware(build(profile, SystemClock()), "PCA9955B")
-    follow, reach, printed = wired.leds.changed, wired.wire.reach, []
+    emulated = emulated_hardware(build(profile, SystemClock()), "PCA9955B")
+    follow, reach, printed = emulated.leds.changed, emulated.wire.reach, []
 
     def say(word: str) -> None:
         printed.append(word)
@@ -31,7 +31,7 @@ def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:
 
     def tell() -> None:
         follow()
-        state = "lit" if any(wired.leds.currents_ma()[:15]) else "dark"
+        state = "lit" if any(emulated.leds.currents_ma()[:15]) else "dark"
         if [word for word in printed if word != "transfer"][-1:] != [state]:
             say(state)
 
@@ -41,12 +41,12 @@ def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:
             time.sleep(0.2)
         return reach(address)
 
-    wired.leds.changed = tell
-    wired.wire.reach = reach_slowly
-    wired.bench.faults.camera_stalled = True
-    now_ns = wired.bench.clock.monotonic_ns()
-    wired.bench.schedule_button(ButtonPress(now_ns + 50_000_000, 0.05))
-    return wired.hardware
+    emulated.leds.changed = tell
+    emulated.wire.reach = reach_slowly
+    emulated.bench.faults.camera_stalled = True
+    now_ns = emulated.bench.clock.monotonic_ns()
+    emulated.bench.schedule_button(ButtonPress(now_ns + 50_000_000, 0.05))
+    return emulated.hardware
 
 
 instrument_lock.open_hardware = open_lit_hardware

@@ -25,23 +25,23 @@ SECOND = 1_000_000_000
 class Board:
     """A board that serves its button without a screen."""
 
-    def __init__(self, wired: EmulatedBoard, store: BundleStore) -> None:
-        self.wired = wired
+    def __init__(self, emulated: EmulatedBoard, store: BundleStore) -> None:
+        self.emulated = emulated
         self.store = store
         self.printed: list[str] = []
         setup = PairingSetup(host_key=store.root / "none")
-        self.instrument = Instrument(wired.hardware, store, pairing=setup)
+        self.instrument = Instrument(emulated.hardware, store, pairing=setup)
 
     @property
     def scans(self) -> int:
         return len(self.store.scans().bundles)
 
     def push(self, at_s: float, held_s: float = 0.1) -> None:
-        now_ns = self.wired.bench.clock.monotonic_ns()
-        self.wired.bench.schedule_button(ButtonPress(now_ns + round(at_s * SECOND), held_s))
+        now_ns = self.emulated.bench.clock.monotonic_ns()
+        self.emulated.bench.schedule_button(ButtonPress(now_ns + round(at_s * SECOND), held_s))
 
     def run(self, for_s: float, until: Callable[[], bool] = lambda: False) -> None:
-        clock = self.wired.bench.clock
+        clock = self.emulated.bench.clock
         end_ns = clock.monotonic_ns() + round(for_s * SECOND)
 
         def print_error(what: object) -> None:
@@ -54,18 +54,18 @@ class Board:
 
 @pytest.fixture
 def board(bench: SimulatedScene, calibrated: BundleStore) -> Iterator[Board]:
-    wired = emulated_hardware(bench, "PCA9955B")
-    board = Board(wired, calibrated)
+    emulated = emulated_hardware(bench, "PCA9955B")
+    board = Board(emulated, calibrated)
     with board.instrument:
         yield board
-    assert not any(wired.leds.currents_ma())
-    assert wired.cameras.opened == wired.cameras.held_requests == wired.wire.opened == 0
+    assert not any(emulated.leds.currents_ma())
+    assert emulated.cameras.opened == emulated.cameras.held_requests == emulated.wire.opened == 0
 
 
 def test_every_push_is_one_scan_with_its_cues(board: Board) -> None:
     shown: list[str] = []
-    show = board.wired.hardware.indicator.show
-    board.wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
+    show = board.emulated.hardware.indicator.show
+    board.emulated.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
     board.push(1.0)
     board.push(2.5)
     board.run(4.0)
@@ -76,10 +76,10 @@ def test_every_push_is_one_scan_with_its_cues(board: Board) -> None:
 
 @pytest.mark.parametrize("held_s", [0.03, 0.5, 1.8])
 def test_cue_and_frame_follow_the_push_and_not_the_release(board: Board, held_s: float) -> None:
-    clock = board.wired.bench.clock
+    clock = board.emulated.bench.clock
     shown: dict[str, int] = {}
-    show = board.wired.hardware.indicator.show
-    board.wired.hardware.indicator.show = lambda cue: (  # type: ignore[method-assign]
+    show = board.emulated.hardware.indicator.show
+    board.emulated.hardware.indicator.show = lambda cue: (  # type: ignore[method-assign]
         shown.setdefault(cue, clock.monotonic_ns()),
         show(cue),
     )[1]
@@ -94,12 +94,12 @@ def test_cue_and_frame_follow_the_push_and_not_the_release(board: Board, held_s:
 def test_without_a_calibration_it_serves_and_refuses_every_push_with_its_cue(
     bench: SimulatedScene, tmp_path: Path
 ) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    board = Board(wired, BundleStore(tmp_path / "new", bench.clock))
+    emulated = emulated_hardware(bench, "PCA9955B")
+    board = Board(emulated, BundleStore(tmp_path / "new", bench.clock))
     shown: list[str] = []
     with board.instrument:
-        show = wired.hardware.indicator.show
-        wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
+        show = emulated.hardware.indicator.show
+        emulated.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
         board.push(1.0)
         board.run(2.0)
     assert (shown, board.scans) == (["refused: calibration"], 0)
@@ -107,9 +107,9 @@ def test_without_a_calibration_it_serves_and_refuses_every_push_with_its_cue(
 
 
 def test_it_reports_ready_once_every_part_answers(bench: SimulatedScene, calibrated: BundleStore) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    mend = _lights_unplugged(wired)
-    board = Board(wired, calibrated)
+    emulated = emulated_hardware(bench, "PCA9955B")
+    mend = _lights_unplugged(emulated)
+    board = Board(emulated, calibrated)
     with board.instrument:
         board.run(3.0)
         assert [line[:13] for line in board.printed] == ["no chip answe"]
@@ -130,8 +130,8 @@ def test_a_long_push_reports_the_status_and_does_not_scan(board: Board) -> None:
 class Hand:
     """An operator who presses what a calibration asks for and leaves the button to the test."""
 
-    def __init__(self, wired: EmulatedBoard) -> None:
-        self._bench, self._operator = wired.bench, wired.hardware.operator
+    def __init__(self, emulated: EmulatedBoard) -> None:
+        self._bench, self._operator = emulated.bench, emulated.hardware.operator
 
     def ask(self, request: OperatorRequest) -> None:
         with pytest.MonkeyPatch.context() as patch:
@@ -142,9 +142,9 @@ class Hand:
 @pytest.fixture
 def calibrating(bench: SimulatedScene, tmp_path: Path) -> Iterator[Board]:
     """A new board whose button has been held twice."""
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired = dataclasses.replace(wired, hardware=dataclasses.replace(wired.hardware, operator=Hand(wired)))
-    board = Board(wired, BundleStore(tmp_path / "new", bench.clock))
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated = dataclasses.replace(emulated, hardware=dataclasses.replace(emulated.hardware, operator=Hand(emulated)))
+    board = Board(emulated, BundleStore(tmp_path / "new", bench.clock))
     with board.instrument:
         for at_s in (0.1, 2.6):
             board.push(at_s, held_s=2.1)
@@ -156,8 +156,8 @@ def calibrating(bench: SimulatedScene, tmp_path: Path) -> Iterator[Board]:
 
 def test_held_twice_the_button_alone_calibrates_and_scans(calibrating: Board) -> None:
     shown: list[str] = []
-    show = calibrating.wired.hardware.indicator.show
-    calibrating.wired.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
+    show = calibrating.emulated.hardware.indicator.show
+    calibrating.emulated.hardware.indicator.show = lambda cue: (shown.append(cue), show(cue))[1]  # type: ignore[method-assign]
     while calibrating.instrument.state.activity == "calibrating":
         calibrating.push(0.1)
         calibrating.run(0.6)
@@ -179,10 +179,10 @@ def test_a_long_push_stops_a_calibration_by_the_button(calibrating: Board) -> No
 
 
 def test_a_calibration_without_pushes_ends(calibrating: Board) -> None:
-    calibrating.wired.bench.clock.sleep(IDLE_TIMEOUT_S - 10.0)
+    calibrating.emulated.bench.clock.sleep(IDLE_TIMEOUT_S - 10.0)
     calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "calibrating"
-    calibrating.wired.bench.clock.sleep(15.0)
+    calibrating.emulated.bench.clock.sleep(15.0)
     calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "ready"
     assert any("No push for three minutes" in line for line in calibrating.printed)
@@ -192,39 +192,39 @@ def test_long_pushes_far_apart_begin_no_calibration(board: Board) -> None:
     for _ in range(2):
         board.push(0.1, held_s=2.1)
         board.run(2.5)
-        board.wired.bench.clock.sleep(10.0)
+        board.emulated.bench.clock.sleep(10.0)
     assert board.instrument.state.activity == "ready"
     assert board.instrument.state.guide is None
 
 
-def _lights_unplugged(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.wire.faults.unplugged.add(LIGHTS_AT)
-    return wired.wire.faults.unplugged.clear
+def _lights_unplugged(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.wire.faults.unplugged.add(LIGHTS_AT)
+    return emulated.wire.faults.unplugged.clear
 
 
-def _bus_stuck(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.wire.faults.stuck = True
-    return lambda: setattr(wired.wire.faults, "stuck", False)
+def _bus_stuck(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.wire.faults.stuck = True
+    return lambda: setattr(emulated.wire.faults, "stuck", False)
 
 
-def _camera_stalls(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.bench.faults.camera_stalled = True
-    return lambda: setattr(wired.bench.faults, "camera_stalled", False)
+def _camera_stalls(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.bench.faults.camera_stalled = True
+    return lambda: setattr(emulated.bench.faults, "camera_stalled", False)
 
 
-def _camera_torn_off(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.bench.faults.camera_missing = True
-    return lambda: setattr(wired.bench.faults, "camera_missing", False)
+def _camera_torn_off(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.bench.faults.camera_missing = True
+    return lambda: setattr(emulated.bench.faults, "camera_missing", False)
 
 
-def _wrong_size(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.cameras.faults.rows_lost = 4
-    return lambda: setattr(wired.cameras.faults, "rows_lost", 0)
+def _wrong_size(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.cameras.faults.rows_lost = 4
+    return lambda: setattr(emulated.cameras.faults, "rows_lost", 0)
 
 
-def _no_exposure_stated(wired: EmulatedBoard) -> Callable[[], None]:
-    wired.cameras.faults.without = "ExposureTime"
-    return lambda: setattr(wired.cameras.faults, "without", "")
+def _no_exposure_stated(emulated: EmulatedBoard) -> Callable[[], None]:
+    emulated.cameras.faults.without = "ExposureTime"
+    return lambda: setattr(emulated.cameras.faults, "without", "")
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_a_fault_is_reported_nothing_is_published_and_the_next_push_scans(
     board: Board, fault: Callable[[EmulatedBoard], Callable[[], None]], sentence: str
 ) -> None:
     board.run(0.3)
-    mend = fault(board.wired)
+    mend = fault(board.emulated)
     board.push(0.2)
     board.run(60.0, lambda: any(sentence in line for line in board.printed))
     assert board.scans == 0
@@ -255,16 +255,16 @@ def test_a_fault_is_reported_nothing_is_published_and_the_next_push_scans(
 
 
 def test_lights_that_could_not_be_switched_off_are_dark_a_second_after_the_bus_is_back(board: Board) -> None:
-    wired = board.wired
+    emulated = board.emulated
     board.run(0.3)
-    assert any(wired.leds.currents_ma())
-    wired.wire.faults.unplugged.add(LIGHTS_AT)
+    assert any(emulated.leds.currents_ma())
+    emulated.wire.faults.unplugged.add(LIGHTS_AT)
     board.push(0.2)
     board.run(60.0, lambda: board.instrument.state.activity == "out of order")
-    wired.wire.faults.unplugged.clear()
+    emulated.wire.faults.unplugged.clear()
     board.instrument.power_off()
     board.run(1.1)
-    assert not any(wired.leds.currents_ma())
+    assert not any(emulated.leds.currents_ma())
     assert board.scans == 0
 
 
@@ -274,21 +274,21 @@ def test_a_failing_indicator_costs_no_scan_and_does_not_keep_the_instrument_from
     def fail(_on: bool) -> None:
         raise IndicatorError("the indicator on line 27 cannot be driven")
 
-    wired = emulated_hardware(bench, "PCA9955B")
-    broken = BlinkIndicator(fail, lambda: fail(False), wired.bench.clock)
-    faulty = dataclasses.replace(wired, hardware=dataclasses.replace(wired.hardware, indicator=broken))
+    emulated = emulated_hardware(bench, "PCA9955B")
+    broken = BlinkIndicator(fail, lambda: fail(False), emulated.bench.clock)
+    faulty = dataclasses.replace(emulated, hardware=dataclasses.replace(emulated.hardware, indicator=broken))
     board = Board(faulty, calibrated)
     with board.instrument:
         board.push(1.0)
         board.run(2.0)
     assert board.scans == 1
-    assert not any(wired.leds.currents_ma())
+    assert not any(emulated.leds.currents_ma())
     blamed = [finding.part for finding in selftest(faulty.hardware) if finding.state == "failed"]
     assert blamed == ["indicator"]
 
 
 def test_chatter_on_the_line_scans_nothing(board: Board) -> None:
-    now_ns = board.wired.bench.clock.monotonic_ns()
-    board.wired.line.chatter([Edge(now_ns + n * 2_000_000, n % 2 == 0) for n in range(1, 400)])
+    now_ns = board.emulated.bench.clock.monotonic_ns()
+    board.emulated.line.chatter([Edge(now_ns + n * 2_000_000, n % 2 == 0) for n in range(1, 400)])
     board.run(2.0)
     assert board.scans == 0

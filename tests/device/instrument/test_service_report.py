@@ -28,18 +28,18 @@ class Heard(SdNotify):
 
 
 @pytest.fixture
-def wired(bench: SimulatedScene) -> EmulatedBoard:
+def emulated(bench: SimulatedScene) -> EmulatedBoard:
     return emulated_hardware(bench, "PCA9955B")
 
 
 def served(
-    wired: EmulatedBoard, store: BundleStore, for_s: float, at_s: dict[float, Callable[[], None]]
+    emulated: EmulatedBoard, store: BundleStore, for_s: float, at_s: dict[float, Callable[[], None]]
 ) -> list[tuple[float, str]]:
     """Messages to the service manager while serving for `for_s`, with actions at given times (s).
 
     Without watchdog beats, and without changes of the free space alone.
     """
-    clock, heard = wired.bench.clock, Heard(wired.bench)
+    clock, heard = emulated.bench.clock, Heard(emulated.bench)
     waiting = sorted(at_s.items())
 
     def go_on() -> bool:
@@ -49,7 +49,7 @@ def served(
             waiting.pop(0)[1]()
         return passed_s < for_s
 
-    with Instrument(wired.hardware, store) as instrument:
+    with Instrument(emulated.hardware, store) as instrument:
         report = ServiceReport(heard, clock)
         run_headless(instrument, lambda _line: None, lambda _what: None, go_on)
         report.ended()
@@ -62,40 +62,42 @@ def only_room(before: str, after: str) -> bool:
     return "STATUS=ready: room for" in before and after.startswith("STATUS=ready: room for")
 
 
-def test_it_is_ready_once_frames_come(wired: EmulatedBoard, calibrated: BundleStore) -> None:
-    (at_s, ready), *later = served(wired, calibrated, 3.0, {})
+def test_it_is_ready_once_frames_come(emulated: EmulatedBoard, calibrated: BundleStore) -> None:
+    (at_s, ready), *later = served(emulated, calibrated, 3.0, {})
     assert ready.startswith("READY=1\nSTATUS=ready: room for")
     assert at_s < 0.5
     assert [said for _, said in later] == ["STOPPING=1"]
 
 
-def test_a_part_that_comes_late_is_waited_for(wired: EmulatedBoard, calibrated: BundleStore) -> None:
-    unplugged = wired.wire.faults.unplugged
+def test_a_part_that_comes_late_is_waited_for(emulated: EmulatedBoard, calibrated: BundleStore) -> None:
+    unplugged = emulated.wire.faults.unplugged
     unplugged.add(LIGHTS_AT)
-    (_, absent), (at_s, ready), _ = served(wired, calibrated, 9.0, {5.0: unplugged.clear})
+    (_, absent), (at_s, ready), _ = served(emulated, calibrated, 9.0, {5.0: unplugged.clear})
     assert absent.startswith("STATUS=out of order: no chip answers at 0x15 on bus 1")
     assert ready.startswith("READY=1\nSTATUS=ready: room for")
     assert 5.0 < at_s < BROKEN_WAIT_S
 
 
-def test_a_part_that_never_comes_is_in_the_status(wired: EmulatedBoard, calibrated: BundleStore) -> None:
-    unplugged = wired.wire.faults.unplugged
+def test_a_part_that_never_comes_is_in_the_status(emulated: EmulatedBoard, calibrated: BundleStore) -> None:
+    unplugged = emulated.wire.faults.unplugged
     unplugged.add(LIGHTS_AT)
-    _, (at_s, ready), (_, mended), _ = served(wired, calibrated, 25.0, {18.0: unplugged.clear})
+    _, (at_s, ready), (_, mended), _ = served(emulated, calibrated, 25.0, {18.0: unplugged.clear})
     assert ready.startswith("READY=1\nSTATUS=out of order: no chip answers at 0x15 on bus 1")
     assert BROKEN_WAIT_S <= at_s < 18.0
     assert mended.startswith("STATUS=ready: room for")
 
 
-def test_a_part_that_goes_away_later_is_in_the_status(wired: EmulatedBoard, calibrated: BundleStore) -> None:
+def test_a_part_that_goes_away_later_is_in_the_status(emulated: EmulatedBoard, calibrated: BundleStore) -> None:
     def tear_off() -> None:
-        wired.bench.faults.camera_missing = True
+        emulated.bench.faults.camera_missing = True
 
-    said = [line for _, line in served(wired, calibrated, 30.0, {5.0: tear_off})]
+    said = [line for _, line in served(emulated, calibrated, 30.0, {5.0: tear_off})]
     assert said[0].startswith("READY=1\nSTATUS=ready")
     assert any(line.startswith("STATUS=out of order: ") and "imx296@1a" in line for line in said[1:])
 
 
-def test_without_a_calibration_it_is_ready_and_says_what_is_missing(wired: EmulatedBoard, store: BundleStore) -> None:
-    (_, said), _ = served(wired, store, 2.0, {})
+def test_without_a_calibration_it_is_ready_and_says_what_is_missing(
+    emulated: EmulatedBoard, store: BundleStore
+) -> None:
+    (_, said), _ = served(emulated, store, 2.0, {})
     assert said.startswith("READY=1\nSTATUS=no scans yet: no calibration is active")

@@ -17,61 +17,61 @@ CURRENTS_MA = {"red": 6.4, "green": 4.9, "blue": 4.9}
 
 
 @pytest.fixture(params=["PCA9955B", "TLC59116"])
-def wired(bench: SimulatedScene, request: pytest.FixtureRequest) -> EmulatedBoard:
+def emulated(bench: SimulatedScene, request: pytest.FixtureRequest) -> EmulatedBoard:
     return emulated_hardware(bench, request.param)
 
 
-def test_each_led_carries_what_was_granted_and_no_other_channel_any(wired: EmulatedBoard) -> None:
-    lights = wired.hardware.lights
+def test_each_led_carries_what_was_granted_and_no_other_channel_any(emulated: EmulatedBoard) -> None:
+    lights = emulated.hardware.lights
     granted = lights.granted_ma(CURRENTS_MA)
     with lights:
         lights.switch_on(CURRENTS_MA)
-        flowing = wired.leds.currents_ma()
+        flowing = emulated.leds.currents_ma()
     expected = dict(zip(CURRENTS_MA, LED_CHANNELS, strict=True))
     lit = {channel for channels in expected.values() for channel in channels}
     for name, channels in expected.items():
         assert granted[name] == pytest.approx(CURRENTS_MA[name], abs=0.12)
         assert [flowing[channel] for channel in channels] == pytest.approx([granted[name]] * len(channels))
     assert not any(current for channel, current in enumerate(flowing) if channel not in lit)
-    assert not any(wired.leds.currents_ma())
+    assert not any(emulated.leds.currents_ma())
 
 
-def test_what_is_granted_is_granted_again_unchanged(wired: EmulatedBoard) -> None:
-    granted = wired.hardware.lights.granted_ma(CURRENTS_MA)
-    assert wired.hardware.lights.granted_ma(granted) == granted
-    tiny = wired.hardware.lights.granted_ma({"red": 1e-6, "green": 0.0})
+def test_what_is_granted_is_granted_again_unchanged(emulated: EmulatedBoard) -> None:
+    granted = emulated.hardware.lights.granted_ma(CURRENTS_MA)
+    assert emulated.hardware.lights.granted_ma(granted) == granted
+    tiny = emulated.hardware.lights.granted_ma({"red": 1e-6, "green": 0.0})
     assert tiny["red"] > 0.0
     assert tiny["green"] == 0.0
 
 
 def test_pca9955b_is_fully_on_so_that_no_row_sees_a_pulse(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    with wired.hardware.lights as lights:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
-        assert wired.leds.registers[0x02:0x06] == [0b0101, 0b0101, 0b0100, 0]
+        assert emulated.leds.registers[0x02:0x06] == [0b0101, 0b0101, 0b0100, 0]
 
 
 def test_tlc59116_never_uses_its_slow_group_dimming(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "TLC59116")
-    with wired.hardware.lights as lights:
+    emulated = emulated_hardware(bench, "TLC59116")
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
-        assert wired.leds.registers[0x14:0x18] == [0b1010, 0b1010, 0b1000, 0]
+        assert emulated.leds.registers[0x14:0x18] == [0b1010, 0b1010, 0b1000, 0]
 
 
-def test_a_chip_that_lost_its_supply_for_a_moment_is_noticed(wired: EmulatedBoard) -> None:
-    class Forgetful(type(wired.leds)):  # type: ignore[misc]
+def test_a_chip_that_lost_its_supply_for_a_moment_is_noticed(emulated: EmulatedBoard) -> None:
+    class Forgetful(type(emulated.leds)):  # type: ignore[misc]
         def write(self, control: int, data: object) -> None:
             super().write(control, data)
             if control & 0x7F in {0x02, 0x14}:
                 self.power_cycle()
 
-    wired.leds.__class__ = Forgetful
-    with pytest.raises(LightError, match=r"did not keep its .*supply for dips"), wired.hardware.lights:
-        wired.hardware.lights.switch_on(CURRENTS_MA)
+    emulated.leds.__class__ = Forgetful
+    with pytest.raises(LightError, match=r"did not keep its .*supply for dips"), emulated.hardware.lights:
+        emulated.hardware.lights.switch_on(CURRENTS_MA)
 
 
-def test_absent_chip_stuck_bus_and_lost_bus_are_named_and_heal(wired: EmulatedBoard) -> None:
-    faults, lights = wired.wire.faults, wired.hardware.lights
+def test_absent_chip_stuck_bus_and_lost_bus_are_named_and_heal(emulated: EmulatedBoard) -> None:
+    faults, lights = emulated.wire.faults, emulated.hardware.lights
     with lights:
         faults.unplugged.add(LIGHTS_AT)
         with pytest.raises(LightError, match=r"no chip answers at 0x15 on bus 1: .*pins 3 and 5"):
@@ -85,80 +85,80 @@ def test_absent_chip_stuck_bus_and_lost_bus_are_named_and_heal(wired: EmulatedBo
             lights.switch_on(CURRENTS_MA)
         faults.gone = False
         lights.switch_on(CURRENTS_MA)
-        assert wired.leds.currents_ma()[0] > 6.0
-    assert wired.wire.opened == 0
+        assert emulated.leds.currents_ma()[0] > 6.0
+    assert emulated.wire.opened == 0
 
 
-def test_two_refused_transfers_are_not_even_noticed(wired: EmulatedBoard) -> None:
-    with wired.hardware.lights as lights:
+def test_two_refused_transfers_are_not_even_noticed(emulated: EmulatedBoard) -> None:
+    with emulated.hardware.lights as lights:
         for _ in range(5):
-            wired.wire.faults.refused = 2
+            emulated.wire.faults.refused = 2
             lights.switch_on(CURRENTS_MA)
-        assert wired.leds.currents_ma()[0] > 6.0
+        assert emulated.leds.currents_ma()[0] > 6.0
 
 
-def test_open_leds_are_flagged_by_light_and_the_flag_goes_with_the_fault(wired: EmulatedBoard) -> None:
-    wired.leds.open_channels.add(5)
-    with wired.hardware.lights as lights:
+def test_open_leds_are_flagged_by_light_and_the_flag_goes_with_the_fault(emulated: EmulatedBoard) -> None:
+    emulated.leds.open_channels.add(5)
+    with emulated.hardware.lights as lights:
         assert lights.faults() == ()
         lights.switch_on(CURRENTS_MA)
         assert lights.faults() == (LightFault("green", "open"),)
-        wired.leds.open_channels.clear()
+        emulated.leds.open_channels.clear()
         lights.switch_on(CURRENTS_MA)
         assert lights.faults() == ()
 
 
-def test_a_shorted_led_is_dark(wired: EmulatedBoard) -> None:
-    wired.leds.shorted_channels.update({4, 5})
-    with wired.hardware.lights as lights:
+def test_a_shorted_led_is_dark(emulated: EmulatedBoard) -> None:
+    emulated.leds.shorted_channels.update({4, 5})
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
-        assert wired.leds.driven_ma()[4] > 4.0
-        assert wired.leds.currents_ma()[4] == 0.0
-        assert set(wired.bench.currents_ma) == {"red", "blue"}
+        assert emulated.leds.driven_ma()[4] > 4.0
+        assert emulated.leds.currents_ma()[4] == 0.0
+        assert set(emulated.bench.currents_ma) == {"red", "blue"}
 
 
 def test_tlc59116_tells_faults_only_of_outputs_without_pwm_and_a_0_is_a_fault(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "TLC59116")
-    wired.leds.open_channels.add(5)
-    with wired.hardware.lights as lights:
+    emulated = emulated_hardware(bench, "TLC59116")
+    emulated.leds.open_channels.add(5)
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
-        duties = wired.leds.read(0x94, 4)
-        assert wired.leds.read(0x9D, 2) == [0, 0]
-        wired.leds.write(0x94, [0b0101, 0b0101, 0b0100, 0])
-        assert wired.leds.read(0x9D, 2) == [0b0001_0011, 0b0000_0010]
-        wired.leds.write(0x94, duties)
+        duties = emulated.leds.read(0x94, 4)
+        assert emulated.leds.read(0x9D, 2) == [0, 0]
+        emulated.leds.write(0x94, [0b0101, 0b0101, 0b0100, 0])
+        assert emulated.leds.read(0x9D, 2) == [0b0001_0011, 0b0000_0010]
+        emulated.leds.write(0x94, duties)
         assert lights.faults() == (LightFault("green", "open"),)
-        assert wired.leds.read(0x94, 4) == duties
-        wired.leds.hot = True
+        assert emulated.leds.read(0x94, 4) == duties
+        emulated.leds.hot = True
         assert [fault.light for fault in lights.faults()] == ["red", "green", "blue"]
         lights.off()
         assert lights.faults() == ()
-        assert not any(wired.leds.driven_ma())
+        assert not any(emulated.leds.driven_ma())
 
 
 def test_short_and_overtemperature_of_the_pca9955b(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired.leds.shorted_channels.add(9)
-    with wired.hardware.lights as lights:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.leds.shorted_channels.add(9)
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
         assert lights.faults() == (LightFault("blue", "short"),)
-        wired.leds.hot = True
+        emulated.leds.hot = True
         assert lights.faults() == tuple(LightFault(name, "hot") for name in lights.names)
-        assert not any(wired.leds.currents_ma())
+        assert not any(emulated.leds.currents_ma())
 
 
-def test_the_indicator_on_a_spare_channel_lives_beside_the_lights_and_dies_with_them(wired: EmulatedBoard) -> None:
-    hardware = wired.hardware
+def test_the_indicator_on_a_spare_channel_lives_beside_the_lights_and_dies_with_them(emulated: EmulatedBoard) -> None:
+    hardware = emulated.hardware
     with hardware.lights, hardware.indicator:
         hardware.indicator.show("busy")
         hardware.lights.switch_on(CURRENTS_MA)
-        assert wired.leds.currents_ma()[SPARE_CHANNEL] > 1.0
+        assert emulated.leds.currents_ma()[SPARE_CHANNEL] > 1.0
         hardware.lights.off()
-        assert wired.leds.currents_ma()[SPARE_CHANNEL] > 1.0
+        assert emulated.leds.currents_ma()[SPARE_CHANNEL] > 1.0
         hardware.indicator.show("good")
-        assert not any(wired.leds.currents_ma())
+        assert not any(emulated.leds.currents_ma())
         hardware.indicator.show("busy")
-    assert not any(wired.leds.currents_ma())
+    assert not any(emulated.leds.currents_ma())
 
 
 def test_half_the_resistance_is_twice_the_current() -> None:
@@ -184,10 +184,10 @@ def test_no_request_exceeds_the_limit_of_a_light(bench: SimulatedScene) -> None:
 
 
 def test_error_flags_are_read_one_by_one_as_increments_end_before_them(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired.leds.open_channels = {LED_CHANNELS[1][0]}
-    with wired.hardware.lights as lights:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.leds.open_channels = {LED_CHANNELS[1][0]}
+    with emulated.hardware.lights as lights:
         lights.switch_on(CURRENTS_MA)
-        assert wired.leds.read(0x46 | 0x80, 4) == [wired.leds.read(0x46, 1)[0]] * 4
+        assert emulated.leds.read(0x46 | 0x80, 4) == [emulated.leds.read(0x46, 1)[0]] * 4
         assert lights.faults() == (LightFault("green", "open"),)
-    assert wired.leds.read(0x42 | 0x80, 3)[2] == wired.leds.read(0x00, 1)[0]
+    assert emulated.leds.read(0x42 | 0x80, 3)[2] == emulated.leds.read(0x00, 1)[0]

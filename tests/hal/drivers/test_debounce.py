@@ -18,7 +18,7 @@ def bounce(debouncer: Debouncer, at_ns: int, down: bool) -> None:
 
 
 @pytest.fixture
-def wired(bench: SimulatedScene) -> EmulatedBoard:
+def emulated(bench: SimulatedScene) -> EmulatedBoard:
     return emulated_hardware(bench, "PCA9955B")
 
 
@@ -114,18 +114,18 @@ def test_a_push_is_told_while_it_is_held_and_once() -> None:
     assert debouncer.next_press() is None
 
 
-def test_a_press_that_begins_while_the_level_is_read_does_not_hide_the_one_before(wired: EmulatedBoard) -> None:
-    line = wired.line
-    with wired.hardware.button as button:
+def test_a_press_that_begins_while_the_level_is_read_does_not_hide_the_one_before(emulated: EmulatedBoard) -> None:
+    line = emulated.line
+    with emulated.hardware.button as button:
         read = line.is_active
-        wired.bench.schedule_button(ButtonPress(1_000 * MS, 0.1))
+        emulated.bench.schedule_button(ButtonPress(1_000 * MS, 0.1))
         assert button.wait_for_push(5.0) == 1_000 * MS
 
         def read_late() -> bool:
-            if wired.bench.clock.monotonic_ns() >= 1_115 * MS and line.is_active is not read:
+            if emulated.bench.clock.monotonic_ns() >= 1_115 * MS and line.is_active is not read:
                 line.is_active = read  # type: ignore[method-assign]
-                wired.bench.schedule_button(ButtonPress(wired.bench.clock.monotonic_ns() + 1, 0.2))
-                wired.bench.clock.sleep(0.001)
+                emulated.bench.schedule_button(ButtonPress(emulated.bench.clock.monotonic_ns() + 1, 0.2))
+                emulated.bench.clock.sleep(0.001)
             return read()
 
         line.is_active = read_late  # type: ignore[method-assign]
@@ -136,18 +136,18 @@ def test_a_press_that_begins_while_the_level_is_read_does_not_hide_the_one_befor
     assert second.held_s == pytest.approx(0.2)
 
 
-def test_several_presses_that_nobody_waited_for_come_in_order(wired: EmulatedBoard) -> None:
-    with wired.hardware.button as button:
+def test_several_presses_that_nobody_waited_for_come_in_order(emulated: EmulatedBoard) -> None:
+    with emulated.hardware.button as button:
         for start_s in (1, 2, 3):
-            wired.bench.schedule_button(ButtonPress(start_s * 1_000 * MS, 0.05))
-        wired.bench.clock.sleep(10.0)
+            emulated.bench.schedule_button(ButtonPress(start_s * 1_000 * MS, 0.05))
+        emulated.bench.clock.sleep(10.0)
         assert button.clear_presses() == 3
         assert button.wait_for_press(1.0) is None
 
 
-def test_a_press_that_is_held_when_presses_are_forgotten_is_forgotten_too(wired: EmulatedBoard) -> None:
-    with wired.hardware.button as button:
-        wired.bench.schedule_button(ButtonPress(1_000 * MS, 3.0))
+def test_a_press_that_is_held_when_presses_are_forgotten_is_forgotten_too(emulated: EmulatedBoard) -> None:
+    with emulated.hardware.button as button:
+        emulated.bench.schedule_button(ButtonPress(1_000 * MS, 3.0))
         assert button.wait_for_press(2.0) is None
         assert button.is_down()
         assert button.clear_presses() == 1
@@ -155,17 +155,17 @@ def test_a_press_that_is_held_when_presses_are_forgotten_is_forgotten_too(wired:
 
 
 @pytest.mark.parametrize("held_s", [0.06, 0.4, 2.5])
-def test_a_press_on_the_line_is_as_long_as_the_finger_was(wired: EmulatedBoard, held_s: float) -> None:
-    with wired.hardware.button as button:
-        wired.bench.schedule_button(ButtonPress(1_000 * MS, held_s))
+def test_a_press_on_the_line_is_as_long_as_the_finger_was(emulated: EmulatedBoard, held_s: float) -> None:
+    with emulated.hardware.button as button:
+        emulated.bench.schedule_button(ButtonPress(1_000 * MS, held_s))
         press = button.wait_for_press(10.0)
     assert press is not None
     assert press.began_ns == 1_000 * MS
     assert press.held_s == pytest.approx(held_s)
 
 
-def test_chatter_on_the_line_ends_in_no_press_and_in_time(wired: EmulatedBoard) -> None:
-    wired.line.chatter([Edge(number * 3 * MS, number % 2 == 0) for number in range(1, 1001)])
-    with wired.hardware.button as button:
+def test_chatter_on_the_line_ends_in_no_press_and_in_time(emulated: EmulatedBoard) -> None:
+    emulated.line.chatter([Edge(number * 3 * MS, number % 2 == 0) for number in range(1, 1001)])
+    with emulated.hardware.button as button:
         assert button.wait_for_press(2.0) is None
-    assert 2.0 <= wired.bench.clock.monotonic_ns() * 1e-9 < 2.02
+    assert 2.0 <= emulated.bench.clock.monotonic_ns() * 1e-9 < 2.02

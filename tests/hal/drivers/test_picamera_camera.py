@@ -17,12 +17,12 @@ from hal.simulator.emulated.hardware import CAMERA_ID, EmulatedBoard, emulated_h
 
 
 @pytest.fixture
-def wired(bench: SimulatedScene) -> EmulatedBoard:
+def emulated(bench: SimulatedScene) -> EmulatedBoard:
     return emulated_hardware(bench, "PCA9955B")
 
 
-def test_stride_and_black_level_are_honoured(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_stride_and_black_level_are_honoured(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         hardware.lights.switch_on(hardware.profile.currents_ma)
         hardware.clock.sleep(0.1)
         frame = hardware.camera.next_frame(1.0)
@@ -33,8 +33,8 @@ def test_stride_and_black_level_are_honoured(wired: EmulatedBoard) -> None:
     assert frame.black_level_dn == 256.0
 
 
-def test_the_time_of_a_frame_is_when_its_exposure_began(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_the_time_of_a_frame_is_when_its_exposure_began(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         frame = hardware.camera.next_frame(1.0)
         began_ns = frame.sensor_timestamp_ns
         assert began_ns + frame.granted.exposure_us * 1e3 <= hardware.clock.monotonic_ns()
@@ -47,8 +47,8 @@ def test_the_time_of_a_frame_is_when_its_exposure_began(wired: EmulatedBoard) ->
     assert np.ptp(means) < 0.01 * means[0]
 
 
-def test_everything_automatic_is_off_before_the_first_frame(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_everything_automatic_is_off_before_the_first_frame(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         frame = hardware.camera.next_frame(1.0)
     asked = hardware.profile.camera
     assert frame.granted.exposure_us == pytest.approx(asked.exposure_us, rel=0.02)
@@ -66,53 +66,53 @@ def test_everything_automatic_is_off_before_the_first_frame(wired: EmulatedBoard
     ],
 )
 def test_another_raw_format_is_refused_and_the_camera_given_back(
-    wired: EmulatedBoard, granted: str, complaint: str
+    emulated: EmulatedBoard, granted: str, complaint: str
 ) -> None:
-    wired.cameras.faults.raw_format = granted
-    with pytest.raises(CameraError, match=complaint), wired.hardware:
+    emulated.cameras.faults.raw_format = granted
+    with pytest.raises(CameraError, match=complaint), emulated.hardware:
         pass
-    assert wired.cameras.opened == 0
-    wired.cameras.faults.raw_format = ""
-    with wired.hardware as hardware:
+    assert emulated.cameras.opened == 0
+    emulated.cameras.faults.raw_format = ""
+    with emulated.hardware as hardware:
         hardware.camera.next_frame(1.0)
 
 
 @pytest.mark.parametrize("fault", ["no_raw", "no_raw_granted"])
-def test_a_camera_without_raw_such_as_the_virtual_one_is_refused_by_name(wired: EmulatedBoard, fault: str) -> None:
-    setattr(wired.cameras.faults, fault, True)
-    with pytest.raises(CameraError, match="grants no raw stream, as a USB or virtual camera"), wired.hardware:
+def test_a_camera_without_raw_such_as_the_virtual_one_is_refused_by_name(emulated: EmulatedBoard, fault: str) -> None:
+    setattr(emulated.cameras.faults, fault, True)
+    with pytest.raises(CameraError, match="grants no raw stream, as a USB or virtual camera"), emulated.hardware:
         pass
-    assert wired.cameras.opened == 0
+    assert emulated.cameras.opened == 0
 
 
-def test_a_missing_an_ambiguous_and_a_busy_camera_are_named(wired: EmulatedBoard) -> None:
-    wired.bench.faults.camera_missing = True
-    wired.cameras.others = ["/base/soc/usb/cam@1"]
+def test_a_missing_an_ambiguous_and_a_busy_camera_are_named(emulated: EmulatedBoard) -> None:
+    emulated.bench.faults.camera_missing = True
+    emulated.cameras.others = ["/base/soc/usb/cam@1"]
     with pytest.raises(CameraError, match=r"imx296@1a is not there: cameras are /base/soc/usb/cam@1; check the ribbon"):
-        wired.hardware.camera.__enter__()
-    wired.bench.faults.camera_missing = False
-    wired.cameras.others = [CAMERA_ID.replace("i2c@1", "i2c@0")]
+        emulated.hardware.camera.__enter__()
+    emulated.bench.faults.camera_missing = False
+    emulated.cameras.others = [CAMERA_ID.replace("i2c@1", "i2c@0")]
     with pytest.raises(CameraError, match="is ambiguous"):
-        wired.hardware.camera.__enter__()
-    wired.cameras.others, wired.cameras.faults.in_use = ["/base/soc/usb/cam@1"], True
+        emulated.hardware.camera.__enter__()
+    emulated.cameras.others, emulated.cameras.faults.in_use = ["/base/soc/usb/cam@1"], True
     with pytest.raises(CameraError, match="no other program uses it"):
-        wired.hardware.camera.__enter__()
-    wired.cameras.faults.in_use = False
-    with wired.hardware.camera as camera:
+        emulated.hardware.camera.__enter__()
+    emulated.cameras.faults.in_use = False
+    with emulated.hardware.camera as camera:
         assert camera.camera_id == CAMERA_ID
 
 
-def test_no_memory_at_configure_says_what_to_give_it(wired: EmulatedBoard) -> None:
-    wired.cameras.faults.no_memory = True
-    with pytest.raises(CameraError, match=r"no memory to be configured: keep dtoverlay=vc4-kms-v3d"), wired.hardware:
+def test_no_memory_at_configure_says_what_to_give_it(emulated: EmulatedBoard) -> None:
+    emulated.cameras.faults.no_memory = True
+    with pytest.raises(CameraError, match=r"no memory to be configured: keep dtoverlay=vc4-kms-v3d"), emulated.hardware:
         pass
-    assert wired.cameras.opened == 0
+    assert emulated.cameras.opened == 0
 
 
-def test_a_stalled_pipeline_is_opened_again_by_the_next_call_and_keeps_its_settings(wired: EmulatedBoard) -> None:
+def test_a_stalled_pipeline_is_opened_again_by_the_next_call_and_keeps_its_settings(emulated: EmulatedBoard) -> None:
     asked = CameraSettings(3_000.0, 2.0)
-    wired.cameras.faults.stalled_openings = 2
-    with wired.hardware as hardware:
+    emulated.cameras.faults.stalled_openings = 2
+    with emulated.hardware as hardware:
         hardware.camera.apply(asked)
         with pytest.raises(FrameTimeout, match=r"delivered no frame within 1 s: check its ribbon"):
             hardware.camera.next_frame(1.0)
@@ -124,98 +124,98 @@ def test_a_stalled_pipeline_is_opened_again_by_the_next_call_and_keeps_its_setti
     assert frame.granted.analogue_gain == pytest.approx(asked.analogue_gain, rel=0.02)
 
 
-def test_asking_for_settings_opens_a_stalled_pipeline_before_any_light_is_on(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
-        wired.bench.faults.camera_stalled = True
+def test_asking_for_settings_opens_a_stalled_pipeline_before_any_light_is_on(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
+        emulated.bench.faults.camera_stalled = True
         with pytest.raises(FrameTimeout):
             hardware.camera.next_frame(0.5)
-        first = wired.cameras.openings
-        wired.bench.faults.camera_stalled = False
+        first = emulated.cameras.openings
+        emulated.bench.faults.camera_stalled = False
         hardware.camera.apply(hardware.profile.camera.settings)
-        assert wired.cameras.openings == first + 1
+        assert emulated.cameras.openings == first + 1
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
-        assert wired.cameras.openings == first + 1
+        assert emulated.cameras.openings == first + 1
 
 
-def test_impatience_is_no_stall(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_impatience_is_no_stall(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         for _ in range(5):
             with pytest.raises(FrameTimeout):
                 hardware.camera.next_frame(0.2 * STALLED_S * 1e-3)
             hardware.camera.next_frame(0.5)
-        assert wired.cameras.openings == 1
+        assert emulated.cameras.openings == 1
 
 
-def test_requests_that_complete_while_they_are_called_off_are_given_back(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_requests_that_complete_while_they_are_called_off_are_given_back(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         for _ in range(5):
-            wired.cameras.faults.late_requests = 1
+            emulated.cameras.faults.late_requests = 1
             with pytest.raises(FrameTimeout):
                 hardware.camera.next_frame(0.3)
-            assert wired.cameras.held_requests == 0
+            assert emulated.cameras.held_requests == 0
             assert hardware.camera.next_frame(0.3).shape == hardware.camera.shape
 
 
-def test_a_camera_that_is_unplugged_and_plugged_in_again(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_a_camera_that_is_unplugged_and_plugged_in_again(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         hardware.camera.next_frame(0.5)
-        wired.bench.faults.camera_missing = True
+        emulated.bench.faults.camera_missing = True
         with pytest.raises(FrameTimeout, match="delivered no frame within"):
             hardware.camera.next_frame(0.5)
         for ask in (lambda: hardware.camera.next_frame(0.5), lambda: hardware.camera.apply(CameraSettings(1e3, 1.0))):
             with pytest.raises(CameraError, match="is not there"):
                 ask()
-        wired.bench.faults.camera_missing = False
+        emulated.bench.faults.camera_missing = False
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
 
 
-def test_a_frame_of_the_wrong_size_is_refused_and_its_buffer_given_back(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
-        wired.cameras.faults.rows_lost = 2
+def test_a_frame_of_the_wrong_size_is_refused_and_its_buffer_given_back(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
+        emulated.cameras.faults.rows_lost = 2
         for _ in range(5):
             with pytest.raises(CameraError, match=r"270 rows .* where it granted 272"):
                 hardware.camera.next_frame(0.5)
-        assert wired.cameras.held_requests == 0
-        wired.cameras.faults.rows_lost = 0
+        assert emulated.cameras.held_requests == 0
+        emulated.cameras.faults.rows_lost = 0
         hardware.camera.next_frame(0.5)
 
 
-def test_what_picamera2_raises_on_a_buffer_is_told_and_the_buffer_given_back(wired: EmulatedBoard) -> None:
-    wired.cameras.faults.unmappable = True
-    with wired.hardware as hardware:
+def test_what_picamera2_raises_on_a_buffer_is_told_and_the_buffer_given_back(emulated: EmulatedBoard) -> None:
+    emulated.cameras.faults.unmappable = True
+    with emulated.hardware as hardware:
         for take in (hardware.camera.next_frame, hardware.camera.aiming_view):
             with pytest.raises(CameraError, match=r"cannot deliver a frame \(cannot reshape"):
                 take(0.5)
-        assert wired.cameras.held_requests == 0
+        assert emulated.cameras.held_requests == 0
 
 
 @pytest.mark.parametrize("key", ["SensorTimestamp", "ExposureTime", "AnalogueGain", "SensorBlackLevels"])
-def test_a_frame_without_proof_is_refused(wired: EmulatedBoard, key: str) -> None:
-    wired.cameras.faults.without = key
-    with wired.hardware as hardware, pytest.raises(CameraError, match=key):
+def test_a_frame_without_proof_is_refused(emulated: EmulatedBoard, key: str) -> None:
+    emulated.cameras.faults.without = key
+    with emulated.hardware as hardware, pytest.raises(CameraError, match=key):
         hardware.camera.next_frame(0.5)
 
 
 @pytest.mark.parametrize("ahead_s", [5.0, -1000.0])
-def test_frames_stamped_by_another_clock_are_refused(wired: EmulatedBoard, ahead_s: float) -> None:
-    wired.cameras.faults.clock_offset_ns = round(ahead_s * 1e9)
-    with wired.hardware as hardware, pytest.raises(CameraError, match="not the monotonic clock"):
+def test_frames_stamped_by_another_clock_are_refused(emulated: EmulatedBoard, ahead_s: float) -> None:
+    emulated.cameras.faults.clock_offset_ns = round(ahead_s * 1e9)
+    with emulated.hardware as hardware, pytest.raises(CameraError, match="not the monotonic clock"):
         hardware.camera.next_frame(0.5)
 
 
-def test_buffers_are_always_given_back(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_buffers_are_always_given_back(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         for _ in range(20):
             hardware.camera.next_frame(0.5)
             hardware.camera.aiming_view(0.5)
             with pytest.raises(FrameTimeout):
                 hardware.camera.next_frame(1e-6)
-        assert wired.cameras.held_requests == 0
-    assert wired.cameras.opened == 0
+        assert emulated.cameras.held_requests == 0
+    assert emulated.cameras.opened == 0
 
 
-def test_an_aiming_view_shows_the_whole_field(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_an_aiming_view_shows_the_whole_field(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         hardware.lights.switch_on(hardware.profile.currents_ma)
         hardware.clock.sleep(0.1)
         frame, view = hardware.camera.next_frame(0.5), hardware.camera.aiming_view(0.5)
@@ -227,8 +227,8 @@ def test_an_aiming_view_shows_the_whole_field(wired: EmulatedBoard) -> None:
         assert patch.min() - 20 <= seen <= patch.max() + 20
 
 
-def test_aiming_is_live_at_ten_views_a_second(wired: EmulatedBoard) -> None:
-    with wired.hardware as hardware:
+def test_aiming_is_live_at_ten_views_a_second(emulated: EmulatedBoard) -> None:
+    with emulated.hardware as hardware:
         hardware.lights.switch_on(hardware.profile.currents_ma)
         hardware.clock.sleep(0.1)
         began_ns = hardware.clock.monotonic_ns()
@@ -238,45 +238,49 @@ def test_aiming_is_live_at_ten_views_a_second(wired: EmulatedBoard) -> None:
     assert all(view.mean() > 20.0 for view in views)
 
 
-def test_a_control_that_the_camera_does_not_know_is_refused(wired: EmulatedBoard) -> None:
-    profile = wired.bench.profile
+def test_a_control_that_the_camera_does_not_know_is_refused(emulated: EmulatedBoard) -> None:
+    profile = emulated.bench.profile
     facts: LibcameraConfig = msgspec.structs.replace(profile.libcamera, lens_position=5.0)
-    camera = PicameraCamera(profile.sensor, facts, profile.camera.settings, lambda: wired.cameras, wired.hardware.clock)
+    camera = PicameraCamera(
+        profile.sensor, facts, profile.camera.settings, lambda: emulated.cameras, emulated.hardware.clock
+    )
     with pytest.raises(CameraError, match="AfMode is not advertised"):
         camera.__enter__()
 
 
-def test_a_camera_manager_that_fails_is_told(wired: EmulatedBoard) -> None:
-    wired.cameras.faults.unlisted = True
+def test_a_camera_manager_that_fails_is_told(emulated: EmulatedBoard) -> None:
+    emulated.cameras.faults.unlisted = True
     with (
         pytest.raises(CameraError, match=r"libcamera cannot list the cameras \(failed to start.*ribbon"),
-        wired.hardware,
+        emulated.hardware,
     ):
         pass
-    wired.cameras.faults.unlisted = False
-    with wired.hardware as hardware:
+    emulated.cameras.faults.unlisted = False
+    with emulated.hardware as hardware:
         hardware.camera.next_frame(0.5)
 
 
 @pytest.mark.parametrize("call", ["configure", "start"])
-def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_is_opened(wired: EmulatedBoard, call: str) -> None:
-    wired.cameras.faults.timed_out = call
-    with pytest.raises(CameraError, match="timed out") as reported, wired.hardware:
+def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_is_opened(
+    emulated: EmulatedBoard, call: str
+) -> None:
+    emulated.cameras.faults.timed_out = call
+    with pytest.raises(CameraError, match="timed out") as reported, emulated.hardware:
         pass
     assert not isinstance(reported.value, FrameTimeout)
-    assert wired.cameras.opened == 0
+    assert emulated.cameras.opened == 0
 
 
 @pytest.mark.parametrize("call", ["get_result", "cancel_all_and_flush"])
-def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_runs(wired: EmulatedBoard, call: str) -> None:
-    with wired.hardware as hardware:
-        wired.cameras.faults.timed_out = call
-        wired.bench.faults.camera_stalled = call != "get_result"
+def test_a_time_out_of_the_kernel_is_a_fault_of_the_camera_when_it_runs(emulated: EmulatedBoard, call: str) -> None:
+    with emulated.hardware as hardware:
+        emulated.cameras.faults.timed_out = call
+        emulated.bench.faults.camera_stalled = call != "get_result"
         with pytest.raises(CameraError, match="timed out"):
             hardware.camera.next_frame(0.5)
-        wired.cameras.faults.timed_out, wired.bench.faults.camera_stalled = "", False
+        emulated.cameras.faults.timed_out, emulated.bench.faults.camera_stalled = "", False
         assert hardware.camera.next_frame(0.5).shape == hardware.camera.shape
-        assert wired.cameras.openings == 2
+        assert emulated.cameras.openings == 2
 
 
 @pytest.mark.parametrize(

@@ -41,32 +41,32 @@ def test_the_firmware_tool_is_run(tmp_path: Path) -> None:
 
 
 def test_a_battery_plays_its_discharge(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
+    emulated = emulated_hardware(bench, "PCA9955B")
     seen = []
     for percent in (101.5, 80.0, 40.0, 3.0):
-        wired.gauge.set_cell(3300.0 + 9.0 * percent, percent)
-        with wired.hardware.power as power:
+        emulated.gauge.set_cell(3300.0 + 9.0 * percent, percent)
+        with emulated.hardware.power as power:
             seen.append(power.read())
     assert [reading.battery_share for reading in seen] == pytest.approx([1.0, 0.8, 0.4, 0.03])
     assert [reading.battery_mv for reading in seen] == pytest.approx([4213.5, 4020.0, 3660.0, 3327.0], abs=0.1)
 
 
 def test_a_gauge_that_is_another_chip_or_none_is_named(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired.gauge.registers[0x08:0x0A] = [0xFF, 0xFF]
-    wired.firmware.throttled = "50005"
-    (reported,) = wired.hardware.power.read().complaints
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.gauge.registers[0x08:0x0A] = [0xFF, 0xFF]
+    emulated.firmware.throttled = "50005"
+    (reported,) = emulated.hardware.power.read().complaints
     assert "version 0xffff, not a MAX17048: check power.fuel_gauge" in reported
-    wired.wire.faults.unplugged.add(GAUGE_AT)
-    reading = wired.hardware.power.read()
+    emulated.wire.faults.unplugged.add(GAUGE_AT)
+    reading = emulated.hardware.power.read()
     assert "no chip answers at 0x36 on bus 1" in reading.complaints[0]
     assert (reading.under_voltage, reading.was_under_voltage, reading.battery_share) == (True, True, None)
 
 
 def test_a_silent_firmware_does_not_hide_the_battery(bench: SimulatedScene) -> None:
-    wired = emulated_hardware(bench, "PCA9955B")
-    wired.firmware.throttled = "VCHI initialization failed"
-    reading = wired.hardware.power.read()
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.firmware.throttled = "VCHI initialization failed"
+    reading = emulated.hardware.power.read()
     assert (reading.under_voltage, reading.battery_share) == (None, 0.5)
     assert "not a number" in reading.complaints[0]
 

@@ -23,8 +23,8 @@ from hal.simulator.emulated.mirrored_board import MirroredBus, mirrored_board_ha
 
 @pytest.fixture
 def twin_camera(profile: BoardProfile) -> BoardProfile:
-    wired = emulated_profile(profile, "PCA9955B")
-    return msgspec.structs.replace(wired, driver="twin-camera", libcamera=None, power=None)
+    emulated = emulated_profile(profile, "PCA9955B")
+    return msgspec.structs.replace(emulated, driver="twin-camera", libcamera=None, power=None)
 
 
 @pytest.fixture
