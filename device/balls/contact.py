@@ -28,7 +28,7 @@ RAMP_KEPT: Final = 0.6
 LIFT_MARGIN: Final = 0.8
 """Trusted share of the radius at which the ramp falls below `RAMP_KEPT`: the skin lifts off gradually.
 
-With 0.85 a skin with a narrow lobe is taught by skin that has lifted off (docs/accuracy.md).
+With 0.85 the map of a skin with a narrow lobe is trained on skin that has lifted off (docs/accuracy.md).
 """
 
 LEVEL_RINGS: Final = 0.6

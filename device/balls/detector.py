@@ -1,7 +1,7 @@
 """The calibration balls of a press, found without help.
 
 Candidates come from ramps in two directions (`candidates`), centres and contacts from rings (`refinement`); what
-cannot teach is handed back with the reason, so that the person who pressed knows what to change.
+cannot be used for training is returned with the reason, so that the person who pressed knows what to change.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MAX_CONTACT: Final = 0.8
 """However deep a press, the skin lifts off the sphere near 0.85 of its radius."""
 
 MIN_CONTACT: Final = 0.33
-"""A contact under this share of the radius shows slopes of 20 degrees at most and teaches too little."""
+"""A contact under this share of the radius shows slopes of 20 degrees at most, which is too little for training."""
 
 IMPOSSIBLE_CONTACT: Final = 1.08
 """No skin follows a sphere beyond its own radius; the skin around it lets a contact seem a little wider."""
@@ -42,7 +42,7 @@ SYMMETRIC: Final = 0.15
 
 @dataclass(frozen=True, slots=True)
 class RejectedBall:
-    """A place that looks like a ball and cannot teach; position in pixels."""
+    """A place that looks like a ball and cannot be used for training; position in pixels."""
 
     column: float
     row: float
@@ -141,7 +141,7 @@ def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[flo
 
 
 def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float) -> str:
-    """Why a sighting cannot teach, empty when it can."""
+    """Why a ball cannot be used for training; empty when it can."""
     rows, columns = shape
     margin = min(sighting.column + 0.5, sighting.row + 0.5, columns - 0.5 - sighting.column, rows - 0.5 - sighting.row)
     contact = min(sighting.contact, MAX_CONTACT)

@@ -1,4 +1,4 @@
-"""A ball pressed into the skin, and the pixels that it teaches.
+"""A ball pressed into the skin, and its training pixels.
 
 Inside its contact the skin is the sphere, so that every pixel there has a known slope (paper, section 5.1).
 """

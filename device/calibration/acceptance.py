@@ -51,7 +51,7 @@ def check_fit(inverse: InverseFit) -> None:
 def fit_checks(balls: int, rejected: int, held_out_deg: float | None, coverage: Coverage) -> tuple[Check, ...]:
     """What is judged of every calibration.
 
-    balls, rejected : how many balls teach, and how many were refused
+    balls, rejected : number of training balls, and of rejected ones
     held_out_deg : error on held-out balls; None when it is unknown, and then not judged
     """
     covered = sum(coverage.sectors.values())

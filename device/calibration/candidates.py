@@ -99,7 +99,7 @@ class RegressorFit:
     form : its terms
     reading : what makes its colours of intensity and place, None where it reads intensity itself
     penalty : of the ridge
-    ridge : its features, less those at rest where it is `flat`, at the pixels of balls
+    ridge : its features, less those of untouched skin where it is `flat`, at the pixels of balls
     flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
     """
 
@@ -111,7 +111,8 @@ class RegressorFit:
     flat: bool = True
 
     def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
-        """The leverage of its features among those of the living balls, 0 at rest; arguments as for the ridge.
+        """The leverage of its features among those of the living balls, 0 for untouched skin; arguments as for the
+        ridge.
 
         For a learner that does not read light.
         """

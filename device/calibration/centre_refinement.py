@@ -23,7 +23,7 @@ REFINEMENT_ROUNDS: Final = 4
 SHIFT_TAKEN: Final = 0.8
 """Share of a centre's indicated shift that is taken."""
 STANDS_OUT: Final = 3.0
-"""Deviations from the median error at which a ball no longer teaches."""
+"""Deviations from the median error from which a ball is no longer used for training."""
 
 MIN_DEVIATION: Final = 0.15
 """The deviation counts as this share of the median at least: a ball alone in a corner is predicted worse."""

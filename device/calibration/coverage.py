@@ -28,7 +28,7 @@ DIRECTION_SHARE: Final = 0.25
 class Coverage(msgspec.Struct, frozen=True):
     """What the balls cover.
 
-    sectors : by name of the nine sectors of the frame, whether a ball teaches there
+    sectors : by name of the nine sectors of the frame, whether a training ball lies there
     directions : by the direction in which the surface falls, whether tilted pixels show it
     steepest_deg : slopes are covered up to here
     """
@@ -62,9 +62,9 @@ class Coverage(msgspec.Struct, frozen=True):
 
 
 def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: float) -> Coverage:
-    """The coverage of a frame of `shape` (H, W) by the samples of the balls that teach.
+    """The coverage of a frame of `shape` (H, W) by the samples of the training balls.
 
-    steepest : slope up to which they teach
+    steepest : largest slope of the training balls
     """
     down = np.clip(samples.row * SIDES / shape[0], 0, SIDES - 1).astype(int)
     across = np.clip(samples.column * SIDES / shape[1], 0, SIDES - 1).astype(int)

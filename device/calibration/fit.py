@@ -90,9 +90,9 @@ class InverseFit:
     bands : the same by slope
     core_deg : the same within `CORE_SHARE` of the contacts, where labels that are too wide do no harm
     readings : of held-out balls, None when there is one ball only
-    of_another_radius : of balls that only balls of another radius taught, None when all have one radius
-    replicas : maps that all kept balls but a fold's teach, one a fold, without noise bias; none where few balls teach
-        or nobody asked for them
+    of_another_radius : readings by maps trained on balls of another radius only, None when all have one radius
+    replicas : maps trained on all kept balls but a fold's, one a fold, without noise bias; none where few balls were
+        kept or none were requested
     """
 
     map: InverseMap
@@ -155,7 +155,7 @@ def fit_inverse_map(
     state = refine(chosen, balls, learners)
     if not state.kept.any():
         raise CalibrationError(
-            "no ball follows the sphere well enough to teach: press the ball again, deeper and centred"
+            "no ball follows the sphere well enough to be used: press the ball again, deeper and centred"
         )
     rows = state.kept[chosen.ball]
     domain = TrainingDomain.observed(samples.intensity[state.kept[samples.ball]])
@@ -190,7 +190,7 @@ def _replicas(
     domain: TrainingDomain,
     shape: tuple[int, int],
 ) -> tuple[InverseMap, ...]:
-    """A map for every fold of kept balls, taught by the other folds; none with fewer than two balls a fold."""
+    """A map for every fold of kept balls, trained on the other folds; none with fewer than two balls a fold."""
     kept = np.flatnonzero(state.kept)
     if len(kept) < 2 * FOLDS:
         return ()
@@ -215,7 +215,7 @@ def _readings(samples: BallSamples, state: Refined, slope: Float64Array, shape: 
 def _of_another_radius(
     samples: BallSamples, state: Refined, learners: Learners, shape: tuple[int, int]
 ) -> HeldOutReadings | None:
-    """Readings of every ball by the map that balls of the other radii teach, None when kept balls have one radius."""
+    """Readings of every ball by the map trained on balls of the other radii, None when kept balls have one radius."""
     sizes = np.round(np.log([ball.radius_px for ball in state.balls]) / SAME_RADIUS).astype(np.intp)
     kinds, fold = np.unique(sizes, return_inverse=True)
     if len(np.unique(fold[state.kept])) < len(kinds) or len(kinds) < 2:
@@ -283,7 +283,7 @@ def _map(
     shape: tuple[int, int],
     steepest: float,
 ) -> InverseMap:
-    """The map that all kept balls teach."""
+    """The map trained on all kept balls."""
 
     def trained(learner: RegressorFit) -> FeatureRegressor:
         return learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))

@@ -1,4 +1,4 @@
-"""What a map reads of balls that did not teach it: the material of every statement about how true it is."""
+"""Readings of balls that a map was not trained on: the material of every statement about how true it is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from device.surface.fields import Float64Array, MaskArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutReadings:
-    """Pixels of kept balls, each read by the map that the other folds' balls teach; all share their first axis (N).
+    """Pixels of kept balls, each read by the map trained on the other folds; all share their first axis (N).
 
     slope, truth : float64 arrays of shape (N, 2), as read and as the sphere at its refined centre has it
     place : float64 array of shape (N, 2), position variables

@@ -14,7 +14,7 @@ MAX_RADIUS_SPREAD: Final = 0.08
 """Standard deviation, over balls, of the radius that shading gives over the one stated; more is a contradiction."""
 
 MAX_CLIPPED: Final = 0.3
-"""A ball with a larger share of its contact saturated does not teach."""
+"""A ball with a larger share of its contact saturated is not used for training."""
 
 REFERENCE_CLIPPED: Final = 0.1
 """A reference with a larger share saturated cannot be divided by."""

@@ -32,7 +32,7 @@ Selection = tuple[str, float, bytes]
 
 
 class ActiveSetup:
-    """The scanner for presses, or the reason why there is none."""
+    """The scanner for presses, or the reason why presses cannot be scanned."""
 
     def __init__(
         self, hardware: Hardware, store: BundleStore, states: StateStore, live: LiveLoop, executor: Executor
@@ -58,7 +58,7 @@ class ActiveSetup:
         Raises
         ------
         DeviceError, HalError
-            Why there is none.
+            Why presses cannot be scanned.
         """
         if self._scanner is None:
             raise self._fault or DeviceError("the instrument is not ready yet: wait a moment")

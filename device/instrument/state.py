@@ -38,7 +38,7 @@ class LiveView:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationState:
-    """The active calibration, or why there is none (`fault` says what to do).
+    """The active calibration, or why none is active (`fault` says what to do).
 
     version, slot : in the registry; None if unknown
     age_s : by the wall clock; None if negative, when that clock is wrong

@@ -86,7 +86,7 @@ class RawLightBranch:
         field = IlluminationMap.from_arrays(arrays)
         at_rest = np.asarray(arrays["at_rest"], np.float32) if "at_rest" in arrays else None
         if at_rest is not None and (at_rest.shape != (*field.nodes.shape[:2], 2) or not np.isfinite(at_rest).all()):
-            raise ValueError(f"slopes at rest of shape {at_rest.shape}")
+            raise ValueError(f"slopes of untouched skin of shape {at_rest.shape}")
         return cls(field, FeatureRegressor.from_arrays(arrays, source, linear=True), share, at_rest)
 
 

@@ -60,7 +60,7 @@ class RandomFourierFeatures:
 
     @property
     def amplitude(self) -> float:
-        """Of each wave; 0 where there is none."""
+        """Of each wave; 0 without waves."""
         return AMPLITUDE * float(np.sqrt(2.0 / self.count)) if self.count else 0.0
 
     def values(self, variables: NDArray[Any]) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""How far a pixel's colour and place lie from what the balls taught: the leverage of ridge regression.
+"""How far a pixel's colour and place lie from the training pixels: the leverage of ridge regression.
 
 A polynomial's answer has the variance h = φᵀ (ΦᵀΦ + λ)⁻¹ φ times that of the samples, φ the pixel's features. Where h
 is larger than at any ball the answer is extrapolated, however smooth it looks.
@@ -17,7 +17,7 @@ from device.inverse_map.regressor import FeatureRegressor
 from device.surface.fields import Float32Array, Float64Array
 
 TRAINED_PERCENT: Final = 99.9
-"""Percentile of the leverage over the balls that counts as taught: the last few pixels are dust."""
+"""Percentile of the leverage over the balls that counts as trained: the last few pixels are dust."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +25,7 @@ class Leverage:
     """What the leverage of a curve's features is computed with.
 
     root : float32 array of shape (M K, M K); h = |φᵀ root|² for features φ of the curve
-    trained : the highest leverage that counts as taught
+    trained : the highest leverage that counts as trained
     """
 
     root: Float32Array
@@ -37,7 +37,9 @@ class Leverage:
         return cls(root.astype(np.float32), float(np.percentile(((design @ root) ** 2).sum(axis=1), TRAINED_PERCENT)))
 
     def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
-        """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest that was taught."""
+        """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest of the training
+        pixels.
+        """
         design = curve.design(colours, place)
         return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.trained, np.float64)
 

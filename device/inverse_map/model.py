@@ -58,9 +58,9 @@ class InverseMap:
     shape : (H, W) of the full-size field that positions are scaled by
     domain : the colours that the balls showed
     curve : the curve that reads intensity; alone where there are no others, and always what the quick look tabulates
-    max_trained_slope : slope up to which the balls taught it; what lies beyond is extrapolated
+    max_trained_slope : largest slope of the training balls; steeper slopes are extrapolated
     light : the curve that reads light, None where it would not help
-    leverage : of the curve that reads intensity, None where one ball alone taught it
+    leverage : of the curve that reads intensity, None where it was trained on one ball
     near : the curve in its place that reads a matt skin's slopes, None where it would not help
     root : the curve that reads the root of intensity, None where it would not help
     rest_bump : mean stereographic slope that curves which are free to misread untouched skin read there, nodes as of

@@ -32,7 +32,7 @@ EDGE_POWER: Final = 7.0
 """Times the median power of its cell from which a pixel shows an edge: of normal noise in three colours 0.1 % do."""
 
 MIN_TAKEN: Final = 0.2
-"""Of what is read at rest so much is taken off noisy pixels at least, or noise is too loud for it."""
+"""Minimum factor on what is read of untouched skin for noisy pixels; below it noise is too loud to correct."""
 
 _BATCH: Final = 8192
 

@@ -2,9 +2,9 @@
 
 A smooth curve that is fitted to balls misses zero at intensity 1 by a few thousandths, differently over the field;
 integrated, that is a bowl under everything. So every feature φ of a curve is replaced by its difference from the same
-feature at rest, φ(I, x, y) - φ(1, x, y): untouched skin then has slope 0 whatever the coefficients are, and the fit and
-its held-out balls know it. For a curve of intensity the difference is a linear map of coefficients; for one of light
-the reading at rest is a smooth field, kept at the places at which the light is kept.
+feature of untouched skin, φ(I, x, y) - φ(1, x, y): untouched skin then has slope 0 whatever the coefficients are, and
+the fit and its held-out balls know it. For a curve of intensity the difference is a linear map of coefficients; for one
+of light the reading of untouched skin is a smooth field, kept at the places at which the light is kept.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def seen_at_rest(place: Float64Array, reading: Reading | None) -> Float32Array:
 
 
 def flat_at_rest(curve: FeatureRegressor, coefficients: Float64Array, reading: Reading | None) -> Float64Array:
-    """Coefficients (M K, C) for features, from those for features less the features at rest.
+    """Coefficients (M K, C) for features, from those for features less the features of untouched skin.
 
-    The constant of colour takes what the others read at rest. Not for a curve of light, whose colours at rest differ
-    from place to place: see `light_at_rest`.
+    The constant of colour takes what the others read of untouched skin. Not for a curve of light, whose colours of
+    untouched skin differ from place to place: see `light_at_rest`.
     """
     place_terms = len(position_exponents(curve.position_degree))
     colours = seen_at_rest(np.zeros((1, 2)), reading)

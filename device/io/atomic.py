@@ -110,7 +110,7 @@ def publish_directory(partial: Path, final: Path, synced: Collection[str] = ()) 
     try:
         sync_directory(final.parent)
     except BaseException:
-        # Not proven durable: the caller reports a failure, so nobody may find the directory later.
+        # Not proven durable: the caller reports a failure, so the directory must not be found later.
         final.rename(partial)
         raise
 

@@ -58,7 +58,7 @@ def open_regular(path: Path, *, follow: bool = False) -> int:
     Raises
     ------
     OSError
-        There is none, it may not be read, or it is something else (`IrregularFile`).
+        It does not exist, it may not be read, or it is something else (`IrregularFile`).
     """
     return _open_regular(str(path), str(path), None, follow=follow)
 

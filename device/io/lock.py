@@ -98,7 +98,7 @@ def _create(path: Path, content: bytes) -> bool:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove a lease that nobody holds; a guard file keeps two programs from doing that to each other's new lease."""
+    """Remove a lease without a holder; a guard file keeps two programs from doing that to each other's new lease."""
     guard = path.with_name(f"{path.name}-takeover")
     if _create(guard, b""):
         try:
@@ -113,7 +113,7 @@ def _remove_stale(path: Path) -> None:
 
 
 def _owner(path: Path) -> str | None:
-    """Who holds a lease and for how long; None when nobody does any more."""
+    """Who holds a lease and for how long; None when it is free."""
     try:
         age_s = time.time() - path.lstat().st_mtime
         with os.fdopen(open_regular(path), "rb") as stream:

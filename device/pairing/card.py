@@ -1,6 +1,6 @@
 """Pairing without a screen: each side leaves its card in a folder of the memory card and reads the other's.
 
-Whoever holds the memory card is trusted as the device's owner, but the card's file system is not: links are not
+The holder of the memory card is trusted as the device's owner, but the card's file system is not: links are not
 followed, and only small regular files are read.
 """
 

@@ -41,7 +41,7 @@ def read_host_key(path: Path) -> str:
     Raises
     ------
     RecordError
-        There is none.
+        The file does not exist.
     """
     try:
         words = path.read_text(encoding="ascii").split()

@@ -1,7 +1,7 @@
 """The pairing window: a workstation may pair for two minutes, until three wrong codes; then nothing listens.
 
 It runs in threads of its own, so that a screen or a button's loop only polls it. Several callers are served at once,
-and silent ones make room: nobody who only connects keeps the right code out.
+and silent ones make room: a caller that only connects cannot keep the right code out.
 """
 
 from __future__ import annotations

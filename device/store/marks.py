@@ -33,7 +33,7 @@ def mark_path(root: Path, scan_id: str) -> Path:
 
 
 def read_mark(root: Path, scan_id: str) -> ScanMark | None:
-    """The mark of a scan; None when there is none or its file is damaged."""
+    """The mark of a scan; None when it has none or the file is damaged."""
     path = mark_path(root, scan_id)
     if not path.exists():
         return None

@@ -107,7 +107,7 @@ class CalibrationRegistry:
         Raises
         ------
         NoCalibration
-            There is none for this instrument, gel and lights; says what there is instead.
+            None is stored for this instrument, gel and lights; lists those that are stored.
         """
         slots = self._registered(self._key)
         wanted = slots.current or (slots.entries[-1] if slots.entries else None)
@@ -121,7 +121,7 @@ class CalibrationRegistry:
         Raises
         ------
         NoCalibration
-            There is none before.
+            No earlier one is stored.
         """
         earlier = self._registered(self._key).before
         if earlier is None:

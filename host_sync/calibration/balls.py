@@ -26,7 +26,7 @@ MAX_WIDENING: Final = 1.06
 
 @dataclass(frozen=True, slots=True)
 class GridSpacing:
-    """Distance of neighbouring balls of a square grid, and by how much it may be off; None when nobody said."""
+    """Distance of neighbouring balls of a square grid, and by how much it may be off; None when not stated."""
 
     pitch_mm: float
     tolerance_mm: float | None = None
@@ -40,7 +40,7 @@ class PressFrame:
     labelled_by_hand : the places in `balls` may be some pixels off
     source : the file that the frame came from
     grid : the spacing of the balls when they form a grid
-    radius_tolerance : by which share the ball's radius may be off, None when nobody said
+    radius_tolerance : by which share the ball's radius may be off, None when not stated
     """
 
     name: str
@@ -70,9 +70,9 @@ class FittedBall:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsedPress:
-    """A press in calibration: its intensity, the balls that teach, and those that were rejected with the reason.
+    """A press in calibration: its intensity, the training balls, and those that were rejected with the reason.
 
-    error : why the press as a whole teaches nothing, empty when it does
+    error : why no ball of the press can be used, empty when one can
     seen : what was found in it, None when its balls were given by the instrument that took it
     fitted : every ball that took part in the fit, in the fit's order
     """
@@ -110,7 +110,8 @@ def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) ->
 
 
 def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
-    """A press with its balls as given, or found when none are given; what cannot teach is listed with the reason.
+    """A press with its balls as given, or found when none are given; what cannot be used for training is listed with
+    the reason.
 
     Raises
     ------
@@ -167,7 +168,7 @@ def _without(press: UsedPress, out: Sequence[bool], reason: str) -> UsedPress:
 def relocate_labels(press: UsedPress) -> UsedPress:
     """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay.
 
-    A label at which nothing is seen teaches as it was set: whether it is right is for held-out balls to say.
+    A label at which nothing is seen is used as it was set: whether it is right is for held-out balls to say.
     """
     found = _as_wide_as_labels_say(press)
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))

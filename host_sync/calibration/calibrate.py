@@ -70,7 +70,7 @@ class Calibration:
     held_out_deg : mean angular error on held-out balls by method
     assessment : what the calibration is worth: the scale's ±, coverage, pass or fail
     frame_model : what its frames have in common, by which a foreign frame is refused
-    elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads skin at rest
+    elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads untouched skin
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
     """
@@ -112,7 +112,7 @@ def calibrate(
 ) -> Calibration:
     """The calibration of one gel and set of lights.
 
-    reference : frame of the skin at rest; None fits a stand-in to the presses and `others`
+    reference : frame of the untouched skin; None fits a stand-in to the presses and `others`
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
     tell : is given a few words as each step begins
 
@@ -201,7 +201,7 @@ def _without_noise(located: Sequence[UsedPress], shrinkage: DetailShrinkage | No
 def _locate_all(
     presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, has_reference: bool
 ) -> tuple[Sequence[UsedPress], PixelPitch | None]:
-    """The presses with the balls that may teach, and the pixel pitch that grids among them measure."""
+    """The presses with the balls that may be used for training, and the pixel pitch that grids among them measure."""
     labelled = [locate(press, flat_field) for press in presses]
     check_agreement([p.label for p in presses], [used.intensity for used in labelled], has_reference)
     located, pitch = measure_pitch(presses, labelled, stated_um)
@@ -284,7 +284,9 @@ def _elevation_left(
     inverse: InverseFit,
     elevated: ElevatedBalls | None,
 ) -> ElevationCorrection:
-    """What elevation leaves uncertain: of a correction its doubt, else as much of the lights' nearness as may be."""
+    """What elevation leaves uncertain: of a correction its uncertainty, else as much of the lights' nearness as may
+    be.
+    """
     if elevated and elevated.response.is_certain:
         return elevated.left
     nearness = elevation_correction(kept, training, inverse.map)

@@ -1,6 +1,6 @@
 """Whether frames were taken under one set of lights with one gel: their untouched skin must look alike.
 
-Most of every frame shows skin at rest, so that the median over the frame of the difference of two frames is that of
+Most of every frame shows untouched skin, so that the median over the frame of the difference of two frames is that of
 the skin. Lights of real sensors drift; what drifts has neighbours on the way, what was changed has none.
 """
 

@@ -1,8 +1,8 @@
 """Balls of calibration presses as they would look at the elevation of untouched skin.
 
-A ball's apex stands high over the skin, its rim lower. Taught as they are, such colours would be read as slopes of skin
-that stands as high. So the intensity inside each contact is changed to what the same slopes would show at rest, by the
-response that the balls themselves tell (`elevation_response`).
+A ball's apex stands high over the skin, its rim lower. Used for training as they are, such colours would be read as
+slopes of skin that stands as high. So the intensity inside each contact is changed to what the same slopes would show
+on untouched skin, by the response that the balls themselves tell (`elevation_response`).
 
 Centres: under near lights the apex does not read 1, and a centre that is sought where it does is off by up to seven
 hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness.
@@ -80,7 +80,7 @@ def find_elevated_balls(
 ) -> ElevatedBalls | None:
     """The balls of presses as symmetry and heights show them; None where they are too few to tell what elevation does.
 
-    inverse : a map that the balls taught as they are; its heights are good to some per cent
+    inverse : a map trained on the balls as they are; its heights are good to some per cent
     flat_field : float32 array of shape (H, W, 3), the reference's light
     """
     every = [ball for _, of_press in presses for ball in of_press]
@@ -133,7 +133,7 @@ class _Skin:
         return max(float(here), ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
 
     def as_lit_at(self, ball: Ball, response: ElevationResponse) -> Float32Array:
-        """What is to be added to intensity, (h, w, 3), were all skin at rest and lit as the middle of a ball is."""
+        """What is to be added to intensity, (h, w, 3), were all skin untouched and lit as the middle of a ball is."""
         column, row = (np.arange(size) * self.step + self.step // 2 for size in self.z_px.shape[::-1])
         x, y = (field_position(axis, axis, self.shape)[:, k].astype(np.float32) for k, axis in enumerate((column, row)))
         a, b, c = (rows_between_nodes(part, x, y) for part in _flat_nodes(response))
@@ -164,7 +164,7 @@ class _Relief:
         return cls(GradientField(p, q, valid, valid.astype(np.float32)), step, image.shape)
 
     def at(self, trained: ElevationCorrection) -> _Skin:
-        """The skin, where slopes are read right at the elevation at which they were taught."""
+        """The skin, where slopes are read right at the elevation of the training balls."""
         found = self.gradients
         share = trained.steeper(self._elevation_px(found), found.p**2 + found.q**2)
         right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
@@ -200,7 +200,7 @@ def _flat_nodes(response: ElevationResponse) -> tuple[Float32Array, Float32Array
 
 
 def _lower(values: Float32Array, ball: Ball, apex_px: float, response: ElevationResponse) -> None:
-    """Change the intensity inside a ball's contact to what its slopes would show at rest."""
+    """Change the intensity inside a ball's contact to what its slopes would show on untouched skin."""
     row, column = pixels_inside(ball, values.shape[:2])
     p, q = (s.astype(np.float64) for s in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
     brightness = 1.0 / np.sqrt(1.0 + p**2 + q**2)

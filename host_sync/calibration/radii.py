@@ -1,6 +1,6 @@
 """Whether balls have the radii that are stated for them: shading tells their sizes against one another.
 
-A map from intensity to slope that many balls taught reads every ball. A ball that is smaller than stated is steeper at
+A map from intensity to slope trained on many balls reads every ball. A ball that is smaller than stated is steeper at
 each place than its stated radius makes it: the map reads its slopes by that share too steep. The common size of all
 balls cannot be told so: were all radii wrong by one share, the map would have learned slopes wrong by it.
 """

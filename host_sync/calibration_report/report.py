@@ -56,7 +56,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
         "pixel_pitch_um": calibration.pitch_um,
         "scale_uncertainty": assessment.scale,
         "measured_pixel_pitch": _pitch_record(assessment.pitch),
-        "reference": "frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
+        "reference": "frame of the untouched skin" if calibration.has_reference else "fitted to the frames",
         "ball_centres": calibration.centres,
         "preferred_method": calibration.preferred,
         "held_out_error_deg": {method: _number(error) for method, error in calibration.held_out_deg.items()},

@@ -150,7 +150,7 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
 
 
 def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:
-    """The measurement of each folder in turn, or a sentence that says why there is none."""
+    """The measurement of each folder in turn, or a sentence that says why it cannot be measured."""
     with status_spinner() as tell:
         tell("loading compiled code")
         from host_sync.measurement.measure import measure_result

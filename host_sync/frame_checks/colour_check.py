@@ -29,7 +29,7 @@ MAX_DRIFT: Final = 0.15
 """Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
 
 MIN_REST: Final = 0.1
-"""Share of the field that must be at rest to be judged: a few pixels that happen to look flat tell nothing."""
+"""Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat tell nothing."""
 
 SAMPLES_ALONG: Final = 256
 """The frame is looked at with at most so many rows and columns, about; fewer will do where frames follow each other."""
@@ -43,19 +43,19 @@ def check_frame(
     flat_field : float32 array of shape (H, W, 3), what the frame was divided by
     samples_along : how many rows and columns are looked at, about
     """
-    doubts = []
+    warnings = []
     step = _step(intensity.shape, samples_along)
     turn = _turn(intensity, flat_field, step)
     if turn is not None:
-        doubts.append(f"its light lies over the field as if it were {turn}")
+        warnings.append(f"its light lies over the field as if it were {turn}")
     strange = _strange_share(intensity, inverse, step)
     if strange > MAX_OUT_OF_DOMAIN:
-        doubts.append(f"{strange:.0%} of its colours are such as no ball showed (at most {MAX_OUT_OF_DOMAIN:.0%})")
-    return doubts
+        warnings.append(f"{strange:.0%} of its colours are such as no ball showed (at most {MAX_OUT_OF_DOMAIN:.0%})")
+    return warnings
 
 
 def check_datum(intensity: NormalizedImage, at_rest: MaskArray) -> list[str]:
-    """What speaks against a frame whose untouched skin is known; nothing where no skin is at rest."""
+    """What speaks against a frame whose untouched skin is known; nothing where no skin is untouched."""
     resting = np.count_nonzero(at_rest)
     if resting == at_rest.size or resting < MIN_REST * at_rest.size:
         return []

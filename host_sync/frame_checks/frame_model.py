@@ -39,9 +39,9 @@ class FrameModel:
     ) -> FrameModel:
         """The model of a calibration.
 
-        reference : frame of the skin at rest, None where there is none
+        reference : frame of the untouched skin, None without one
         flat_field : float32 array of shape (H, W, 3), what frames are divided by
-        presses : intensity of each calibration press, and the balls that teach
+        presses : intensity of each calibration press, and the training balls
         """
         images = [image for image, _ in presses]
         own = flat_field_correct(reference, flat_field) if reference is not None else None

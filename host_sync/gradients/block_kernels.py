@@ -126,7 +126,8 @@ def take_off_bias(start: int, above: Any, below: Any, share: Any, run: Any) -> N
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
 def take_off_bump(colours: Any, start: int, above: Any, below: Any, share: Any, run: Any) -> None:
-    """Add minus what is read at rest to the curves' mean, as much as a pixel looks untouched (`rest_likeness`).
+    """Add minus what is read of untouched skin to the curves' mean, as much as a pixel looks untouched
+    (`rest_likeness`).
 
     colours : three float32 arrays of shape (n,), intensity
     """

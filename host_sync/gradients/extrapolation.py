@@ -1,4 +1,4 @@
-"""Which pixels show slopes that the calibration never taught: they are kept, and marked.
+"""Which pixels show slopes beyond the calibration's training data: they are kept, and marked.
 
 Steeper than any ball, or of a colour and place whose leverage exceeds that of every ball pixel
 (`device.inverse_map.leverage`).
@@ -22,7 +22,7 @@ MAX_POINTS: Final = 60_000
 """Points of the coarse grid, at most: each costs as many products as the map has features squared."""
 
 MAX_LEVERAGE: Final = 2.0
-"""Leverage, relative to the highest that balls taught, from which a pixel is extrapolated."""
+"""Leverage, relative to the highest of the training balls, from which a pixel is extrapolated."""
 
 STEEPER: Final = 1.05
 """Slope, relative to the steepest that balls showed, from which it is: noise alone passes 1 at the rim of a ball."""
@@ -31,7 +31,7 @@ _CHUNK: Final = 8192
 
 
 def extrapolated(intensity: NormalizedImage, inverse: InverseMap, p: Float32Array, q: Float32Array) -> MaskArray:
-    """True where a slope lies beyond what the calibration taught, shape (H, W).
+    """True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
     """
@@ -60,7 +60,7 @@ def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
 
 
 def _strange(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
-    """Leverage beyond what was taught, at one point of every block of pixels."""
+    """Leverage beyond the training data, at one point of every block of pixels."""
     step = _step(intensity.shape)
     rows, columns = intensity.shape
     values = intensity.values[step // 2 :: step, step // 2 :: step]

@@ -143,7 +143,7 @@ _DARK: Final = np.zeros((0, 3, 0), np.float32)
 """No light: the map has no curve that reads it."""
 
 _NO_BIAS: Final = np.zeros((2, 2, 2), np.float32)
-"""Slopes at rest of a map that has none."""
+"""Slopes of untouched skin of a map that has none."""
 
 _NO_LIGHTS: Final = np.zeros((0, 3, PLACE_DEGREE + 1, PLACE_DEGREE + 1), np.float32)
 """No directions of lights: the map has no curve that reads near lights' slopes."""
@@ -196,7 +196,7 @@ def _evaluate(
 ) -> None:  # fmt: skip
     """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
 
-    limits : of the colours that tell whether the balls taught a pixel
+    limits : of the colours that tell whether a pixel lies within the training data
     near : directions of lights for a curve `own` that reads near lights' slopes, or empty: it reads intensity
     light : by places and columns for the curve `lit`, or empty
     root : the curve that reads the root of intensity

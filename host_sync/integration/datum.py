@@ -33,13 +33,13 @@ MAX_SAMPLES: Final = 200_000
 
 
 def untouched_mask(gradients: GradientField) -> MaskArray:
-    """True where the skin is at rest: bool array of shape (H, W); every valid pixel when no such place is found."""
+    """True where the skin is untouched: bool array of shape (H, W); every valid pixel when no such place is found."""
     found = skin_at_rest(gradients)
     return gradients.valid if found is None else found
 
 
 def skin_at_rest(gradients: GradientField) -> MaskArray | None:
-    """True where the skin is at rest: bool array of shape (H, W); None when no such place is found."""
+    """True where the skin is untouched: bool array of shape (H, W); None when no such place is found."""
     rows, columns = gradients.valid.shape
     cell = max(1, round(PATCH_SHARE * columns) // PATCH_CELLS)
     patch = max(3, round(PATCH_SHARE * columns / cell) | 1)
@@ -55,7 +55,7 @@ def skin_at_rest(gradients: GradientField) -> MaskArray | None:
 
 
 def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
-    """Median height of the skin at rest, µm; 0 when none has a height."""
+    """Median height of the untouched skin, µm; 0 when none has a height."""
     step = max(1, int(np.sqrt(at_rest.size / MAX_SAMPLES)))
     sample = height.z_um[::step, ::step]
     heights = sample[at_rest[::step, ::step] & np.isfinite(sample)]
@@ -63,7 +63,7 @@ def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
 
 
 def zero_to_datum(height: HeightMap, at_rest: MaskArray) -> HeightMap:
-    """The height map with zero at the median of the skin at rest."""
+    """The height map with zero at the median of the untouched skin."""
     return HeightMap(height.z_um - np.float32(height_of_rest_um(height, at_rest)), height.pitch_um)
 
 

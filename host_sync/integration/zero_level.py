@@ -1,10 +1,10 @@
-"""The zero of a height map: all skin at rest that lies far from what was touched, and how far it agrees with itself.
+"""The zero of a height map: all untouched skin that lies far from what was touched, and how far it agrees with itself.
 
-Flat skin that reaches the border is at rest or lies on an object that reaches beyond the border. Objects press the skin
-towards the camera, so that of flat parts the lowest ones are at rest. Around an object skin sinks towards rest over a
-long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ from
-place to place by what errors of slopes add up to: that spread is the zero's uncertainty. Where no skin is at rest a
-height map has no zero: its heights are relative to each other.
+Flat skin that reaches the border is untouched or lies on an object that reaches beyond the border. Objects press the
+skin towards the camera, so that of flat parts the lowest ones are untouched. Around an object skin sinks towards rest
+over a long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ
+from place to place by what errors of slopes add up to: that spread is the zero's uncertainty. Where no skin is
+untouched a height map has no zero: its heights are relative to each other.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.stats import trim_mean
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.datum import height_of_rest_um, skin_at_rest
 
-NO_ZERO: Final = "no zero: heights are relative, for no skin lies at rest"
+NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
 """The warning where nothing was taken for zero."""
 
 FAR_SHARE: Final = 0.2
@@ -30,7 +30,7 @@ MIN_SHARE: Final = 0.02
 """Share of the field that a flat part must make up to be the lowest, and far skin to do without the rest of it."""
 
 ALIKE_SHARE: Final = 0.1
-"""Flat parts this share of the map's height above the lowest are at rest too: long waves are known least."""
+"""Flat parts this share of the map's height above the lowest are untouched too: long waves are known least."""
 
 HEIGHT_PERCENT: Final = (1.0, 99.0)
 """Percentiles between which a map's heights lie."""
@@ -53,10 +53,10 @@ class Datum:
     """What a height map's zero is taken from.
 
     skin : bool array of shape (H, W), True where heights are zero but for their errors; every valid pixel where no
-        skin lies at rest
+        skin is untouched
     zero_um : trimmed mean of the median heights of its blocks, µm
-    spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin lies at rest
-    share : of the field that it makes up; 0 where no skin lies at rest
+    spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin is untouched
+    share : of the field that it makes up; 0 where no skin is untouched
     blocks : how many parts of the field it was compared in
     """
 
@@ -76,7 +76,7 @@ class Datum:
 
     @property
     def is_relative(self) -> bool:
-        """Whether no skin lies at rest, so that heights have no zero."""
+        """Whether no skin is untouched, so that heights have no zero."""
         return self.share <= 0.0
 
     def level(self, height: HeightMap) -> HeightMap:

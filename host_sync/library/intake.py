@@ -204,7 +204,7 @@ def _head_fault(root: Path, head: IntakeHead | str | None, count: int, at_head: 
 
 
 def _read_head(root: Path) -> IntakeHead | str | None:
-    """The head; None when there is none, a sentence when it is damaged."""
+    """The head; None when it is missing, a sentence when it is damaged."""
     path = root / HEAD_FILE
     try:
         with os.fdopen(open_regular(path), "rb") as stream:

@@ -59,11 +59,11 @@ def as_text(measurement: Measurement) -> str:
         for one in group:
             lines.append(f"  {one.name:<{width}}  {one.number}")
             lines.extend(
-                f"  {'':<{width}}    doubtful: {warning}"
+                f"  {'':<{width}}    warning: {warning}"
                 for warning in one.warnings
                 if warning not in shared_warnings(group)
             )
-        lines.extend(f"  doubtful: {warning}" for warning in shared_warnings(group))
+        lines.extend(f"  warning: {warning}" for warning in shared_warnings(group))
     lines += ["", *(f"- {note}" for note in measurement.notes)]
     return "\n".join(lines)
 

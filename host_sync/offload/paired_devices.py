@@ -103,7 +103,7 @@ class PairedDevices:
                 (self.folder / kind / f"{device_id}.json").unlink(missing_ok=True)
 
     def sync_state(self, device_id: str) -> SyncState | None:
-        """Outcome of the last sync, None when there was none."""
+        """Outcome of the last sync, None before the first."""
         path = self.folder / "synced" / f"{device_id}.json"
         return decode_record(read_small(path, _REMEDY), SyncState, path, _REMEDY) if path.exists() else None
 

@@ -43,7 +43,7 @@ def correct_elevation(gradients: GradientField, response: ElevationResponse) -> 
 def elevation_px(
     p: Float32Array, q: Float32Array, known: MaskArray, step_px: float, factors: Float32Array, nearness_per_px: float
 ) -> Float32Array:
-    """Elevation over untouched skin, pixels, of slopes that were read as if they were at rest; arrays of one shape.
+    """Elevation over untouched skin, pixels, of slopes that were read as if they were untouched; arrays of one shape.
 
     known : where there is a slope; the skin counts as level elsewhere
     step_px : distance of neighbouring points, pixels

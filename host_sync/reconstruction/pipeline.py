@@ -50,7 +50,7 @@ class Reconstruction:
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either of them
     gradients : the slopes as estimated per pixel, before integration
     integration : what the solver reports
-    extrapolated : bool array of shape (H, W), True where a slope lies beyond what the calibration taught
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training data
     clipped_share : share of pixels with a saturated channel
     frame_checks : what was checked of the frame, with figure and limit, and what could not be checked
     warnings : what speaks against the frame being of this calibration, or its heights having a zero; it was
@@ -130,13 +130,13 @@ def reconstruct(
     contradiction = nonintegrable_residual(gradients, p, q)
     resting = flat_bias(calibration.inverse.map)
     replicas = calibration.inverse.replicas if chosen == "direct" else ()
-    doubt = calibration_uncertainty(intensity, replicas, reduced_size(p.shape))
+    unsure = calibration_uncertainty(intensity, replicas, reduced_size(p.shape))
     known = height_uncertainty(
-        height, gradients, contradiction, error, resting, datum, known_scale_share(calibration), doubt=doubt
+        height, gradients, contradiction, error, resting, datum, known_scale_share(calibration), calibration=unsure
     )
     noise = calibration.slope_noise
     kept = noise.shrunk_kept if noise else NOISE_KEPT
-    steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, doubt.with_unresolved(p, q), kept)
+    steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
     other = None
     if shrinkage is not None:
         raw_gradients = estimate(raw, calibration, chosen)
@@ -186,7 +186,7 @@ def known_scale_share(calibration: Calibration) -> float:
     return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))
 
 
-def raise_on_warnings(doubts: Sequence[str], name: str, *, force: bool) -> None:
+def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
     """Refuse a frame that something speaks against, unless it is forced.
 
     Raises
@@ -194,9 +194,9 @@ def raise_on_warnings(doubts: Sequence[str], name: str, *, force: bool) -> None:
     CalibrationMismatch
         Says what speaks against it.
     """
-    if doubts and not force:
+    if warnings and not force:
         raise CalibrationMismatch(
-            f"{name} was not made as its calibration was: {'; '.join(doubts)}. Use a calibration of these lights and "
+            f"{name} was not made as its calibration was: {'; '.join(warnings)}. Use a calibration of these lights and "
             "this gel, or --force to reconstruct it all the same"
         )
 

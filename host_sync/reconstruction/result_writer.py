@@ -131,7 +131,7 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         calibration_id=calibration.calibration_id,
         surface_detail=reconstruction.detail,
         slope_noise=calibration.slope_noise,
-        reference="frame of the skin at rest" if calibration.has_reference else "fitted to the frames",
+        reference="frame of the untouched skin" if calibration.has_reference else "fitted to the frames",
         rows=rows,
         columns=columns,
         pixel_pitch_um=calibration.pitch_um,

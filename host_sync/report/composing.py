@@ -98,8 +98,8 @@ def _numbers(measurement: Measurement) -> Iterator[Table]:
         shared = shared_warnings(quantities)
         own = ["; ".join(warning for warning in one.warnings if warning not in shared) for one in quantities]
         rows = tuple((one.name, one.number, warnings) for one, warnings in zip(quantities, own, strict=True))
-        remarks = tuple(f"doubtful: {warning}" for warning in shared)
-        yield Table(title, ("number", "value ± uncertainty", "doubtful because"), rows, remarks)
+        remarks = tuple(f"warning: {warning}" for warning in shared)
+        yield Table(title, ("number", "value ± uncertainty", "warnings"), rows, remarks)
 
 
 def _calibration(measurement: Measurement, origin: Origin) -> Table:

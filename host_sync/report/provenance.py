@@ -43,7 +43,7 @@ def origin_of(folder: Path, record: ResultRecord) -> Origin:
         try:
             scan = read_scan(above)
         except DeviceError:
-            scan = None  # `verify` reports a damaged bundle; here there is none
+            scan = None  # `verify` reports a damaged bundle; here it counts as absent
     places = [folder.absolute().parent / "calibration" / CALIBRATION_REPORT]
     if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
         bundle = above.parent.parent / "calibrations" / record.calibration_bundle / "results"

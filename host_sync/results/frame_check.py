@@ -15,7 +15,7 @@ class FrameCheck(msgspec.Struct, frozen=True):
 
     name : what was checked, such as "pattern position"
     outcome : "not checked" where frame or calibration hold nothing that the check could use
-    value, limit : the figure that was compared and its limit, in `unit`; None where there is none
+    value, limit : the figure that was compared and its limit, in `unit`; None where nothing was compared
     words : why it was refused or could not be made, one clause; empty when it passed
     """
 

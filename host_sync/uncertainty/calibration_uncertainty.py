@@ -1,7 +1,8 @@
-"""What a calibration does not know of a frame's slopes: how they change when a fold of its balls does not teach.
+"""What a calibration does not know of a frame's slopes: how they change when a fold of its balls is left out of
+training.
 
-Each replica of the inverse map was taught without some of the balls. Where the others say as much, all read the same
-slopes; where a corner, a colour or a slope was taught by few balls they part. The jackknife makes standard deviations
+Each replica of the inverse map was trained without some of the balls. Where the others say as much, all read the same
+slopes; where a corner, a colour or a slope was trained on few balls they part. The jackknife makes standard deviations
 of that: of K replicas √((K - 1) / K · Σ (read - mean)²). Their differences stretch over an object and over the field as
 the calibration's errors do, so that heights feel them in full.
 """
@@ -56,7 +57,7 @@ def _resampled(field: Float32Array, shape: tuple[int, int]) -> Float32Array:
 def calibration_uncertainty(
     image: NormalizedImage, replicas: Sequence[InverseMap], size: tuple[int, int]
 ) -> CalibrationUncertainty:
-    """The doubt of an image's slopes on a reduced field of `size` (w, h)."""
+    """The uncertainty of an image's slopes on a reduced field of `size` (w, h)."""
     if not replicas:
         nothing = np.zeros((0, size[1], size[0]), np.float32)
         return CalibrationUncertainty(nothing, nothing)

@@ -67,7 +67,7 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
 def elevation_correction(
     presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], training: BallSamples, inverse: InverseMap
 ) -> ElevationCorrection:
-    """The elevation of the balls of a calibration's presses, from their map and the samples that taught it."""
+    """The elevation of the balls of a calibration's presses, from their map and its training samples."""
     radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
     shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
     apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))

@@ -102,22 +102,22 @@ def slope_sigma(
     q: Float32Array,
     contradiction: Float32Array,
     error: SlopeError,
-    doubt: Float32Array | None = None,
+    calibration_sigma: Float32Array | None = None,
     noise_kept: float = NOISE_KEPT,
 ) -> Float32Array:
     """Standard uncertainty of either slope of the surface: float32 array of shape (H, W), NaN where invalid.
 
     p, q : slopes of the height map
     contradiction : as `nonintegrable_residual` returns it
-    doubt : the calibration's, float32 array of shape (H, W); None where nobody knows it
+    calibration_sigma : of the calibration, float32 array of shape (H, W); None where it is unknown
     noise_kept : share of a pixel's noise that the surface's slopes keep
     """
     cosine = np.cos(np.radians(error.tilt_deg))[::-1]
     pixel, patch = (np.radians(part_deg)[::-1] for part_deg in (error.pixel_deg, error.patch_deg))
     parts = piecewise_linear(cosine, noise_kept * pixel), piecewise_linear(cosine, patch)
     weight = np.maximum(gradients.weight, np.float32(MIN_WEIGHT))
-    # Both look at the same error, from what balls taught and from what this surface betrays: the larger one counts.
-    unsure = np.zeros_like(contradiction) if doubt is None else doubt
+    # Both look at the same error, from the training balls and from what this surface betrays: the larger one counts.
+    unsure = np.zeros_like(contradiction) if calibration_sigma is None else calibration_sigma
     return sigma_by_tilt((p, q), parts, weight, gradients.valid, contradiction, unsure)
 
 
@@ -130,7 +130,7 @@ def height_uncertainty(
     datum: Datum,
     scale_share: float = 0.0,
     seed: int = 0,
-    doubt: CalibrationUncertainty | None = None,
+    calibration: CalibrationUncertainty | None = None,
 ) -> HeightUncertainty:
     """Standard uncertainty of the height, and the samples it comes from.
 
@@ -139,7 +139,7 @@ def height_uncertainty(
     resting : as `flat_bias` returns them
     datum : what the height map's zero was taken from
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
-    doubt : the calibration's, on a field of `reduced_size`; None where nobody knows it
+    calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
     """
     rows, columns = gradients.p.shape
     size = reduced_size(gradients.p.shape)
@@ -159,11 +159,11 @@ def height_uncertainty(
             _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
             for steep, rest in zip(steeper, bias, strict=True)
         )
-        if doubt is not None:
-            unsure = doubt.sample(rng.standard_normal(len(doubt.p), np.float32))
+        if calibration is not None:
+            unsure = calibration.sample(rng.standard_normal(len(calibration.p), np.float32))
             p, q = p + unsure[0], q + unsure[1]
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
-        # Skin at rest is flat: by how much its heights differ, their zero is unknown.
+        # Untouched skin is flat: by how much its heights differ, their zero is unknown.
         sample_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((sample_um * zero).sum())
     sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     samples_um += np.float32(share) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32) * z_small

@@ -1,4 +1,4 @@
-"""By how much a map errs more on a ball that it did not see than on those that taught it."""
+"""By how much a map errs more on a ball that it did not see than on its training balls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import MIN_PIXELS, InverseFit, SlopeBand
 
 LONE_BALL_INFLATION: Final = 2.0
-"""For a map that one ball alone taught, so that none is left to hold out."""
+"""For a map trained on one ball alone, so that none is left to hold out."""
 
 MAX_SAMPLES: Final = 20_000
 
@@ -60,7 +60,7 @@ class Inflation:
 
 
 def held_out_inflation(samples: BallSamples, fit: InverseFit) -> Inflation:
-    """The inflation of a fit, by the samples of the balls that taught it."""
+    """The inflation of a fit, by its training samples."""
     if fit.held_out_deg is None:
         return Inflation(None)
     step = max(1, len(samples.p) // MAX_SAMPLES)

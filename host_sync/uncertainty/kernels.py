@@ -37,7 +37,7 @@ def sigma_by_tilt(
     weight: Float32Array,
     valid: MaskArray,
     contradiction: Float32Array,
-    doubt: Float32Array,
+    calibration_sigma: Float32Array,
 ) -> Float32Array:
     """Standard uncertainty of a slope: float32 array of shape (H, W), NaN where invalid.
 
@@ -45,10 +45,10 @@ def sigma_by_tilt(
     parts : pixel and patch part of the error by the cosine of the tilt, radians
     weight : relative confidence, kept above zero
     contradiction : least error that the surface itself betrays
-    doubt : of the calibration, beside all else
+    calibration_sigma : of the calibration, beside all else
     """
     out = np.empty(weight.shape, np.float32)
-    parallel_rows(_write_sigma, out.shape, *slopes, *parts, weight, valid, contradiction, doubt, out)
+    parallel_rows(_write_sigma, out.shape, *slopes, *parts, weight, valid, contradiction, calibration_sigma, out)
     return out
 
 
@@ -60,7 +60,7 @@ def squared_tilt(p: Float32Array, q: Float32Array, valid: MaskArray, most: float
 
 
 def removed_slope(estimated: Float32Array, integrated: Float32Array, valid: MaskArray) -> Float32Array:
-    """What integration took from a slope, zero where there is none: float32 array of shape (H, W)."""
+    """What integration took from a slope, zero where it took nothing: float32 array of shape (H, W)."""
     out = np.empty(estimated.shape, np.float32)
     parallel_rows(_write_removed, out.shape, estimated, integrated, valid, out)
     return out
@@ -76,7 +76,7 @@ def with_scale(sigma_um: Float32Array, share: float, z_um: Float32Array, valid: 
 @njit(cache=True, nogil=True)
 def _write_sigma(
     p: Any, q: Any, pixel: PiecewiseLinear, patch: PiecewiseLinear, weight: Any, valid: Any, contradiction: Any,
-    doubt: Any, out: Any, first: int, last: int,
+    calibration_sigma: Any, out: Any, first: int, last: int,
 ) -> None:  # fmt: skip
     columns = out.shape[1]
     square, cosine = np.empty(columns, np.float32), np.empty(columns, np.float32)
@@ -85,7 +85,7 @@ def _write_sigma(
         _tilt_row(p[r], q[r], square, cosine)
         _bent_row(pixel, cosine, parts[0])
         _bent_row(patch, cosine, parts[1])
-        _sigma_row(square, parts[0], parts[1], weight[r], valid[r], contradiction[r], doubt[r], out[r])
+        _sigma_row(square, parts[0], parts[1], weight[r], valid[r], contradiction[r], calibration_sigma[r], out[r])
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,7 +107,7 @@ def _bent_row(function: PiecewiseLinear, x: Any, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _sigma_row(
-    square: Any, pixel: Any, patch: Any, weight: Any, valid: Any, contradiction: Any, doubt: Any, out: Any
+    square: Any, pixel: Any, patch: Any, weight: Any, valid: Any, contradiction: Any, calibration_sigma: Any, out: Any
 ) -> None:
     one, nine, nan = np.float32(1.0), np.float32(9.0), np.float32(np.nan)
     for c in range(out.size):
@@ -116,7 +116,7 @@ def _sigma_row(
         own *= one + (nine if square[c] > nine else square[c])
         own /= np.sqrt(weight[c])
         larger = contradiction[c] if contradiction[c] > own else own
-        total = np.sqrt(larger * larger + doubt[c] * doubt[c])
+        total = np.sqrt(larger * larger + calibration_sigma[c] * calibration_sigma[c])
         out[c] = total if valid[c] else nan
 
 

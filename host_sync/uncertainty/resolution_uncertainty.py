@@ -1,7 +1,7 @@
 """What a camera and this pipeline cannot resolve of a surface: error of slopes where they bend within few pixels.
 
-A blur of standard deviation s takes ½ s² ∇²p from a slope p, to first order: at edges, and of a wave of 10 px a
-sixth of its slope with s = 1 px. How sharp a lens is nobody tells, so that this is no correction but an uncertainty.
+A blur of standard deviation s takes ½ s² ∇²p from a slope p, to first order: at edges, and of a wave of 10 px a sixth
+of its slope with s = 1 px. The sharpness of a lens is not known, so that this is no correction but an uncertainty.
 """
 
 from __future__ import annotations

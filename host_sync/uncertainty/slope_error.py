@@ -84,9 +84,9 @@ class _BallError:
 def measure_slope_error(
     presses: Pressed, training: BallSamples, fit: InverseFit, elevation: ElevationCorrection | None = None
 ) -> SlopeError:
-    """The slope error on the balls of a calibration, which taught their samples.
+    """The slope error on the balls of a calibration, whose samples are `training`.
 
-    What the map gets wrong of balls that taught it is scaled up to what it gets wrong of held-out ones, unless the
+    What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
     fit's replicas say at every pixel how much more that is.
     """
     known = bool(fit.replicas)

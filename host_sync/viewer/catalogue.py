@@ -93,7 +93,7 @@ class Catalogue:
         Raises
         ------
         ViewError
-            There is none.
+            No entry has that key.
         """
         with self._lock:
             found = self._derived.get(key) or self._known.get(key)

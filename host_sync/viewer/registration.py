@@ -238,7 +238,7 @@ class Difference:
     sigma_um: Float32Array | None
 
     @property
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """Why the two may not show the same object; empty if they agree."""
         if self.agreement >= MIN_AGREEMENT:
             return ""

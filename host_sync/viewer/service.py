@@ -184,7 +184,7 @@ class ViewerService:
             median_um=found.median_um,
             overlap_share=found.overlap_share,
             agreement_share=found.agreement,
-            warnings=(found.doubt,) if found.doubt else (),
+            warnings=(found.warning,) if found.warning else (),
             height_sigma_median_um=None if sigma_um is None else float(np.nanmedian(sigma_um)),
         )
         try:

@@ -23,7 +23,7 @@ class NearLamps:
     vignetting: float = 0.0
 
     def light(self, z_px: np.ndarray, p: np.ndarray, q: np.ndarray, *, seen_at: float = 1.0) -> np.ndarray:
-        """What a pixel sends back, shape (H, W, 3); `seen_at` 0 lights skin as if it were at rest."""
+        """What a pixel sends back, shape (H, W, 3); `seen_at` 0 lights skin as if it were untouched."""
         row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
         angle = np.radians([10.0, 130.0, 250.0])
         across = 0.5 * SHAPE[1] + LAMPS_OUT_PX * np.cos(angle) - column[..., None]

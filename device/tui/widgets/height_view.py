@@ -51,7 +51,7 @@ class HeightView(CellsView, can_focus=True):
         self._cursor: ProfileCursor | None = None
 
     def show(self, height: HeightMap | None, sentence: str = "") -> None:
-        """Show a map, or the sentence that says why there is none."""
+        """Show a map, or the sentence that says why it is missing."""
         if height is self._height and sentence == self._sentence:
             return
         self._height, self._sentence = height, sentence

@@ -62,8 +62,8 @@ class ComparePage {
       (Number.isFinite(record.height_sigma_median_um)
         ? `where the difference is known to ± ${micrometres(record.height_sigma_median_um)} (k = 1, median; both scans' ± together).`
         : "and no ± is known, as one of them states none.");
-    const doubts = (record.warnings ?? []).map((words) => h("strong", { class: "warning" }, ` Doubtful: ${words}.`));
-    this.words.append(...doubts);
+    const warnings = (record.warnings ?? []).map((words) => h("strong", { class: "warning" }, ` Warning: ${words}.`));
+    this.words.append(...warnings);
     this.views[1].disabled = false;
     this.follow(0, this.stages[0].relief.eye);
   }

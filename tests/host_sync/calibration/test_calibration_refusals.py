@@ -32,7 +32,7 @@ GRID_RADIUS_MM, GRID_PITCH_MM, GRID_DEPTH_MM = 1.0, 2.5, 0.45
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """Frames of one board: the skin at rest, and single balls all over it."""
+    """Frames of one board: the untouched skin, and single balls all over it."""
 
     rest: LinearFrame
     balls: tuple[LinearFrame, ...]

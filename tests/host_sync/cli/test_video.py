@@ -25,7 +25,7 @@ from host_sync.frame_checks.frame_model import FrameModel
 
 @pytest.fixture
 def sequence(calibrated_root: Path, tmp_path: Path) -> Path:
-    """A folder of raw frames: the skin at rest, a ball, and half a file."""
+    """A folder of raw frames: the untouched skin, a ball, and half a file."""
     bundle = read_active(calibrated_root)
     folder = tmp_path / "[red]press"
     folder.mkdir()

@@ -81,10 +81,10 @@ def test_another_pitch_is_brought_to_the_first() -> None:
 
 
 def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
-    assert difference(seen(), seen(13.4, -22.7, 0.5, noise_um=0.3)).doubt == ""
+    assert difference(seen(), seen(13.4, -22.7, 0.5, noise_um=0.3)).warning == ""
     worn = seen(2.0, 3.0, noise_um=0.3)
     worn.z_um[150:230, 60:200] = 0.0
-    assert difference(seen(), worn).doubt == ""
+    assert difference(seen(), worn).warning == ""
     random = np.random.default_rng(11)
     for size_px in (3.0, 10.0):
         rough = [cv2.GaussianBlur(random.standard_normal(SHAPE).astype(np.float32), (0, 0), size_px) for _ in range(2)]
@@ -92,7 +92,7 @@ def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
         for first, second in ((seen(), others[0]), (others[0], others[1])):
             found = difference(first, second)
             assert found.agreement < MIN_AGREEMENT, size_px
-            assert "may show different things" in found.doubt
+            assert "may show different things" in found.warning
 
 
 def test_the_difference_is_as_uncertain_as_both_together() -> None:
