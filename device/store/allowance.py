@@ -1,6 +1,6 @@
 """What workstations may keep on the device: receipts of stored bundles, and an inbox of limited size.
 
-Both folders are writable for whoever holds a workstation's key. They are tidied when the store needs room, so that what
+Both folders are writable with any workstation's key. They are tidied when the store needs room, so that what
 they hold does not cost a scan its place.
 """
 
