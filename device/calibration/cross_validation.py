@@ -69,8 +69,8 @@ class GroupedRidgeCV:
         predictions = np.zeros((len(penalties), len(self.ball), 2))
         for number, (own_gram, own_moment) in enumerate(parts):
             rows = np.flatnonzero(fold == number)
-            taught = self._solutions(gram - own_gram, moment - own_moment, penalties)
-            together = self.design[rows] @ np.concatenate(taught, axis=1)
+            solutions = self._solutions(gram - own_gram, moment - own_moment, penalties)
+            together = self.design[rows] @ np.concatenate(solutions, axis=1)
             predictions[:, rows] = together.reshape(len(rows), len(penalties), 2).swapaxes(0, 1)
         return list(predictions)
 

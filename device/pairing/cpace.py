@@ -1,7 +1,8 @@
 """CPace with X25519 and SHA-512, initiator and responder, with key confirmation, as draft-irtf-cfrg-cpace has it.
 
-From one password both sides get the same key; a listener learns nothing about the password, and an attacker in between has one
-guess for each conversation. Names follow the draft: PRS (password), CI (channel), sid (session), AD (associated data).
+From one password both sides get the same key; a listener learns nothing about the password, and an attacker in between
+has one guess for each conversation. Names follow the draft: PRS (password), CI (channel), sid (session), AD (associated
+data).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_ba
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.taught_press import TaughtPress, taught_presses
+from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
 from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
@@ -79,7 +79,7 @@ class Calibration:
     flat_field: Float32Array
     has_reference: bool
     pitch_um: float
-    presses: tuple[TaughtPress, ...]
+    presses: tuple[TrainingPress, ...]
     centres: Centres
     inverse: InverseFit
     paper: PaperModel
@@ -166,7 +166,7 @@ def calibrate(
         flat_field=flat_field,
         has_reference=reference is not None,
         pitch_um=pitch_um,
-        presses=taught_presses(used),
+        presses=training_presses(used),
         centres=centres,
         inverse=inverse,
         paper=paper,

@@ -16,7 +16,7 @@ import numpy as np
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
-from host_sync.frame_checks.lamp_levels import cells_shape
+from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pattern_windows import WindowGrid
 from host_sync.frame_checks.pigment_pattern import ReferencePattern
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
@@ -26,7 +26,7 @@ from host_sync.uncertainty.slope_error import SlopeError
 
 SHAPES: Final[dict[str, dict[str, str]]] = {
     "Calibration": {"flat_field": "H W 3"},
-    "TaughtPress": {"picture": "h w 3"},
+    "TrainingPress": {"picture": "h w 3"},
     "InverseFit": {"kept": "n", "ball_error_deg": "n"},
     "HeldOutReadings": {"slope": "n 2", "truth": "n 2", "place": "n 2", "ball": "n", "radius_px": "balls"},
     "ReflectanceMaps": {"mean": "n n 3", "variance": "n n 3", "count": "n n"},
@@ -129,7 +129,7 @@ def _check_table(table: LookupTable) -> None:
 def _check_map(inverse: InverseMap, shape: tuple[int, ...], name: str) -> None:
     InverseMap.from_arrays(inverse.arrays(), name)
     domain: TrainingDomain = inverse.domain
-    widths = np.array([domain.cell, domain.spread, inverse.steepest, *domain.low])
+    widths = np.array([domain.cell, domain.spread, inverse.max_trained_slope, *domain.low])
     if inverse.shape != shape or not np.isfinite(widths).all() or min(domain.cell, domain.spread) <= 0.0:
         raise Unsound(f"an inverse map of a field of {inverse.shape}")
     arrays = [array for array in inverse.arrays().values() if array.dtype.kind == "f"]

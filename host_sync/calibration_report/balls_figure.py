@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration.taught_press import TaughtPress, pictures_across
+from host_sync.calibration.training_press import TrainingPress, pictures_across
 
 MAX_NAMES: Final = 60
 KEPT_COLOUR, REJECTED_COLOUR = "#ffffff", "#ffb000"
@@ -19,7 +19,7 @@ KEPT_BAR: Final[dict[str, Any]] = {"color": "#4477aa", "label": "used"}
 REJECTED_BAR: Final[dict[str, Any]] = {"color": "#ddcc77", "hatch": "//", "edgecolor": "#776622", "label": "rejected"}
 
 
-def balls_figure(presses: Sequence[TaughtPress]) -> Figure:
+def balls_figure(presses: Sequence[TrainingPress]) -> Figure:
     """Presses with their used and rejected balls: those that have a picture."""
     shown = [press for press in presses if press.picture is not None]
     grid_columns = pictures_across(len(shown))
@@ -40,7 +40,7 @@ def balls_figure(presses: Sequence[TaughtPress]) -> Figure:
     return figure
 
 
-def _draw_press(axes: Axes, press: TaughtPress) -> None:
+def _draw_press(axes: Axes, press: TrainingPress) -> None:
     rows, columns = press.shape
     if press.picture is not None:
         axes.imshow(press.picture, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5))

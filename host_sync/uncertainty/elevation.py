@@ -52,8 +52,8 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
         square : p² + q²
         """
         drop = np.float32(self.radius_px) * (np.float32(1.0) - np.float32(1.0) / np.sqrt(np.float32(1.0) + square))
-        taught = np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0))
-        return np.asarray((z_px - taught) * np.float32(self.nearness_per_px), np.float32)
+        trained_px = np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0))
+        return np.asarray((z_px - trained_px) * np.float32(self.nearness_per_px), np.float32)
 
     def shared(self, share: float) -> ElevationCorrection:
         """The same for lights of which only a share of their nearness is there."""

@@ -212,7 +212,7 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a flat field of another size": lambda one: replace(one, flat_field=one.flat_field[:-2]),
     "a flat field of zero": lambda one: replace(one, flat_field=0.0 * one.flat_field),
     "a map of another field": lambda one: with_map(one, shape=(10, 10)),
-    "a map that is not finite": lambda one: with_map(one, steepest=float("nan")),
+    "a map that is not finite": lambda one: with_map(one, max_trained_slope=float("nan")),
     "a domain without width": lambda one: with_map(one, domain=replace(one.inverse.map.domain, cell=0.0)),
     "no pitch": lambda one: replace(one, pitch_um=float("nan")),
     "one method": lambda one: replace(one, held_out_deg={"direct": 1.0}),

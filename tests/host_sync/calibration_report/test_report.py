@@ -21,7 +21,7 @@ from host_sync.calibration.balls import (
 )
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.scale import scale_uncertainty
-from host_sync.calibration.taught_press import MAX_SHOWN, taught_presses
+from host_sync.calibration.training_press import MAX_SHOWN, training_presses
 from host_sync.calibration_report.balls_figure import balls_figure
 
 SHAPE = (90, 120)
@@ -131,9 +131,9 @@ def test_labels_that_draw_wider_contacts_widen_found_ones_a_little(drawn: float,
 def test_the_picture_of_balls_says_what_it_leaves_out_and_shows_every_rejection() -> None:
     spoilt = (RejectedBall(10.0, 10.0, "cut by the frame's border"),)
     presses = [press(i, ball(60.0, 45.0), rejected=spoilt if i in {1, 18} else ()) for i in range(20)]
-    figure = balls_figure(taught_presses(presses))
+    figure = balls_figure(training_presses(presses))
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == MAX_SHOWN
     assert {"press-01", "press-18"} <= set(titles)
     assert f"{MAX_SHOWN} of 20 presses shown" in figure.get_suptitle()
-    assert "presses shown" not in balls_figure(taught_presses(presses[:9])).get_suptitle()
+    assert "presses shown" not in balls_figure(training_presses(presses[:9])).get_suptitle()

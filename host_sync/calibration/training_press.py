@@ -23,11 +23,11 @@ MAX_WIDTH_PX: Final = 1500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TaughtPress:
+class TrainingPress:
     """A press after calibration.
 
     shape : (H, W) of its frame
-    balls, rejected, fault, source, fitted : as in `UsedPress`
+    balls, rejected, error, source, fitted : as in `UsedPress`
     picture : uint8 array of shape (h, w, 3), its intensity reduced, flat skin mid-grey; None where none is shown
     """
 
@@ -35,23 +35,23 @@ class TaughtPress:
     shape: tuple[int, int]
     balls: tuple[Ball, ...]
     rejected: tuple[RejectedBall, ...]
-    fault: str
+    error: str
     source: str
     fitted: tuple[FittedBall, ...]
     picture: NDArray[np.uint8] | None
 
 
-def taught_presses(presses: Sequence[UsedPress]) -> tuple[TaughtPress, ...]:
+def training_presses(presses: Sequence[UsedPress]) -> tuple[TrainingPress, ...]:
     """The presses with pictures of `MAX_SHOWN` of them at most."""
     shown = _chosen(presses)
     width_px = MAX_WIDTH_PX // pictures_across(len(shown))
     return tuple(
-        TaughtPress(
+        TrainingPress(
             name=press.name,
             shape=press.intensity.shape,
             balls=press.balls,
             rejected=press.rejected,
-            fault=press.fault,
+            error=press.error,
             source=press.source,
             fitted=press.fitted,
             picture=_picture(press.intensity.values, width_px) if number in shown else None,
@@ -67,7 +67,7 @@ def pictures_across(count: int) -> int:
 
 def _chosen(presses: Sequence[UsedPress]) -> list[int]:
     """Numbers of at most `MAX_SHOWN` presses: those with rejected balls first, the rest spread evenly."""
-    rejected_ones = [i for i, press in enumerate(presses) if press.rejected or press.fault][:MAX_SHOWN]
+    rejected_ones = [i for i, press in enumerate(presses) if press.rejected or press.error][:MAX_SHOWN]
     clean = [i for i in range(len(presses)) if i not in rejected_ones]
     room = MAX_SHOWN - len(rejected_ones)
     spread = [clean[i * len(clean) // room] for i in range(room)] if len(clean) > room else clean
