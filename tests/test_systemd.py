@@ -12,7 +12,7 @@ import pytest
 from console_font import SCREEN_FONTS
 from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
-from device.cli.service import PATIENCE_S
+from device.cli.service import BROKEN_WAIT_S
 
 PROGRAM = "/usr/local/bin/retroscan"
 UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
@@ -233,7 +233,7 @@ def test_the_boot_budget_adds_up_and_names_the_units_own_times() -> None:
     assert f"its self-test, {settings('retrograph-trial.service')['TimeoutStartSec'][0]} s at most" in text
     assert settings("system-retrograph.conf")["DefaultDeviceTimeoutSec"] == ["45s"]
     assert text.count("| 45 s") == 2
-    assert f"| {PATIENCE_S:.0f} s, then [ready and out of order]" in text
+    assert f"| {BROKEN_WAIT_S:.0f} s, then [ready and out of order]" in text
     for unit in INSTRUMENTS:
         said = settings(unit)
         assert f"| ended after {said['TimeoutStartSec'][0]} s, again after {said['RestartSec'][0]} s" in text
