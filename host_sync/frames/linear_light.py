@@ -1,4 +1,4 @@
-"""From image files to linear light."""
+"""From image files and arrays to linear light."""
 
 from __future__ import annotations
 
@@ -29,6 +29,28 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
             raise FrameSetError(f"{path}: changed in size or kind since the frame set was checked: load it again")
     planes = [light_of_values(image.dtype, spec.encoding)[image] for image in images]
     rgb = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
+
+
+def frame_of_values(values: NDArray[Any], encoding: Encoding) -> LinearFrame:
+    """The frame in an array of shape (H, W, 3): uint8 or uint16, or floats that are fractions of full scale.
+
+    Raises
+    ------
+    FrameSetError
+        The array has another shape or type, or holds what is no light.
+    """
+    if values.ndim != 3 or values.shape[2] != 3 or 0 in values.shape:
+        raise FrameSetError(f"an array of shape {values.shape} is no frame: give one of shape (H, W, 3), R, G, B")
+    if values.dtype in (np.uint8, np.uint16):
+        rgb = light_of_values(values.dtype, encoding)[values]
+    elif values.dtype.kind == "f" and np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:
+        rgb = np.asarray(decode_srgb(values.astype(np.float64)) if encoding == "srgb" else values, np.float32)
+    else:
+        raise FrameSetError(
+            f"an array of {values.dtype} from {values.min()} to {values.max()} is no frame: give uint8, uint16, or "
+            "fractions of full scale from 0 to 1"
+        )
     return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
 
 

@@ -23,8 +23,12 @@ from host_sync.results.files import (
 )
 from host_sync.results.record import ResultRecord, read_record
 
-MAX_DRAW_RATIO: Final = 4
+MAX_SAMPLES_RATIO: Final = 4
 """Values of all samples over those of the height map; honest results stay below 1."""
+
+WHOLE_SAMPLES_PX: Final = 512
+WHOLE_SAMPLES_RATIO: Final = 16
+"""The same of fields up to so many columns wide, whose samples are not reduced."""
 
 MAX_SQUARE: Final = np.float32(9.0)
 """Largest p² + q² for which the slope noise is looked up; steeper pixels are as noisy as these."""
@@ -130,7 +134,8 @@ def read_result(folder: Path, *, samples: bool = True) -> ResultSurface:
 
 def max_sample_values(shape: tuple[int, int]) -> int:
     """Most values in the Monte Carlo samples of a height map: they are on a reduced grid."""
-    return max(MAX_DRAW_RATIO * shape[0] * shape[1], MAX_TILE_VALUES)
+    ratio = MAX_SAMPLES_RATIO if shape[1] > WHOLE_SAMPLES_PX else WHOLE_SAMPLES_RATIO
+    return max(ratio * shape[0] * shape[1], MAX_TILE_VALUES)
 
 
 def _optional(path: Path, read: Callable[[Path], FieldT]) -> FieldT | None:

@@ -30,8 +30,9 @@ from host_sync.results.files import (
     SAMPLES_FILE,
     SLOPE_SIGMA_FILE,
 )
-from host_sync.results.reader import read_result
+from host_sync.results.reader import max_sample_values, read_result
 from host_sync.results.record import ResultRecord, encode_record, read_listed_record, read_record
+from host_sync.uncertainty.height_error import SAMPLES, reduced_size
 
 SHAPE = (40, 60)
 MUTATIONS = 100
@@ -210,3 +211,11 @@ def test_a_record_beyond_its_bounds_is_refused(folder: Path, odd: dict[str, obje
     for read in (read_record, read_listed_record):
         with pytest.raises(UnreadableResult):
             read(folder)
+
+
+@pytest.mark.parametrize(
+    "shape", [(120, 160), (288, 384), (320, 320), (2000, 512), (513, 513), (1088, 1456), (3040, 4056)]
+)
+def test_samples_of_an_honest_result_of_any_size_are_read(shape: tuple[int, int]) -> None:
+    columns, rows = reduced_size(shape)
+    assert SAMPLES * rows * columns <= max_sample_values(shape)

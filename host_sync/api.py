@@ -1,0 +1,363 @@
+"""What a Python program uses: calibrate, reconstruct, integrate, measure, with numpy arrays in and out.
+
+Importing it takes a few hundredths of a second: what computes is imported when it is called.
+
+>>> from host_sync import api
+>>> presses = [api.Press(f"ball-{i}.png", ball_radius_mm=0.96) for i in range(6)]
+>>> calibration = api.calibrate(presses, reference="flat.png", pixel_pitch_um=20.0)
+>>> result = api.reconstruct("ball-6.png", calibration)
+>>> result.height_um.shape, result.height_um.dtype
+((288, 384), dtype('float32'))
+
+Bad input raises a `host_sync.errors.HostError` or a `device.errors.DeviceError`, whose message is one
+sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from device.imaging.flat_field import LinearFrame
+    from device.surface.fields import Float32Array
+    from host_sync.calibration.balls import PressFrame
+    from host_sync.calibration_file.kept_calibration import KeptCalibration
+    from host_sync.library.library import Library
+    from host_sync.measurement.quantity import Quantity
+    from host_sync.results.reader import ResultSurface
+
+    Image = str | Path | tuple[str | Path, str | Path, str | Path] | NDArray[Any]
+    """An RGB image file; three grey ones in R, G, B order; or an array of shape (H, W, 3): uint8, uint16, or fractions
+    of full scale."""
+
+Encoding = Literal["linear", "srgb"]
+Method = Literal["direct", "paper"]
+Detail = Literal["shrunk", "raw"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """A calibration press: an image in which balls of one radius touch the skin.
+
+    balls : (column, row, radius of the trusted contact) of each, pixels; None to have them found
+    grid_pitch_mm : distance of neighbouring balls when they form a square grid
+
+    >>> Press("ball-0.png", ball_radius_mm=0.96, balls=[(76.8, 80.6, 28.8)]).ball_radius_mm
+    0.96
+    """
+
+    image: Image
+    ball_radius_mm: float
+    balls: Sequence[tuple[float, float, float]] | None = None
+    grid_pitch_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """A reconstructed surface; every array has the shape (H, W), is float32, and NaN where nothing is known.
+
+    surface : the same as the workstation's other parts take it
+
+    >>> result = load_result("results/ball")
+    >>> bool(result.height_um[130, 154] > 200.0)  # the ball's apex, µm above untouched skin
+    True
+    """
+
+    surface: ResultSurface
+
+    @property
+    def height_um(self) -> Float32Array:
+        """Height, µm; zero at untouched skin unless a warning says that it is relative."""
+        return self.surface.height.z_um
+
+    @property
+    def sigma_um(self) -> Float32Array | None:
+        """Standard uncertainty of the height, µm; None where the result's folder does not hold it."""
+        return self.surface.sigma_um
+
+    @property
+    def slopes(self) -> tuple[Float32Array, Float32Array]:
+        """Slopes p along a row and q down a column, µm/µm."""
+        from device.surface.fields import surface_slopes
+
+        return surface_slopes(self.surface.height)
+
+    @property
+    def pitch_um(self) -> float:
+        """Distance of neighbouring pixels on the skin, µm."""
+        return self.surface.height.pitch_um
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against the heights, one sentence each."""
+        return tuple(self.surface.record.warnings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result as `xarray.Dataset.from_dict` takes it; coordinates in µm.
+
+        >>> described = load_result("results/ball").as_dict()
+        >>> sorted(described["data_vars"]), described["attrs"]["method"]
+        (['height', 'height_sigma', 'slope_p', 'slope_q'], 'direct')
+        """
+        import numpy as np
+
+        rows, columns = self.height_um.shape
+        p, q = self.slopes
+        fields = {"height": (self.height_um, "um"), "slope_p": (p, "um/um"), "slope_q": (q, "um/um")}
+        if self.sigma_um is not None:
+            fields["height_sigma"] = (self.sigma_um, "um")
+        places = {"y": np.arange(rows) * self.pitch_um, "x": np.arange(columns) * self.pitch_um}
+        record = self.surface.record
+        return {
+            "dims": {"y": rows, "x": columns},
+            "coords": {axis: {"dims": (axis,), "data": at, "attrs": {"units": "um"}} for axis, at in places.items()},
+            "data_vars": {
+                name: {"dims": ("y", "x"), "data": values, "attrs": {"units": unit}}
+                for name, (values, unit) in fields.items()
+            },
+            "attrs": {"name": record.name, "method": record.method, "calibration_id": record.calibration_id},
+        }
+
+
+def calibrate(
+    presses: Sequence[Press],
+    *,
+    reference: Image | None = None,
+    pixel_pitch_um: float,
+    encoding: Encoding = "linear",
+) -> KeptCalibration:
+    """The calibration that presses of balls carry; `write(path)` keeps it, `load_calibration` reads it.
+
+    reference : the skin at rest; without it a stand-in is fitted to the presses
+    pixel_pitch_um : distance of neighbouring pixels on the skin
+    encoding : how pixel values encode light
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        An image is unreadable, or the presses do not carry a calibration.
+
+    >>> labelled = [Press(f"ball-{i}.png", 0.96) for i in range(6)]
+    >>> calibration = calibrate(labelled, reference="flat.png", pixel_pitch_um=20.0)
+    >>> calibration.calibration.held_out_deg["direct"] < 5.0
+    True
+    >>> calibration.write(Path("own.calibration"))
+    """
+    from host_sync.calibration.frames import CalibrationFrames
+    from host_sync.calibration_file.kept_calibration import facts_of, make_calibration
+
+    frames = CalibrationFrames(
+        tuple(_press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses)),
+        _frame(reference, encoding) if reference is not None else None,
+        pixel_pitch_um,
+    )
+    return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))
+
+
+def calibrate_frame_set(path: str | Path, *, cached: bool = True) -> KeptCalibration:
+    """The calibration of a frame set's file.
+
+    cached : take it from the user's cache where it was made before, and keep it there
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        The file or an image is unreadable, or the presses do not carry a calibration.
+
+    >>> calibrate_frame_set("frameset.toml").facts.made_from
+    'lamps'
+    """
+    from host_sync.calibration_file.cache import CalibrationCache
+    from host_sync.calibration_file.calibrator import Calibrator
+    from host_sync.frames.frame_set import load_frame_set
+
+    return Calibrator(CalibrationCache.of_user() if cached else None).of_frame_set(load_frame_set(Path(path)))
+
+
+def load_calibration(path: str | Path) -> KeptCalibration:
+    """The calibration in a file that `retrosync calibrate` or `write` made.
+
+    Raises
+    ------
+    CalibrationFileError
+        It is missing, damaged, or of another version of the program.
+
+    >>> load_calibration("gel.calibration").calibration.pitch_um
+    20.0
+    """
+    from host_sync.calibration_file.kept_calibration import read_calibration_file
+
+    return read_calibration_file(Path(path))
+
+
+def reconstruct(
+    image: Image,
+    calibration: KeptCalibration,
+    *,
+    encoding: Encoding | None = None,
+    method: Method | None = None,
+    detail: Detail = "shrunk",
+    force: bool = False,
+    out: str | Path | None = None,
+) -> Result:
+    """The surface that an image shows.
+
+    encoding : how pixel values encode light; as in calibration when None
+    method : by default the one with the smaller held-out error
+    detail : shrunk removes pixel noise, raw keeps it
+    force : reconstruct an image too that the calibration does not explain
+    out : folder for result files, as `retrosync reconstruct` writes them
+
+    Raises
+    ------
+    FrameSetError, DeviceError
+        The image is unreadable, black or saturated, or was not made as the calibration was.
+    OutputError
+        The folder cannot be written.
+
+    >>> result = reconstruct("ball-6.png", load_calibration("gel.calibration"))
+    >>> bool(result.sigma_um[130, 154] < 0.1 * result.height_um[130, 154])
+    True
+    """
+    from host_sync.reconstruction.pipeline import reconstruct as reconstruct_frame
+    from host_sync.reconstruction.result_writer import result_record, write_result
+    from host_sync.results.reader import ResultSurface
+
+    name = Path(str(image)).stem if isinstance(image, str | Path) else "image"
+    frame = _frame(image, encoding or calibration.facts.encoding or "linear")
+    found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
+    if out is not None:
+        write_result(Path(out), found, calibration.calibration, name)
+    return Result(
+        ResultSurface(
+            folder=Path(out) if out is not None else Path(name),
+            record=result_record(name, found, calibration.calibration),
+            height=found.height,
+            samples_um=found.samples_um,
+            slope_sigma=found.slope_sigma,
+            sigma_um=found.sigma_um,
+            extrapolated=found.extrapolated,
+            other=found.other,
+        )
+    )
+
+
+def load_result(folder: str | Path) -> Result:
+    """The result in a folder that `retrosync reconstruct` wrote.
+
+    Raises
+    ------
+    UnreadableResult
+        A file is missing or damaged.
+
+    >>> load_result("results/ball").pitch_um
+    20.0
+    """
+    from host_sync.results.reader import read_result
+
+    return Result(read_result(Path(folder)))
+
+
+def integrate(
+    p: NDArray[Any], q: NDArray[Any], weights: NDArray[Any] | None = None, *, pitch_um: float = 1.0
+) -> Float32Array:
+    """Heights in µm, float32 array of shape (H, W), whose slopes are p along a row and q down a column, least squares.
+
+    weights : relative confidence of each pixel; a pixel of weight 0 or without a finite slope is a hole, NaN
+
+    Raises
+    ------
+    IntegrationError
+        Shapes differ, a weight is negative, no pixel is valid, or the pitch is not positive.
+
+    >>> import numpy as np
+    >>> row, column = np.mgrid[:60, :80]
+    >>> z_um = integrate(np.full((60, 80), 0.1), np.zeros((60, 80)), pitch_um=5.0)
+    >>> bool(np.ptp(z_um - 0.5 * column) < 1e-2)
+    True
+    """
+    import numpy as np
+
+    from device.surface.fields import GradientField
+    from host_sync.integration.integrate import integrate as integrate_field
+
+    slopes = [np.ascontiguousarray(slope, np.float32) for slope in (p, q)]
+    trusted = np.ones(slopes[0].shape, np.float32) if weights is None else np.ascontiguousarray(weights, np.float32)
+    valid = trusted != 0.0
+    if slopes[0].shape == slopes[1].shape == trusted.shape:
+        valid &= np.isfinite(slopes[0]) & np.isfinite(slopes[1])
+        trusted = np.where(valid, trusted, np.float32(0.0))
+    height, _ = integrate_field(GradientField(slopes[0], slopes[1], valid, trusted), pitch_um)
+    return height.z_um
+
+
+def measure(result: Result, recipe: str | Path | None = None, **options: object) -> tuple[Quantity, ...]:
+    """Quantities of a surface, each with its uncertainty.
+
+    recipe : TOML file of `docs/measurement.md`; without it the default one
+    options : keys of a recipe that change it, such as `parameters=("Sa", "Sz")` or `form="plane"`
+
+    Raises
+    ------
+    MeasurementError
+        The recipe cannot be read, or a measurand is not found on the surface.
+
+    >>> (sa,) = measure(load_result("results/ball"), form="plane", parameters=("Sa",))
+    >>> sa.name, sa.unit, sa.value > sa.uncertainty > 0.0
+    ('Sa', 'µm', True)
+    """
+    from host_sync.measurement.measure import measure as measure_surface
+    from host_sync.measurement.recipe import Recipe, checked, from_options, read_recipe
+
+    chosen = read_recipe(Path(recipe)) if recipe is not None else Recipe()
+    chosen = checked(from_options(chosen, options), "options") if options else chosen
+    return measure_surface(result.surface, chosen).quantities
+
+
+def open_library(folder: str | Path) -> Library:
+    """A library of pulled scans and calibrations; nothing is read yet.
+
+    >>> open_library("library").root.name
+    'library'
+    """
+    from host_sync.library.library import Library
+
+    return Library(Path(folder))
+
+
+def _press_frame(number: int, press: Press, pixel_pitch_um: float, encoding: Encoding) -> PressFrame:
+    """The press as calibration takes it."""
+    from device.balls.sphere import Ball
+    from host_sync.calibration.balls import GridSpacing, PressFrame
+
+    radius_px = press.ball_radius_mm * 1e3 / pixel_pitch_um
+    return PressFrame(
+        name=f"press-{number:02d}",
+        frame=_frame(press.image, encoding),
+        radius_px=radius_px,
+        balls=None if press.balls is None else tuple(Ball(*ball, radius_px) for ball in press.balls),
+        labelled_by_hand=press.balls is not None,
+        source=Path(press.image).name if isinstance(press.image, str | Path) else "",
+        grid=GridSpacing(press.grid_pitch_mm) if press.grid_pitch_mm else None,
+    )
+
+
+def _frame(image: Image, encoding: Encoding) -> LinearFrame:
+    """The image as linear light; FrameSetError when it is none."""
+    import numpy as np
+
+    from host_sync.errors import FrameSetError
+    from host_sync.frames.frame_set import FrameSpec
+    from host_sync.frames.linear_light import frame_of_values, read_frame
+
+    if isinstance(image, np.ndarray):
+        return frame_of_values(image, encoding)
+    paths = (image,) if isinstance(image, str | Path) else image
+    if len(paths) not in (1, 3):
+        raise FrameSetError(f"{len(paths)} images are no frame: name an RGB image, or three grey ones (R, G, B)")
+    return read_frame(FrameSpec(tuple(Path(path) for path in paths), encoding))
