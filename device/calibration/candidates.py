@@ -10,7 +10,7 @@ import numpy as np
 from device.balls.sphere import BallSamples
 from device.calibration.cross_validation import GroupedRidgeCV
 from device.calibration.slope_gain import gains_of_balls
-from device.inverse_map.branches import Reading
+from device.inverse_map.branches import Reading, RootIntensity
 from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.fourier_features import RandomFourierFeatures
 from device.inverse_map.illumination import IlluminationMap
@@ -19,7 +19,6 @@ from device.inverse_map.near_light import NearLightModel
 from device.inverse_map.polynomial_features import colour_exponents, field_position, position_exponents
 from device.inverse_map.regressor import FeatureRegressor, design_matrix
 from device.inverse_map.rest_reading import flat_at_rest, seen_at_rest
-from device.inverse_map.root_intensity import RootIntensity
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic
 

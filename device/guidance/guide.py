@@ -10,8 +10,8 @@ import numpy as np
 
 from device.guidance.downsample import ReducedFrame, downsample_step
 from device.guidance.reading import GuideReading, advise
-from device.imaging.contact import SHADED
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
+from device.imaging.frame_measures import SHADED
 from device.inverse_map.tabulated import TabulatedInverseMap
 from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, TILT_CONTACT
 from device.surface.fields import Float32Array, MaskArray

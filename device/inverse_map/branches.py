@@ -1,4 +1,7 @@
-"""What curves of the inverse map read that is not intensity alone, each with its curve."""
+"""What curves of the inverse map read that is not intensity alone, each with its curve.
+
+One reads the root of intensity: shot noise is even in it, and shadows are not stretched.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,21 @@ from numpy.typing import NDArray
 from device.inverse_map.illumination import IlluminationMap, between_nodes, rows_between_nodes
 from device.inverse_map.near_light import NearLightModel
 from device.inverse_map.regressor import FeatureRegressor
-from device.inverse_map.root_intensity import RootIntensity
 from device.surface.fields import Float32Array, Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RootIntensity:
+    """Makes the root of intensity of intensity; it is the same at every place."""
+
+    def seen(self, intensity: Float32Array, _place: NDArray[Any]) -> Float32Array:
+        """Roots of intensities (N, 3)."""
+        return np.sqrt(np.maximum(intensity, np.float32(0.0)))
+
+    def seen_rows(self, values: Float32Array, _across: Float32Array, _down: Float32Array) -> Float32Array:
+        """The same of whole rows (h, w, 3)."""
+        return np.sqrt(np.maximum(values, np.float32(0.0)))
+
 
 Reading = IlluminationMap | NearLightModel | RootIntensity
 """Makes of intensity and place the colours that a curve is a function of."""

@@ -10,10 +10,9 @@ from typing import Final
 import numpy as np
 
 from device.bundles.scan import VerdictLevel, VerdictRecord
-from device.imaging.contact import shaded_fraction
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import BLACK_FRAME, LinearFrame, NormalizedImage
-from device.imaging.sharpness import sharpness
+from device.imaging.frame_measures import shaded_fraction, sharpness
 from device.quality.lights import border_levels, light_complaint
 from device.quality.thresholds import (
     CLIPPED_DOUBTFUL,

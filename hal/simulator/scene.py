@@ -1,9 +1,13 @@
-"""One press as the camera sees it: the skin, the charge that each light brings to each pixel, and the sensor."""
+"""One press as the camera sees it: the skin, the charge that each light brings to each pixel, and the sensor.
+
+The skin has a pigment: a coat is never quite even, and what is fixed to the skin multiplies its light.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +16,21 @@ from hal.simulator.arrays import Float32Array
 from hal.simulator.elastomer import Skin, drape
 from hal.simulator.lens import Lens
 from hal.simulator.optics import coat, radiance, skin_geometry
-from hal.simulator.pigment import pigment_pattern
 from hal.simulator.surfaces import Surface
+
+SPOT_PX = 2.0
+"""Standard deviation of the spots, pixels; as much of the contrast is grain of single pixels."""
+
+
+def pigment_pattern(shape: tuple[int, int], contrast: float, seed: int) -> Float32Array:
+    """Reflectance of the coat over its mean: float32 array of `shape` (H, W), its standard deviation `contrast`."""
+    if contrast == 0.0:
+        return np.ones(shape, np.float32)
+    random = np.random.Generator(np.random.SFC64([seed, 0x5C]))
+    grain = random.standard_normal(shape, dtype=np.float32)
+    spots = cv2.GaussianBlur(random.standard_normal(shape, dtype=np.float32), (0, 0), SPOT_PX)
+    mixed = (grain + spots / np.float32(spots.std())) / np.float32(np.sqrt(2.0))
+    return np.asarray(np.maximum(np.float32(1.0) + np.float32(contrast) * mixed, np.float32(0.05)), np.float32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 

@@ -17,11 +17,10 @@ from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
 from host_sync.frame_checks.light_levels import cells_shape
-from host_sync.frame_checks.pattern_windows import WindowGrid
-from host_sync.frame_checks.pigment_pattern import ReferencePattern
+from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 
 SHAPES: Final[dict[str, dict[str, str]]] = {

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from host_sync.cli.calibrator import calibrator_for, obtain_calibration
-from host_sync.cli.compile_notice import tell_of_compiling
-from host_sync.cli.console import DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.cli.console import DONE, PARTLY, Folder, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import load_frame_set
 

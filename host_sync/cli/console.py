@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
+from host_sync.kernels.cache import holds_kernels, prune_cache
 from host_sync.text import printable
 
 DONE: Final = 0
@@ -63,3 +64,10 @@ def _named_folder(_: Any, tokens: Sequence[Any]) -> Path:
 
 Folder = Annotated[Path, Parameter(converter=_named_folder)]
 """A named folder; an empty name is refused, because it would mean the current folder."""
+
+
+def tell_of_compiling() -> None:
+    """Write one line to a terminal when this run will compile; not to a log or pipe."""
+    prune_cache()
+    if sys.stderr.isatty() and not holds_kernels():
+        sys.stderr.write("retrosync: the first run compiles for this machine and takes a minute or two longer\n")

@@ -15,7 +15,7 @@ from device.io.atomic import write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.library.library import Library
-from host_sync.results.detail_name import DetailName
+from host_sync.results.files import DetailName
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement

@@ -11,13 +11,21 @@ from cyclopts import Parameter
 
 from device.errors import DeviceError
 from host_sync.cli.calibrator import calibrator_for
-from host_sync.cli.compile_notice import tell_of_compiling
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, renamed, status_spinner
+from host_sync.cli.console import (
+    BAD_INPUT,
+    DONE,
+    PARTLY,
+    Folder,
+    print_error,
+    renamed,
+    status_spinner,
+    tell_of_compiling,
+)
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.library.library import Library
-from host_sync.results.detail_name import DetailName
+from host_sync.results.files import DetailName
 
 PictureFormat = Literal["png", "pdf", "svg"]
 MethodName = Literal["direct", "paper"]

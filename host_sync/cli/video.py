@@ -12,8 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from device.io.atomic import check_replaceable
 from host_sync.cli.calibrator import obtain_calibration
-from host_sync.cli.compile_notice import tell_of_compiling
-from host_sync.cli.console import print_error, print_line
+from host_sync.cli.console import print_error, print_line, tell_of_compiling
 from host_sync.cli.reconstruct import MethodName
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set_file import Encoding

@@ -20,7 +20,7 @@ from device.surface.poisson_dct import integrate_dct
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 from host_sync.denoising.shrinkage_kernel import shrink
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 
 TILE_PX: Final = 192
 MARGIN_PX: Final = 24

@@ -7,20 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
 
-from host_sync.export.al3d import write_al3d
+from host_sync.export.array_formats import write_float_tiff, write_npz, write_png16, write_png_scale
 from host_sync.export.csv_profile import LineUm, pixels_on_line, write_csv_profile
-from host_sync.export.float_tiff import write_float_tiff
-from host_sync.export.glb import write_glb
-from host_sync.export.gsf import write_gsf
 from host_sync.export.gwy import write_gwy
 from host_sync.export.mesh import Mesh, grid_mesh
-from host_sync.export.mesh_formats import write_obj, write_ply, write_stl
-from host_sync.export.npz import write_npz
-from host_sync.export.png16 import write_png16, write_png_scale
+from host_sync.export.mesh_formats import write_glb, write_obj, write_ply, write_stl
 from host_sync.export.publishing import Writer, check_free, publish
-from host_sync.export.sdf import write_sdf
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.sur import write_sur
+from host_sync.export.surface_formats import write_al3d, write_gsf, write_sdf, write_sur
 from host_sync.export.tmd import write_tmd
 from host_sync.export.x3p import write_x3p
 

@@ -18,7 +18,7 @@ from host_sync.frame_checks.level_check import MAX_REACH, LevelModel
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs
 from host_sync.frame_checks.light_position import LightPositionModel
 from host_sync.frame_checks.pattern_check import PatternModel
-from host_sync.results.frame_check import FrameCheck
+from host_sync.results.record import FrameCheck
 
 
 @dataclass(frozen=True, slots=True, eq=False)

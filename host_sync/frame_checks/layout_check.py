@@ -1,16 +1,85 @@
-"""Refuses a frame whose sides or channels are exchanged against the calibration's."""
+"""Refuses a frame whose sides or channels are exchanged against the calibration's.
+
+Most of a frame's light is that of lights over skin, whatever is pressed. A frame whose channels or sides are exchanged
+is explained far better by the reference with the same exchange.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
+from typing import Final
 
 import numpy as np
 
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.surface.fields import Float32Array
-from host_sync.frame_checks.light_layout import CLEARLY_BETTER, find_exchanges, hidden_turns
 from host_sync.frame_checks.light_levels import cell_logs
-from host_sync.results.frame_check import FrameCheck, not_checked
+from host_sync.frame_checks.turns import Turn, median_deviation, turns_of
+from host_sync.results.record import FrameCheck, not_checked
+
+CLEARLY_BETTER: Final = 0.6
+"""An exchange counts when it leaves less than this fraction of what the reference as it is leaves unexplained."""
+
+MIN_UNEXPLAINED: Final = 0.03
+"""Deviation of log light below which the reference as it is explains the frame well enough."""
+
+EQUALLY_GOOD: Final = 1.3
+"""Exchanges that leave up to so many times as much as the best one are named beside it."""
+
+_ORDERS: Final = tuple(order for order in permutations(range(3)) if order != (0, 1, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What was exchanged in a frame, in words, and what is left unexplained with and without it (log light).
+
+    turned : the sides, or the channels when False
+    """
+
+    name: str
+    left: float
+    as_given: float
+    turned: bool
+
+
+def find_exchanges(cells: Float32Array, rest: Float32Array, *, turns: bool) -> list[Exchange]:
+    """The exchanges that explain a frame clearly better than the reference as it is, best first.
+
+    cells : float32 array of shape (h, w, 3), log intensity of the frame
+    rest : the same shape, log light of the reference
+    turns : whether turned and mirrored frames come into question
+    """
+    light = cells + rest
+    as_given = median_deviation(cells)
+    if as_given < MIN_UNEXPLAINED:
+        return []
+    tried = [Exchange(_order_name(order), median_deviation(light[..., order] - rest), as_given, False)
+             for order in _ORDERS]  # fmt: skip
+    if turns:
+        tried += [
+            Exchange(turn.name, median_deviation(turn.of(light) - rest), as_given, True)
+            for turn in turns_of(rest.shape)
+        ]
+    best = min(tried, key=lambda exchange: exchange.left)
+    if best.left > CLEARLY_BETTER * as_given:
+        return []
+    near = [exchange for exchange in tried if exchange.left <= EQUALLY_GOOD * best.left]
+    return sorted(near, key=lambda exchange: exchange.left)
+
+
+def hidden_turns(rest: Float32Array) -> list[Turn]:
+    """The turns that the light of a reference, float32 array of shape (h, w, 3), cannot tell: it looks the same."""
+    return [turn for turn in turns_of(rest.shape) if median_deviation(turn.of(rest) - rest) < MIN_UNEXPLAINED]
+
+
+def _order_name(order: tuple[int, ...]) -> str:
+    """The order that a frame's channels have when taking them in `order` restores R, G, B."""
+    names = [""] * 3
+    for place, channel in zip(order, "RGB", strict=True):
+        names[place] = channel
+    return f"the channels are in the order {', '.join(names)}"
+
 
 NAME = "light layout"
 

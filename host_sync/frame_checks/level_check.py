@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.frame_checks.light_levels import LevelSight, SlopeResponse, pressed_levels, untouched_levels
-from host_sync.results.frame_check import FrameCheck, not_checked
+from host_sync.results.record import FrameCheck, not_checked
 
 NAME: Final = "light levels"
 MARGIN: Final = 0.05

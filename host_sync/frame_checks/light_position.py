@@ -14,7 +14,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.frame_checks.light_levels import AGREEING
-from host_sync.results.frame_check import FrameCheck, not_checked
+from host_sync.results.record import FrameCheck, not_checked
 
 NAME: Final = "light position"
 ROUNDS: Final = 4

@@ -19,7 +19,7 @@ from host_sync.filters.form import MAX_DEGREE
 from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.profile.step_height import StepKind
-from host_sync.results.detail_name import DetailName
+from host_sync.results.files import DetailName
 
 FORMS: Final = ("none", "mean", "plane", "sphere", *(f"polynomial-{degree}" for degree in range(2, MAX_DEGREE + 1)))
 

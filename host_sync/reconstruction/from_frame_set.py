@@ -18,7 +18,7 @@ from host_sync.frames.frame_set import FrameSet, ScanSpec
 from host_sync.frames.linear_light import read_frame
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
-from host_sync.results.detail_name import DetailName
+from host_sync.results.files import DetailName
 
 CALIBRATION_FOLDER = "calibration"
 

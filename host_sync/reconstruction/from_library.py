@@ -16,7 +16,7 @@ from host_sync.filters.detail import DetailBand
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
-from host_sync.results.detail_name import DetailName
+from host_sync.results.files import DetailName
 
 
 class LibraryReconstructor:

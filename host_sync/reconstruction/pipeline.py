@@ -24,8 +24,8 @@ from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
 from host_sync.johnson2009.model import estimate_gradients, integrate_forward_difference
 from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
-from host_sync.results.detail_name import DetailName
-from host_sync.results.frame_check import FrameCheck, refusals
+from host_sync.results.files import DetailName
+from host_sync.results.record import FrameCheck, refusals
 from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     NOISE_KEPT,

@@ -16,7 +16,7 @@ from device.surface.fields import Float32Array, HeightMap
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 
 CELL_PX: Final = 4
 """The Gaussian works on cells of so many pixels."""

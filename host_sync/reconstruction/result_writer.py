@@ -19,7 +19,6 @@ from host_sync.filters.detail import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.render.figures import write_detail
 from host_sync.render.relief_sheet import write_relief
-from host_sync.results.detail_name import other_detail
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import (
     DETAIL_FILE,
@@ -34,6 +33,7 @@ from host_sync.results.files import (
     SLOPE_P_FILE,
     SLOPE_Q_FILE,
     SLOPE_SIGMA_FILE,
+    other_detail,
 )
 from host_sync.results.record import DetailRecord, HeightScale, IntegrationRecord, ResultRecord, encode_record
 

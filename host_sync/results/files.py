@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
-from host_sync.results.detail_name import DetailName
+DetailName = Literal["raw", "shrunk"]
+"""raw: every pixel's own slope, noise included. shrunk: from frames whose pixel noise was shrunk."""
+
+
+def other_detail(detail: DetailName) -> DetailName:
+    """The other kind."""
+    return "shrunk" if detail == "raw" else "raw"
+
 
 RESULT_SCHEMA: Final = "retrograph.result/1"
 SEQUENCE_SCHEMA: Final = "retrograph.sequence/1"

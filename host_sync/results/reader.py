@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
-from host_sync.results.detail_name import DetailName, other_detail
 from host_sync.results.field_file import MAX_TILE_VALUES, read_field, read_mask, read_samples
 from host_sync.results.files import (
     EXTRAPOLATED_FILE,
@@ -20,6 +19,8 @@ from host_sync.results.files import (
     OTHER_HEIGHT_FILES,
     SAMPLES_FILE,
     SLOPE_SIGMA_FILE,
+    DetailName,
+    other_detail,
 )
 from host_sync.results.record import ResultRecord, read_record
 

@@ -2,19 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
+import numpy as np
 
+from device.surface.fields import Float32Array
 from hal.validation import explain_validation
 from host_sync.errors import UnreadableResult
-from host_sync.results.detail_name import DetailName
 from host_sync.results.field_file import MAX_PIXELS
-from host_sync.results.files import RECORD_FILE, RESULT_SCHEMA, SEQUENCE_SCHEMA
-from host_sync.results.frame_check import FrameCheck
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.files import RECORD_FILE, RESULT_SCHEMA, SEQUENCE_SCHEMA, DetailName
+
+
+class SlopeNoise(msgspec.Struct, frozen=True):
+    """Standard deviation of either slope's noise, as an angle of the normal, from pixel to pixel.
+
+    In slope it is (1 + p² + q²) times as large.
+
+    tilt_deg : tilt of the surface for which the next two are given; between them they run straight
+    raw_deg, shrunk_deg : of slopes as read per pixel, from raw and from shrunk frames
+    raw_kept, shrunk_kept : share of it in the slopes of the height map
+    raw_height_px, shrunk_height_px : fine noise of heights over that of the height map's slopes, pixels
+    """
+
+    tilt_deg: tuple[float, ...]
+    raw_deg: tuple[float, ...]
+    shrunk_deg: tuple[float, ...]
+    raw_kept: float
+    shrunk_kept: float
+    raw_height_px: float
+    shrunk_height_px: float
+
+    def added_variance(self, square: Float32Array) -> Float32Array:
+        """Variance of either slope that raw detail has beyond shrunk detail, in a height map with p² + q² `square`."""
+        more = self.variance(square, "raw") - self.variance(square, "shrunk")
+        return np.asarray(np.maximum(more, np.float32(0.0)), np.float32)
+
+    def variance(self, square: Float32Array, detail: DetailName) -> Float32Array:
+        """Variance of either slope of a height map that is pixel noise, where p² + q² is `square`."""
+        angle_deg, kept = (self.raw_deg, self.raw_kept) if detail == "raw" else (self.shrunk_deg, self.shrunk_kept)
+        cosine = np.cos(np.radians(self.tilt_deg))[::-1]
+        growth = np.float32(1.0) + square
+        at_tilt = np.interp(1.0 / np.sqrt(growth), cosine, (kept * np.radians(angle_deg)[::-1]) ** 2)
+        return np.asarray(at_tilt * growth * growth, np.float32)
+
+
+Outcome = Literal["passed", "refused", "not checked"]
+
+
+class FrameCheck(msgspec.Struct, frozen=True):
+    """The outcome of one check of one frame.
+
+    name : what was checked, such as "pattern position"
+    outcome : "not checked" where frame or calibration hold nothing that the check could use
+    value, limit : the figure that was compared and its limit, in `unit`; None where nothing was compared
+    words : why it was refused or could not be made, one clause; empty when it passed
+    """
+
+    name: str
+    outcome: Outcome
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    words: str = ""
+
+
+def refusals(checks: Iterable[FrameCheck]) -> list[str]:
+    """What speaks against a frame, one clause each, in the order of the checks."""
+    return [check.words for check in checks if check.outcome == "refused"]
+
+
+def not_checked(name: str, words: str) -> FrameCheck:
+    """The record of a check that could not be made."""
+    return FrameCheck(name, "not checked", words=words)
+
 
 MAX_RECORD_BYTES: Final = 16_000_000
 MIN_PITCH_UM: Final = 1e-3

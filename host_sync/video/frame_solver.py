@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.imaging.contact import shaded_fraction
 from device.imaging.flat_field import NormalizedImage
+from device.imaging.frame_measures import shaded_fraction
 from device.surface.fields import Float32Array, GradientField, MaskArray, full_rectangle
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
@@ -27,7 +27,7 @@ from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
 from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.pipeline import estimate, raise_on_warnings
-from host_sync.results.frame_check import refusals
+from host_sync.results.record import refusals
 
 CHECK_STRIDE_FACTOR: Final = 4
 """Checks of video frames sample this many times more coarsely than those of a single frame."""

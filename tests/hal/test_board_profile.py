@@ -8,7 +8,7 @@ from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings
-from hal.simulator.sensor_controls import CONTROLS, granted
+from hal.simulator.camera import CONTROLS, granted
 
 
 def rewritten(folder: Path, old: str, new: str, name: str = "twin") -> Path:

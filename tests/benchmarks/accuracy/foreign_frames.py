@@ -24,7 +24,7 @@ from device.surface.fields import Float32Array
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.frames.linear_light import read_frame
-from host_sync.results.frame_check import FrameCheck, refusals
+from host_sync.results.record import FrameCheck, refusals
 
 SATURATED: Final = 0.98
 

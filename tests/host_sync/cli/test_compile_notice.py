@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.cli import compile_notice
+from host_sync.cli.console import tell_of_compiling
 from host_sync.kernels.cache import SETTING
 
 
@@ -27,5 +27,5 @@ def test_it_is_said_once(
     if cached:
         (tmp_path / "integration").mkdir()
         (tmp_path / "integration" / "datum._add_cells-1.py311.nbi").touch()
-    compile_notice.tell_of_compiling()
+    tell_of_compiling()
     assert capsys.readouterr().err.count("compiles") == words

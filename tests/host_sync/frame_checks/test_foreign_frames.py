@@ -22,7 +22,7 @@ from hal.simulator.bench import build
 from hal.simulator.gallery import gallery_names
 from hal.simulator.hardware import twin_hardware
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.results.frame_check import FrameCheck, refusals
+from host_sync.results.record import FrameCheck, refusals
 
 RADIUS_MM, PITCH_MM = 3.0, 0.048
 CLEAR = np.zeros((256, 256), bool)

@@ -17,6 +17,7 @@ from host_sync.integration.coarsening import coarsen, coarsen_pixels
 from host_sync.integration.components import label_components
 from host_sync.integration.conjugate_gradients import laplacian
 from host_sync.integration.edges import EdgeRule, edge_coefficients
+from host_sync.integration.full_multigrid import smoothing
 from host_sync.integration.integrate import Integrator, integrate
 from host_sync.integration.levels import FineLevel, GridLevel, coarser_levels, new_level, unit_weights
 from host_sync.integration.sweep import sweep
@@ -27,7 +28,6 @@ from host_sync.integration.transfer import (
     prolong_weighted_row,
     restrict_row,
 )
-from host_sync.integration.v_cycle import smoothing
 
 
 def noisy(shape: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from device.surface.poisson_dct import integrate_dct
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
 from host_sync.results.reader import read_result
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 
 PITCH_UM = 5.0
 SHAPE = (180, 240)

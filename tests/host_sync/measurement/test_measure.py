@@ -13,8 +13,7 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.errors import MeasurementError
-from host_sync.measurement.fine_noise import FineNoise
-from host_sync.measurement.height_samples import HeightSamples, StatedScale
+from host_sync.measurement.height_samples import FineNoise, HeightSamples, StatedScale
 from host_sync.measurement.measure import measure, measure_result
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty

@@ -8,7 +8,7 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
-from host_sync.results.slope_noise_record import SlopeNoise
+from host_sync.results.record import SlopeNoise
 
 SHAPE = (203, 310)
 NOISE = SlopeNoise((0.0, 20.0, 40.0), (1.0, 1.5, 2.0), (0.5, 0.5, 0.5), 0.4, 0.3, 1.5, 2.0)

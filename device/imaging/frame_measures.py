@@ -1,6 +1,7 @@
-"""Sharpness of a frame: ratio of fine to coarser contrast at its strongest edges.
+"""What a frame of a press shows as a whole: its sharpness, and the fraction of the field in contact.
 
-Only edges can be sharp: a frame with gentle slopes alone has no measurable focus and gets None.
+Sharpness is the ratio of fine to coarser contrast at the strongest edges. Only edges can be sharp: a frame with gentle
+slopes alone has no measurable focus and gets None.
 """
 
 from __future__ import annotations
@@ -27,3 +28,15 @@ def sharpness(intensity: NormalizedImage) -> float | None:
     if coarser < MIN_CONTRAST:
         return None
     return float(np.percentile(np.abs(fine - middle)[::2, ::2], EDGES_PERCENTILE)) / coarser
+
+
+SHADED: Final = 0.06
+"""Difference from the intensity of flat skin, in any channel, from which a pixel counts as shaded."""
+
+
+def shaded_fraction(intensity: NormalizedImage) -> float:
+    """Fraction of valid pixels whose intensity differs from flat skin's."""
+    smooth = cv2.GaussianBlur(intensity.values, (0, 0), 2.0)
+    red, green, blue = np.moveaxis(np.abs(smooth - 1.0) > SHADED, -1, 0)
+    shaded = red | green | blue
+    return float(shaded[intensity.valid].mean()) if intensity.valid.any() else 0.0

@@ -1,7 +1,12 @@
-"""16-bit greyscale PNG: 0 is invalid, 1 to 65535 span the lowest to the highest valid height.
+"""Formats of a height map as an array: float TIFF, NumPy archive and 16-bit PNG.
 
-The scale is stored in text chunks (under our names and those that Gwyddion reads), in the resolution (pHYs), and in a
-JSON file beside the picture for programs that drop text.
+TIFF: page 1 the height in µm, page 2 its standard uncertainty; float32, not compressed, NaN where invalid.
+
+NPZ: all fields, in µm, without pickled objects.
+
+PNG, 16-bit greyscale: 0 is invalid, 1 to 65535 span the lowest to the highest valid height. The scale is stored in text
+chunks (under our names and those that Gwyddion reads), in the resolution (pHYs), and in a JSON file beside the picture
+for programs that drop text.
 """
 
 from __future__ import annotations
@@ -10,11 +15,51 @@ from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
+import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from host_sync.export.row_blocks import ROWS
-from host_sync.export.source_surface import SourceSurface
+from host_sync.export.source_surface import SourceSurface, ascii_line
+
+
+def write_float_tiff(file: BinaryIO, surface: SourceSurface) -> None:
+    """Write the height map and its uncertainty, with the pixel pitch as resolution."""
+    per_cm = 1e4 / surface.pitch_um
+    pages = [("height", surface.z_um)]
+    if surface.sigma_um is not None:
+        pages.append(("standard uncertainty of height", surface.sigma_um))
+    with tifffile.TiffWriter(file, bigtiff=sum(page.nbytes for _, page in pages) > 2**32 - 2**20) as tiff:
+        for title, values in pages:
+            said = f"{title}, um; pixel pitch {surface.pitch_um:g} um; NaN is invalid; {surface.name}; {surface.origin}"
+            tiff.write(
+                values.astype(np.float32, copy=False),
+                photometric="minisblack",
+                rowsperstrip=64,
+                resolution=(per_cm, per_cm),
+                resolutionunit="CENTIMETER",
+                description=ascii_line(said).decode(),
+                software="retrograph",
+                metadata=None,
+            )
+
+
+def write_npz(file: BinaryIO, surface: SourceSurface) -> None:
+    """Write `z_um`, `valid`, `pixel_pitch_um`, `name`, `origin`, `written_utc`; if known `sigma_um`, `extrapolated`."""
+    arrays: dict[str, Any] = {
+        "z_um": surface.z_um,
+        "valid": np.isfinite(surface.z_um),
+        "pixel_pitch_um": np.float64(surface.pitch_um),
+        "name": np.str_(surface.name),
+        "origin": np.str_(surface.origin),
+        "written_utc": np.str_(surface.written_utc),
+    }
+    if surface.sigma_um is not None:
+        arrays["sigma_um"] = surface.sigma_um
+    if surface.extrapolated is not None:
+        arrays["extrapolated"] = surface.extrapolated
+    np.savez(file, allow_pickle=False, **arrays)
+
 
 UM: Final = 1e-6
 TOP: Final = 65535
