@@ -86,14 +86,14 @@ class InverseMap:
         return self.curve if self.near is None else self.near.curve
 
     @property
-    def own_share(self) -> float:
+    def own_fraction(self) -> float:
         """Its weight: what the curves of light and of the root leave."""
         return 1.0 - sum(part.share for part in (self.light, self.root) if part is not None)
 
     @property
     def parts(self) -> list[tuple[Part, float]]:
         """Every curve that slopes are the mean of, and its share."""
-        found: list[tuple[Part, float]] = [(self.near or IntensityCurve(self.curve), self.own_share)]
+        found: list[tuple[Part, float]] = [(self.near or IntensityCurve(self.curve), self.own_fraction)]
         return found + [(part, part.share) for part in (self.light, self.root) if part is not None]
 
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:

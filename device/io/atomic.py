@@ -172,9 +172,7 @@ def check_replaceable(target: Path, marker: str) -> None:
             if not nearest.is_dir():
                 raise OutputError(f"{target} cannot be written: {nearest} is no folder; choose another")
         elif not target.is_dir() or (any(target.iterdir()) and not (target / marker).is_file()):
-            raise OutputError(
-                f"{target} cannot be written: it holds something else than results; choose another folder"
-            )
+            raise OutputError(f"{target} cannot be written: it holds other files than results; choose another folder")
 
 
 def remove_tree_quietly(directory: Path) -> None:

@@ -290,7 +290,7 @@ def _elevation_left(
     if elevated and elevated.response.is_certain:
         return elevated.left
     nearness = elevation_correction(kept, training, inverse.map)
-    return nearness.shared(elevated.response.possible_share) if elevated else nearness
+    return nearness.shared(elevated.response.possible_fraction) if elevated else nearness
 
 
 def _digest(

@@ -92,7 +92,7 @@ class ElevationResponse:
         return confirmed and self.nearness_per_px > 0.0
 
     @property
-    def possible_share(self) -> float:
+    def possible_fraction(self) -> float:
         """Share of the foretold that may be there where it is not certain, at most 1."""
         return min(float(np.hypot(self.share, self.share_sigma)), 1.0)
 

@@ -46,7 +46,7 @@ def export_command(
     out
         Folder for the files.
     library
-        The library; ~/Retrograph by default.
+        Folder of the library; ~/Retrograph by default.
     mesh_step
         Row and column step of meshes.
     line_um

@@ -39,13 +39,13 @@ def search_command(
     Parameters
     ----------
     library
-        Where; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     job
-        Text of the annotation.
+        Text in the annotation.
     part
-        Text of the annotation.
+        Text in the annotation.
     operator
-        Text of the annotation.
+        Text in the annotation.
     verdict
         Verdict of the quick look.
     gel
@@ -75,7 +75,7 @@ def list_command(*, library: Folder | None = None, set_aside: bool = False) -> i
     Parameters
     ----------
     library
-        Which; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     set_aside
         List instead what was passed over or moved to set-aside/, with the reason.
     """
@@ -96,9 +96,10 @@ def verify_command(*, library: Folder | None = None, partial: str | None = None,
     Parameters
     ----------
     library
-        Which; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     partial
-        Hash only this fraction, such as 5%; the next partial run continues after it. Loss is looked for everywhere.
+        Hash only this fraction, such as 5%; the next partial run continues after it. Missing files are found in any
+        case.
     adopt
         Record whole bundles that the intake record lacks, such as an older release's; replaces a damaged record.
     """
@@ -139,9 +140,9 @@ def forget_command(*names: str, library: Folder | None = None) -> int:
     Parameters
     ----------
     names
-        Their whole ids.
+        Complete ids of the bundles.
     library
-        Which; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     """
     target = Library(library or default_library())
     target.require()
@@ -160,7 +161,7 @@ def repair_command(*sources: str, library: Folder | None = None) -> int:
     sources
         Cards, folders, mirrors or paired devices, tried in this order.
     library
-        Which; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     """
     from host_sync.offload.repair import repair
 
@@ -217,7 +218,7 @@ def reprocess_command(
     names
         Scans of the library; all that have results when none is named.
     library
-        Which; ~/Retrograph when not given.
+        Folder of the library; ~/Retrograph by default.
     """
     from host_sync.evaluation.reprocess import reprocess
     from host_sync.reconstruction.from_library import LibraryReconstructor

@@ -39,7 +39,7 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
     source
         A paired device, or a card, mount or folder that holds a device's store.
     library
-        Where to; ~/Retrograph when not given.
+        Folder of the library to copy to; ~/Retrograph by default.
     at
         The device's present address, HOST or HOST:PORT, if it has changed since pairing.
     verify
@@ -80,7 +80,7 @@ def sync_command(*names: str, library: Folder | None = None, verify: bool = Fals
     names
         Paired devices; all when none is named.
     library
-        Where to; ~/Retrograph when not given.
+        Folder of the library to copy to; ~/Retrograph by default.
     verify
         Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
     """
@@ -116,9 +116,9 @@ def push_command(source: str, calibration: str, *, library: Folder | None = None
     calibration
         Its id, or the beginning or end of it.
     library
-        Where from; ~/Retrograph when not given.
+        Folder of the library to copy from; ~/Retrograph by default.
     at
-        Where the device is now, HOST or HOST:PORT.
+        The device's present address, HOST or HOST:PORT, if it has changed since pairing.
     """
     from host_sync.offload.push import push_calibration
 

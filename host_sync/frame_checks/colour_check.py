@@ -50,7 +50,7 @@ def check_frame(
         warnings.append(f"its light lies over the field as if it were {turn}")
     strange = _strange_share(intensity, inverse, step)
     if strange > MAX_OUT_OF_DOMAIN:
-        warnings.append(f"{strange:.0%} of its colours are such as no ball showed (at most {MAX_OUT_OF_DOMAIN:.0%})")
+        warnings.append(f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})")
     return warnings
 
 

@@ -74,7 +74,7 @@ class SlopeKernel:
         self._out = out
         light, near, root = inverse_map.light, inverse_map.near, inverse_map.root
         self._limits = _limits(inverse_map.curve)
-        self._own = _tabled(inverse_map.own, inverse_map.own_share)
+        self._own = _tabled(inverse_map.own, inverse_map.own_fraction)
         self._near = _NO_LIGHTS if near is None else near.field.by_powers()
         self._lit = self._own if light is None else _tabled(light.curve, light.share)
         self._root = _absent(self._own) if root is None else _tabled(root.curve, root.share)

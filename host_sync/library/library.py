@@ -215,7 +215,7 @@ class Library:
         held = self.intake().held
         key = next((key for key in held if key[1] == name), None)
         if key is None:
-            raise NoSuchBundle(f"{self.root}: its intake record expects no bundle {name!r}: give its whole id")
+            raise NoSuchBundle(f"{self.root}: its intake record expects no bundle {name!r}: give its complete id")
         if (self.root / key[0] / name).exists():
             raise NoSuchBundle(f"{self.root / key[0] / name}: is still there: remove it first")
         self._append("forgotten", *key, held[key].manifest_sha256, str(self.root))
@@ -261,7 +261,7 @@ class Library:
         with ExitStack() as stack:
             with self.translating("written"):
                 if os.path.lexists(partial) and (partial.is_symlink() or not partial.is_dir()):
-                    raise BusyBundle(f"{partial}: is in the way and no folder: remove it and repeat")
+                    raise BusyBundle(f"{partial}: is a file where a folder is needed: remove it and repeat")
                 partial.mkdir(exist_ok=True)
                 try:
                     stack.enter_context(locked_directory(partial, wait=False))

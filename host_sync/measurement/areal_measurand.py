@@ -67,7 +67,7 @@ class Preparation:
             z_um = z_um - self._l.mean(z_um)
         return z_um
 
-    def edge_share(self) -> float:
+    def edge_fraction(self) -> float:
         """Fraction of valid pixels within half the L-filter's nesting index of a border or hole; 0 without L-filter."""
         if self._l_px is None:
             return 0.0
@@ -173,7 +173,7 @@ class ArealMeasurand:
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """Warnings about filter ends, mask, extrapolated slopes and field size."""
         every = []
-        edge = self._preparation.edge_share()
+        edge = self._preparation.edge_fraction()
         if edge > EDGE_SHARE:
             every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
         if self.masked_share > MASKED_SHARE:

@@ -53,12 +53,14 @@ class Still:
         if not 16 <= self.columns <= MAX_PX:
             raise RenderError(f"a picture {self.columns} px wide cannot be made: choose 16 to {MAX_PX}")
         if not 0.0 < self.light_elevation_deg <= 90.0:
-            raise RenderError("the light must stand above the surface: choose an elevation above 0 and up to 90")
+            raise RenderError("the light must be above the surface: choose an elevation above 0 and up to 90")
         if self.exaggeration is not None and not 0.0 < self.exaggeration <= 1e4:
-            raise RenderError("heights must be multiplied by more than 0, and by at most 10000")
+            raise RenderError("the exaggeration must be above 0 and at most 10000")
         view = self.viewpoint
         if view is not None and not (0.0 < view.elevation_deg <= 90.0 and 0.0 <= view.field_deg <= 120.0):
-            raise RenderError("the eye must stand above the surface: an elevation up to 90, a field of at most 120")
+            raise RenderError(
+                "the viewpoint must be above the surface: choose an elevation up to 90 and a field of at most 120"
+            )
 
 
 def render(height: HeightMap, still: Still) -> Picture:

@@ -59,7 +59,7 @@ def test_skin_that_looks_alike_at_every_elevation_tells_that_there_is_no_effect(
     found = measured(NearLamps(HEIGHT_PX), seen_at=0.0)
     assert found is not None
     assert not found.is_certain
-    assert found.possible_share < 0.15
+    assert found.possible_fraction < 0.15
 
 
 def test_lamps_far_away_are_no_evidence() -> None:

@@ -291,7 +291,7 @@ def test_a_folder_of_the_users_own_is_never_replaced(
     mine = path.parent / "calibration" / "notes.txt"
     mine.parent.mkdir()
     mine.write_text("keep")
-    assert "something else than results" in refusal(capsys, ["reconstruct", str(path), "--out", str(path.parent)])
+    assert "other files than results" in refusal(capsys, ["reconstruct", str(path), "--out", str(path.parent)])
     assert mine.read_text() == "keep"
 
 
