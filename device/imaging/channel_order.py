@@ -14,6 +14,9 @@ from device.surface.fields import Float32Array
 CLEAR_FACTOR: Final = 0.5
 """A permutation must reduce the disagreement to this fraction before the frame is refused."""
 
+ROWS_SAMPLED: Final = 128
+"""About as many rows, and columns at the same stride, are tested."""
+
 CLEAR_DISAGREEMENT: Final = 0.06
 """Disagreement (median of |log intensity|) below which the given order is accepted without a test."""
 
@@ -26,19 +29,9 @@ def check_channel_order(frame: LinearFrame, flat_field: Float32Array, name: str)
     CalibrationMismatch
         Names the frame and the order that its channels seem to have.
     """
-    step = order_step(frame.shape)
-    check_channel_order_sample(frame.rgb[::step, ::step], flat_field[::step, ::step], name)
-
-
-def order_step(shape: tuple[int, int]) -> int:
-    """Stride, in rows and columns, of the sample that is tested for a frame of shape (H, W)."""
-    return max(1, shape[0] // 128)
-
-
-def check_channel_order_sample(frame: Float32Array, flat_field: Float32Array, name: str) -> None:
-    """The same for samples of a frame's linear light and its reference's, float32 arrays of shape (h, w, 3)."""
-    light = np.log(np.maximum(frame, DARK_FLOOR))
-    rest = np.log(np.maximum(flat_field, DARK_FLOOR))
+    step = max(1, frame.shape[0] // ROWS_SAMPLED)
+    light = np.log(np.maximum(frame.rgb[::step, ::step], DARK_FLOOR))
+    rest = np.log(np.maximum(flat_field[::step, ::step], DARK_FLOOR))
     as_given = _disagreement(light, rest)
     if as_given <= CLEAR_DISAGREEMENT:
         return

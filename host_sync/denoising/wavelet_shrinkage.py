@@ -49,24 +49,6 @@ class Shrinkage:
     kept: Float32Array
 
 
-def shrunk_values(values: Float32Array, shrinkage: Shrinkage) -> Float32Array:
-    """Intensities of shape (H, W, 3) with their noise shrunk; float32 array of the same shape.
-
-    Beyond the border the outermost pixels repeat.
-    """
-    root = np.sqrt(np.maximum(values, np.float32(0.0)))
-    padded = np.pad(root, ((HALO_PX, HALO_PX), (HALO_PX, HALO_PX), (0, 0)), mode="edge")
-    details, rest = detail_planes(padded)
-    inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
-    total = rest[inner]
-    for level, detail in enumerate(details):
-        energy = directional_energy(noise_energy(detail, shrinkage.whitening[level]))[inner]
-        gain = np.maximum(np.float32(0.0), np.float32(1.0) - (shrinkage.threshold[level] / energy) ** 2)
-        gain = shrinkage.kept[level] + (np.float32(1.0) - shrinkage.kept[level]) * gain
-        total = total + gain[..., None] * detail[inner]
-    return np.asarray(total * total, np.float32)
-
-
 def detail_planes(root: Float32Array) -> tuple[list[Float32Array], Float32Array]:
     """Detail planes, finest first, and the smooth rest, of an image of shape (H, W, C); all of its shape.
 

@@ -9,7 +9,14 @@ import pytest
 from device.imaging.flat_field import NormalizedImage
 from host_sync.denoising.frame_noise import FrameNoise
 from host_sync.denoising.shrinkage_kernel import TILE_PX, shrink
-from host_sync.denoising.wavelet_shrinkage import LEVELS, Shrinkage, detail_planes, shrunk_values
+from host_sync.denoising.wavelet_shrinkage import (
+    HALO_PX,
+    LEVELS,
+    Shrinkage,
+    detail_planes,
+    directional_energy,
+    noise_energy,
+)
 from host_sync.kernels.planes import in_planes
 
 NOISE = FrameNoise(np.diag([1e-4, 2e-4, 1.5e-4]), np.array([1.0, 0.2, 0.05]))
@@ -25,6 +32,24 @@ def mixed() -> Shrinkage:
     """A shrinkage whose colours are mixed and whose levels all differ."""
     whitening = np.triu(np.random.default_rng(0).normal(size=(3, 3, 3))).astype(np.float32) * 30.0
     return Shrinkage(whitening, np.float32([0.8, 1.8, 1.2]), np.float32([0.6, 0.1, 0.0]))
+
+
+def shrunk_values(values: np.ndarray, shrinkage: Shrinkage) -> np.ndarray:
+    """Intensities of shape (H, W, 3) with their noise shrunk, in the plain form; float32 array of the same shape.
+
+    Beyond the border the outermost pixels repeat.
+    """
+    root = np.sqrt(np.maximum(values, np.float32(0.0)))
+    padded = np.pad(root, ((HALO_PX, HALO_PX), (HALO_PX, HALO_PX), (0, 0)), mode="edge")
+    details, rest = detail_planes(padded)
+    inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
+    total = rest[inner]
+    for level, detail in enumerate(details):
+        energy = directional_energy(noise_energy(detail, shrinkage.whitening[level]))[inner]
+        gain = np.maximum(np.float32(0.0), np.float32(1.0) - (shrinkage.threshold[level] / energy) ** 2)
+        gain = shrinkage.kept[level] + (np.float32(1.0) - shrinkage.kept[level]) * gain
+        total = total + gain[..., None] * detail[inner]
+    return np.asarray(total * total, np.float32)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 3), (40, 37), (67, 2 * TILE_PX + 11)])
