@@ -22,7 +22,7 @@ set_up_firmware() {
     fi
     put "$here/systemd/modules-retrograph.conf" /etc/modules-load.d/retrograph.conf
     put_text "$boot/retrograph.txt" 755 < <(
-        cat "$here/board/config.txt"
+        sed "$(camera_overlay)" "$here/board/config.txt"
         [ "$usb" = no ] || echo "dtoverlay=dwc2,dr_mode=peripheral"
     )
     if command -v dtc >/dev/null; then
@@ -34,6 +34,12 @@ set_up_firmware() {
     grep -qx 'include retrograph.txt' "$root$boot/config.txt" ||
         act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
     [ "$read_only" = no ] || set_overlay "$root$boot/cmdline.txt" overlayroot=tmpfs:recurse=0
+}
+# The overlay of the profile's own sensor in place of a search: what is asked for is there, or named as missing. On a Pi 5 that
+# is the connector CAM/DISP 1. Other drivers than picamera2 have no camera here.
+camera_overlay() {
+    ! grep -q '^driver = "picamera2"' "$(profile_file)" ||
+        sed -n 's/^model = "\(IMX[0-9]*\)".*/s,^camera_auto_detect=1$,camera_auto_detect=0\\ndtoverlay=\L\1,/p' "$(profile_file)"
 }
 append() { { cat "$1" && printf '%s' "$2"; } >"$1.new" && swap_in "$1"; }
 

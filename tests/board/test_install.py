@@ -77,6 +77,24 @@ def test_what_is_installed(fresh: Path, run: Run) -> None:
     assert all(line.endswith("/nologin") for line in users.splitlines())
 
 
+@pytest.mark.parametrize(
+    ("board", "wanted"),
+    [
+        ("pi5-imx296", ["camera_auto_detect=0", "dtoverlay=imx296"]),
+        ("pi4-imx477-binned", ["camera_auto_detect=0", "dtoverlay=imx477"]),
+        ("zero2w-imx708", ["camera_auto_detect=0", "dtoverlay=imx708"]),
+        ("twin", ["camera_auto_detect=1"]),
+    ],
+)
+def test_the_firmware_loads_the_overlay_of_the_profiles_sensor(
+    fresh: Path, run: Run, board: str, wanted: list[str]
+) -> None:
+    done(run("board/install.sh", "--root", fresh, "--board", board, "--no-app"))
+    lines = (fresh / "boot/firmware/retrograph.txt").read_text().splitlines()
+    assert [line for line in lines if line.startswith(("camera_auto_detect", "dtoverlay=imx"))] == wanted
+    assert "dtoverlay=retrograph" in lines
+
+
 def test_whoever_asks_the_light_driver_at_boot_waits_for_its_bus(fresh: Path, run: Run) -> None:
     """The trial too, or an update that a power cut left unconfirmed would be undone for a late bus."""
     done(run("board/install.sh", "--root", fresh, *BOARD))
