@@ -63,7 +63,7 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
         begun = time.monotonic()
         with server.link() as link:
             source = SftpSource(link)
-            for scan in source.bundle_ids("scans"):
+            for scan in source.bundle_names("scans").ids:
                 digest = hashlib.sha256()
                 with (target / "streamed").open("wb") as stream:
                     for block in source.blocks(f"scans/{scan}/raw.tif"):
