@@ -38,7 +38,7 @@ def image_of(values: np.ndarray) -> NormalizedImage:
     return NormalizedImage(np.ascontiguousarray(values, np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))
 
 
-def test_an_honest_frame_raises_no_doubt() -> None:
+def test_an_honest_frame_raises_no_warning() -> None:
     assert check_frame(image_of(pressed()), reference(), inverse()) == []
     at_rest = np.zeros(SHAPE, bool)
     at_rest[:60] = True
@@ -51,21 +51,21 @@ def test_an_honest_frame_raises_no_doubt() -> None:
 )
 def test_a_turned_frame_is_told_by_the_way_its_light_lies(rows: int, columns: int, name: str) -> None:
     light = (pressed() * reference())[::rows, ::columns]
-    doubts = check_frame(image_of(light / reference()), reference(), inverse())
-    assert name in doubts[0]
+    warnings = check_frame(image_of(light / reference()), reference(), inverse())
+    assert name in warnings[0]
 
 
 def test_colours_that_no_ball_showed_are_counted() -> None:
     noise = np.random.default_rng(1).uniform(0.0, 4.0, (*SHAPE, 3))
-    (doubt,) = [d for d in check_frame(image_of(noise), reference(), inverse()) if "no ball showed" in d]
-    assert "at most 25%" in doubt
+    (warning,) = [d for d in check_frame(image_of(noise), reference(), inverse()) if "unlike those of the balls" in d]
+    assert "at most 25%" in warning
 
 
 def test_other_exposure_or_lights_show_in_untouched_skin() -> None:
     at_rest = np.zeros(SHAPE, bool)
     at_rest[:60] = True
-    (doubt,) = check_datum(image_of(pressed() * np.array([0.8, 1.0, 1.0])), at_rest)
-    assert "20% darker in red" in doubt
+    (warning,) = check_datum(image_of(pressed() * np.array([0.8, 1.0, 1.0])), at_rest)
+    assert "20% darker in red" in warning
     assert check_datum(image_of(0.95 * pressed()), at_rest) == []
 
 
