@@ -199,7 +199,7 @@ def _replicas(
         alive = state.kept.copy()
         alive[kept[number::FOLDS]] = False
         part = replace(state, slope=slope, weight=everything, kept=alive)
-        maps.append(replace(_map(plain, learners, part, domain, shape, 1.0), leverage=None))
+        maps.append(_map(plain, learners, part, domain, shape, 1.0, leverage=False))
     return tuple(maps)
 
 
@@ -281,6 +281,8 @@ def _map(
     domain: TrainingDomain,
     shape: tuple[int, int],
     steepest: float,
+    *,
+    leverage: bool = True,
 ) -> InverseMap:
     """The map trained on all kept balls."""
 
@@ -297,8 +299,8 @@ def _map(
             near = NearLightBranch(learner.reading, trained(learner))
         elif isinstance(learner.reading, RootIntensity):
             root = RootCurve(trained(learner), share)
-    leverage = plain.leverage(state.slope, state.weight, state.kept)
-    found = InverseMap(shape, domain, trained(plain), steepest, light, leverage, near, root)
+    known = plain.leverage(state.slope, state.weight, state.kept) if leverage else None
+    found = InverseMap(shape, domain, trained(plain), steepest, light, known, near, root)
     return found if all(learner.flat for learner, _ in learners) else replace(found, rest_bump=rest_nodes(found))
 
 

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 Tell = Callable[[str], None]
 
 
-def calibrator_for(named: Path | None, tell: Tell) -> Calibrator:
+def calibrator_for(named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None) -> Calibrator:
     """What gives a command its calibrations: the named file, else the user's cache or the frames themselves.
+
+    facts : receives those of each calibration, instead of the output
 
     Raises
     ------
@@ -30,12 +32,18 @@ def calibrator_for(named: Path | None, tell: Tell) -> Calibrator:
     from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
 
+    def obtained(kept: KeptCalibration, source: str) -> None:
+        if facts is None:
+            say_calibration(kept, source)
+        else:
+            facts.append(calibration_facts(kept, source))
+
     if named is None:
-        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_calibration)
+        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=obtained)
     if named.is_dir():
         raise CalibrationFileError(f"{named} is a folder: name a file that `retrosync calibrate` wrote")
     tell("reading the calibration")
-    return Calibrator.of_file(named, obtained=say_calibration)
+    return Calibrator.of_file(named, obtained=obtained)
 
 
 def obtain_calibration(name: str, library: Path | None, tell: Tell) -> KeptCalibration:
@@ -62,6 +70,22 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell) -> KeptCalib
         tell("reading the calibration")
         return Calibrator.of_file(path, obtained=say_source).named()
     return calibrator.of_frame_set(load_frame_set(path))
+
+
+def calibration_facts(kept: KeptCalibration, source: str) -> dict[str, object]:
+    """Which calibration is used, where it came from, and its verdict."""
+    calibration = kept.calibration
+    return {
+        "calibration_id": kept.facts.calibration_id,
+        "made_from": kept.facts.made_from,
+        "made_utc": kept.facts.made_utc,
+        "source": source,
+        "passed": calibration.assessment.passed,
+        "balls": sum(len(press.balls) for press in calibration.presses),
+        "held_out_error_deg": calibration.held_out_deg,
+        "pixel_pitch_um": calibration.pitch_um,
+        "notes": calibration.assessment.notes,
+    }
 
 
 def say_source(kept: KeptCalibration, source: str) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from device.errors import DeviceError
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_json, print_line, status_spinner
 from host_sync.cli.devices import known_devices
 from host_sync.errors import HostError
 from host_sync.library.index import Query, damaged_bundles, search
@@ -33,6 +33,7 @@ def search_command(
     device: str | None = None,
     since: date | None = None,
     until: date | None = None,
+    json: bool = False,
 ) -> int:
     """List scans of a library; texts may use * and ?.
 
@@ -56,20 +57,25 @@ def search_command(
         First day, by the device's clock.
     until
         Last day, by the device's clock.
+    json
+        Print one JSON document instead of lines.
     """
     if since is not None and until is not None and since > until:
         raise HostError(f"--since {since} is later than --until {until}: swap them")
     query = Query(job, part, operator, verdict, gel, device, since, until)
     target = Library(library or default_library())
-    for hit in search(target, query):
+    hits, damaged = search(target, query), damaged_bundles(target)
+    if json:
+        print_json({"library": target.root, "scans": hits, "damaged": damaged})
+        return PARTLY if damaged else DONE
+    for hit in hits:
         print_line("  ".join((hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel)))
-    damaged = damaged_bundles(target)
     for reason in damaged:
         print_error(reason, PARTLY)
     return PARTLY if damaged else DONE
 
 
-def list_command(*, library: Folder | None = None, set_aside: bool = False) -> int:
+def list_command(*, library: Folder | None = None, set_aside: bool = False, json: bool = False) -> int:
     """List the scans of a library, or what was refused and set aside.
 
     Parameters
@@ -78,11 +84,16 @@ def list_command(*, library: Folder | None = None, set_aside: bool = False) -> i
         Folder of the library; ~/Retrograph by default.
     set_aside
         List instead what was passed over or moved to set-aside/, with the reason.
+    json
+        Print one JSON document instead of lines.
     """
     target = Library(library or default_library())
     if not set_aside:
-        return search_command(library=target.root)
+        return search_command(library=target.root, json=json)
     target.require()
+    if json:
+        print_json({"library": target.root, "set_aside": list_set_aside(target.root)})
+        return DONE
     for entry in list_set_aside(target.root):
         print_line(f"{entry.why.kind}/{entry.why.name}  {entry.why.time:%Y-%m-%d %H:%M} UTC: {entry.why.reason}")
         if entry.folder is not None:
@@ -90,7 +101,9 @@ def list_command(*, library: Folder | None = None, set_aside: bool = False) -> i
     return DONE
 
 
-def verify_command(*, library: Folder | None = None, partial: str | None = None, adopt: bool = False) -> int:
+def verify_command(
+    *, library: Folder | None = None, partial: str | None = None, adopt: bool = False, json: bool = False
+) -> int:
     """Compare a library with its intake record and hash its files: names what is lost, changed or unknown.
 
     Parameters
@@ -102,10 +115,16 @@ def verify_command(*, library: Folder | None = None, partial: str | None = None,
         case.
     adopt
         Record whole bundles that the intake record lacks, such as an older release's; replaces a damaged record.
+    json
+        Print one JSON document instead of lines.
     """
     target = Library(library or default_library())
     with status_spinner() as tell:
         found = verify_library(target, tell, fraction=1.0 if partial is None else _fraction(partial))
+    if json:
+        added = {"added_to_record": add_to_record(target, found)} if adopt else {}
+        print_json({"library": target.root, **{name: getattr(found, name) for name in found.__slots__}, **added})
+        return DONE if found.complete else PARTLY
     skipped = f", {found.skipped} not hashed this time" if found.skipped else ""
     print_line(f"{found.sound} of {found.total} verified{skipped}")
     for path in found.unlisted_files:

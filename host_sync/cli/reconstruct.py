@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import msgspec
 from cyclopts import Parameter
 
 from device.errors import DeviceError
@@ -17,6 +19,8 @@ from host_sync.cli.console import (
     PARTLY,
     Folder,
     print_error,
+    print_json,
+    print_line,
     renamed,
     status_spinner,
     tell_of_compiling,
@@ -32,6 +36,26 @@ MethodName = Literal["direct", "paper"]
 """Methods of reconstruction; defined here too because importing them loads the numerics."""
 
 
+class ScanOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What became of a scan: a folder of results and warnings, or the reason why there is none."""
+
+    scan: str
+    folder: Path | None = None
+    warnings: tuple[str, ...] = ()
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How scans are to be reconstructed; `facts` receives those of each calibration for JSON, None for lines."""
+
+    method: MethodName | None
+    band: DetailBand | None
+    detail: DetailName
+    force: bool
+    facts: list[dict[str, object]] | None
+
+
 def reconstruct(
     *names: str,
     out: Folder | None = None,
@@ -42,6 +66,7 @@ def reconstruct(
     l_filter_um: float | None = None,
     detail: DetailName = "shrunk",
     force: bool = False,
+    json: bool = False,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -65,20 +90,27 @@ def reconstruct(
         height map is written too.
     force
         Also reconstruct scans that do not fit their calibration; result.json keeps the warning.
+    json
+        Print one JSON document instead of lines: calibrations, and what became of each scan.
     """
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
+    order = Order(method, band, detail, force, [] if json else None)
     with status_spinner() as tell:
         if library is not None:
-            held = Library(library)
-            return _reconstruct_library(held, names, calibration, method, tell, band, force=force, detail=detail)
-        if not names or out is None:
+            outcomes = _reconstruct_library(Library(library), names, calibration, order, tell)
+        elif not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
-        frame_set = load_frame_set(Path(names[0]), calibrates=calibration is None)
-        return _reconstruct_frame_set(
-            frame_set, out, names[1:], calibration, method, tell, band, force=force, detail=detail
-        )
+        else:
+            frame_set = load_frame_set(Path(names[0]), calibrates=calibration is None)
+            outcomes = _reconstruct_frame_set(frame_set, out, names[1:], calibration, order, tell)
+    if json:
+        print_json({"calibrations": order.facts, "scans": outcomes})
+    failed = [outcome for outcome in outcomes if outcome.reason is not None]
+    if failed and len(failed) == len(outcomes):
+        return BAD_INPUT
+    return PARTLY if failed else DONE
 
 
 def _reconstruct_frame_set(
@@ -86,70 +118,74 @@ def _reconstruct_frame_set(
     out: Path,
     names: Sequence[str],
     calibration: Path | None,
-    method: MethodName | None,
+    order: Order,
     tell: Callable[[str], None],
-    band: DetailBand | None,
-    *,
-    force: bool,
-    detail: DetailName,
-) -> int:
+) -> list[ScanOutcome]:
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
 
-    calibrator = calibrator_for(calibration, tell)
+    calibrator = calibrator_for(calibration, tell, order.facts)
     done, failures = reconstruct_frame_set(
-        frame_set, out, method, names, tell, band, force=force, detail=detail, calibrator=calibrator
+        frame_set,
+        out,
+        order.method,
+        names,
+        tell,
+        order.band,
+        force=order.force,
+        detail=order.detail,
+        calibrator=calibrator,
     )
-    for failure in failures:
-        print_error(f"{failure.name}: {failure.reason}", PARTLY)
-    for name, warnings in done.items():
-        for warning in warnings:
-            print_error(f"{name}: {warning}", PARTLY)
-    sys.stdout.write(f"{len(done)} of {len(done) + len(failures)} scans reconstructed into {out}\n")
-    if failures and not done:
-        return BAD_INPUT
-    return PARTLY if failures else DONE
+    outcomes = [ScanOutcome(name, out / name, warnings) for name, warnings in done.items()]
+    outcomes += [ScanOutcome(failure.name, reason=failure.reason) for failure in failures]
+    for outcome in sorted(outcomes, key=lambda one: one.reason is None):
+        _print_errors(outcome)
+    if order.facts is None:
+        print_line(f"{len(done)} of {len(outcomes)} scans reconstructed into {out}")
+    return outcomes
 
 
 def _reconstruct_library(
     library: Library,
     names: Sequence[str],
     calibration: Path | None,
-    method: MethodName | None,
+    order: Order,
     tell: Callable[[str], None],
-    band: DetailBand | None,
-    *,
-    force: bool,
-    detail: DetailName,
-) -> int:
+) -> list[ScanOutcome]:
     listing = library.scans()
     scans = [library.find(name) for name in names] if names else list(listing.bundles)
-    failed = [] if names else [f"{bundle.directory.name}: {bundle.reason}" for bundle in listing.damaged]
+    damaged = () if names else listing.damaged
+    failed = [ScanOutcome(bundle.directory.name, reason=bundle.reason) for bundle in damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.from_library import LibraryReconstructor
 
-    calibrator = calibrator_for(calibration, tell)
-    job = LibraryReconstructor(library, method, tell, band, force=force, detail=detail, calibrator=calibrator)
-    done = 0
+    calibrator = calibrator_for(calibration, tell, order.facts)
+    job = LibraryReconstructor(
+        library, order.method, tell, order.band, force=order.force, detail=order.detail, calibrator=calibrator
+    )
+    done = []
     for scan in scans:
         try:
             found, folder = job.run(scan)
         except (DeviceError, HostError) as error:
-            failed.append(f"{scan.scan_id}: {error}")
+            failed.append(ScanOutcome(scan.scan_id, reason=str(error)))
         else:
-            done += 1
-            for warning in found.warnings:
-                print_error(f"{scan.scan_id}: {warning}", PARTLY)
-            sys.stdout.write(f"{folder}\n")
-    for reason in failed:
-        print_error(reason, PARTLY)
-    if failed and not done:
-        return BAD_INPUT
-    return PARTLY if failed else DONE
+            done.append(ScanOutcome(scan.scan_id, folder, found.warnings))
+            _print_errors(done[-1])
+            if order.facts is None:
+                print_line(str(folder))
+    for outcome in failed:
+        _print_errors(outcome)
+    return [*done, *failed]
+
+
+def _print_errors(outcome: ScanOutcome) -> None:
+    for words in outcome.warnings if outcome.reason is None else (outcome.reason,):
+        print_error(f"{outcome.scan}: {words}", PARTLY)
 
 
 def paper_figures(

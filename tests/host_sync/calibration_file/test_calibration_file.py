@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -89,6 +91,28 @@ def test_commands_take_the_file_and_give_the_same_bits(
     for name in FIELDS:
         assert (named / "ball" / name).read_bytes() == (found / "ball" / name).read_bytes()
     assert (found / "calibration" / "report.json").read_bytes() == read_calibration_file(file).report["report.json"]
+
+
+def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(
+    file: Path, frame_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(frame_set.parent, tmp_path / "set")
+    black = cv2.imread(str(folder / "flat.png"), cv2.IMREAD_UNCHANGED) * 0
+    assert cv2.imwrite(str(folder / "black.png"), black)
+    with (folder / "frameset.toml").open("a") as stream:
+        stream.write('[[scan]]\nname = "black"\nimage = "black.png"\n')
+    out = tmp_path / "out"
+    command = ["reconstruct", str(folder / "frameset.toml"), "--calibration", str(file), "--out", str(out), "--json"]
+    assert main(command) == 1
+    said = capsys.readouterr()
+    facts = json.loads(said.out)
+    (used,) = facts["calibrations"]
+    assert used["calibration_id"] == read_calibration_file(file).facts.calibration_id
+    assert used["source"].startswith(f"from {file}")
+    good, bad = facts["scans"]
+    assert good == {"scan": "ball", "folder": str(out / "ball")}
+    assert (bad["scan"], "is black" in bad["reason"]) == ("black", True)
+    assert said.err.startswith("retrosync: black: ")
 
 
 def test_a_scan_without_presses_is_reconstructed_with_a_file(file: Path, frame_set: Path, tmp_path: Path) -> None:
