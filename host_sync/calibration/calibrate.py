@@ -55,6 +55,10 @@ WORTH_MORE_BALLS: Final = 1.1
 MORE_BALLS_GAIN: Final = 0.95
 """Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
 
+CORE_KEPT: Final = 0.9
+"""So many of the balls that train without a cut must train with it: an error that is small because balls are left out
+says nothing."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -216,7 +220,7 @@ def _fit(
     """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
 
     Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
-    to their core where that makes the core's own held-out error smaller.
+    to their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
 
     light : of untouched skin, None where no reference shows it
     """
@@ -241,7 +245,9 @@ def _fit(
     if chosen[1] != "found at labels and beyond":
         cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
         fit = _fit_to(cut, light)
-        if fit.held_out_deg is not None and best.core_deg is not None and fit.held_out_deg < best.core_deg:
+        if fit.held_out_deg is None or best.core_deg is None or fit.kept.sum() < CORE_KEPT * best.kept.sum():
+            return best, *chosen
+        if fit.held_out_deg < best.core_deg:
             return fit, cut, chosen[1]
     return best, *chosen
 
