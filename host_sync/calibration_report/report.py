@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from io import BytesIO
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from matplotlib.figure import Figure
 
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
-from host_sync.calibration_report.paper_figures import ambiguity_figure, reflectance_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "retrograph.calibration-report/1"
 REPORT_FILE = "report.json"
@@ -20,6 +20,10 @@ REPORT_FILE = "report.json"
 
 def report_files(calibration: Calibration) -> dict[str, bytes]:
     """Contents of `report.json` and the pictures, by name."""
+    # matplotlib takes longer to load than a kept calibration takes to read, whose report is drawn already.
+    from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
+    from host_sync.calibration_report.paper_figures import ambiguity_figure, reflectance_figure
+
     figures = {
         "balls.png": balls_figure(calibration.presses),
         "residuals.png": residuals_figure(calibration),

@@ -17,7 +17,6 @@ from device.surface.fields import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.filters.detail import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction
-from host_sync.render.figures import write_detail
 from host_sync.render.relief_sheet import write_relief
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import (
@@ -90,6 +89,8 @@ def write_result(
 
 def _write_detail(folder: Path, height: HeightMap, band: DetailBand, name: str) -> DetailRecord:
     """Write the detail's height map and picture; returns its entry of `result.json`."""
+    from host_sync.render.figures import write_detail  # matplotlib takes a while to load
+
     fine = detail(height, band)
     indices = ", ".join(f"{n} {v:g} um" for n, v in (("S", band.s_um), ("L", band.l_um)) if v is not None)
     write_field(folder / DETAIL_FILE, fine.z_um, fine.pitch_um, f"height between Gaussian filters {indices}, um")
