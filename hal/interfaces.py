@@ -266,7 +266,12 @@ class PressObject:
     name: str
 
 
-OperatorRequest = LiftOff | PressBall | PressObject
+@dataclass(frozen=True, slots=True)
+class MayLift:
+    """Notice: the frame is in memory, the object may be lifted; no push of the button is wanted."""
+
+
+OperatorRequest = LiftOff | PressBall | PressObject | MayLift
 
 
 class Operator(Protocol):
@@ -274,7 +279,7 @@ class Operator(Protocol):
     and then pushes the button."""
 
     def ask(self, request: OperatorRequest) -> None:
-        """Hand over one request and return at once; the answer is a press of the button.
+        """Hand over one request and return at once; the answer is a press of the button, except to `MayLift`.
 
         Raises
         ------

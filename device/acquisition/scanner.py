@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,15 +16,21 @@ from device.bundles.scan import Annotations, LightFaultRecord, PowerRecord, Scan
 from device.errors import CalibrationMismatch, DeviceError, StoreError
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
-from device.quality.verdict import judge
+from device.quality.verdict import Evidence
 from device.quick_look.files import write_quick_look
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
 from device.store.store import BundleStore
+from hal.frame import RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import PowerReading
 
 BYTES_PER_PIXEL: Final = 2.2
 """Upper bound for a scan's size on disk per pixel, quick look included."""
+
+LIFT_PATIENCE_S: Final = 10.0
+"""Time after a press in which the operator may lift so that the lights are checked on untouched skin."""
+
+LOOK_AGAIN_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,26 @@ class ScanOutcome:
     bundle: ScanBundle
     quick_look: QuickLook | None
     quick_look_fault: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """A press with its quick look and the evidence for its verdict, not published yet.
+
+    press : with its confirmed frame
+    quick_look, fault : None without a quick look; `fault` then says why
+    evidence : what the verdict follows from
+    """
+
+    press: RawCapture
+    quick_look: QuickLook | None
+    fault: str
+    evidence: Evidence
+
+    @property
+    def awaits_lift(self) -> bool:
+        """Whether the press is good if the lights prove right: its frame shows too little untouched skin to tell."""
+        return self.evidence.lacks_only_lights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,12 +147,29 @@ class Scanner:
     def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
         """Capture, judge and publish; `may_lift` is called as soon as the frame is in memory.
 
+        The operator should lift then: if the frame alone cannot prove the lights right, untouched skin does.
+
         Raises
         ------
         StoreError, FrameNotConfirmed, HalError
             As for `capture` and `publish`.
         """
-        return self.publish(self.capture(may_lift), annotations)
+        assessed = self.assess(self.capture(may_lift))
+        if assessed.awaits_lift:
+            self._look_at_untouched_skin()
+        return self.publish(assessed, annotations)
+
+    def measure_lights(self) -> bool:
+        """Measure each light alone on untouched skin; returns whether that worked: nothing may touch the gel.
+
+        Raises
+        ------
+        FrameNotConfirmed, HalError
+            A frame could not be taken.
+        """
+        currents_ma = self._plan.currents_ma
+        alone = [self._frame_under({name: currents_ma[name]}) for name in self._hardware.lights.names]
+        return self.health.measure_shares(alone, self._frame_under({}))
 
     def capture(self, may_lift: Callable[[], None] = lambda: None) -> RawCapture:
         """Capture one press into memory; nothing is stored before `publish`.
@@ -143,16 +186,9 @@ class Scanner:
         may_lift()
         return RawCapture(captured, self._hardware.power.read())
 
-    def publish(self, press: RawCapture, annotations: Annotations) -> ScanOutcome:
-        """Judge a press, compute its quick look and publish it.
-
-        Raises
-        ------
-        StoreError
-            The disk is full; nothing is left behind.
-        """
-        frame = press.capture.frame
-        binned = bin_bayer(frame, self._model.binning)
+    def assess(self, press: RawCapture) -> Assessment:
+        """The quick look of a press and the evidence for its verdict."""
+        binned = bin_bayer(press.capture.frame, self._model.binning)
         look, fault = None, ""
         try:
             look = quick_look(binned, self._model)
@@ -160,16 +196,48 @@ class Scanner:
             fault = str(error)
         intensity = look.intensity if look else None
         flags = {fault.light: fault.kind for fault in press.capture.light_faults or ()}
-        known = self.health.context_of_scan(intensity, look, press.motion)
-        verdict = judge(binned, intensity, self._hardware.lights.names, flags, known)
-        record = self._record(press, annotations, verdict)
+        known = self.health.context_of_scan(press.capture.frame, intensity, press.motion)
+        evidence = Evidence.of(binned, intensity, self._hardware.lights.names, flags, known)
+        return Assessment(press, look, fault, evidence)
+
+    def lights_proven(self, assessed: Assessment) -> bool:
+        """Whether the lights were measured on untouched skin since a press."""
+        changes = self.health.light_change_since(assessed.press.capture.frame.sensor_timestamp_ns)
+        return None not in changes.values()
+
+    def publish(self, assessed: Assessment, annotations: Annotations) -> ScanOutcome:
+        """Judge an assessed press, with the lights as measured since where its frame did not show them, and publish it.
+
+        Raises
+        ------
+        StoreError
+            The disk is full; nothing is left behind.
+        """
+        frame, evidence, look = assessed.press.capture.frame, assessed.evidence, assessed.quick_look
+        if assessed.awaits_lift:
+            evidence = evidence.with_light_change(self.health.light_change_since(frame.sensor_timestamp_ns))
+        record = self._record(assessed.press, annotations, evidence.verdict())
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
             if look:
                 write_quick_look(directory, look.height)
 
-        return ScanOutcome(self._store.publish_scan(record, write), look, fault)
+        return ScanOutcome(self._store.publish_scan(record, write), look, assessed.fault)
+
+    def _look_at_untouched_skin(self) -> None:
+        """Measure the lights once the operator has lifted, within `LIFT_PATIENCE_S`."""
+        clock = self._hardware.clock
+        until_ns = clock.monotonic_ns() + round(LIFT_PATIENCE_S * 1e9)
+        while clock.monotonic_ns() < until_ns:
+            if not self.health.knows_shares:
+                self.measure_lights()
+            if self.health.update(self._frame_under(self._plan.currents_ma)):
+                return
+            clock.sleep(LOOK_AGAIN_S)
+
+    def _frame_under(self, currents_ma: Mapping[str, float]) -> RawFrame:
+        return capture_with_faults(self._hardware, replace(self._plan, currents_ma=currents_ma)).frame
 
     def _record(self, press: RawCapture, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
         profile, frame, faults = self._hardware.profile, press.capture.frame, press.capture.light_faults

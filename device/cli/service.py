@@ -10,6 +10,7 @@ from typing import Final
 from device.acquisition.sd_notify import SdNotify
 from device.cli.console import open_store, print_error, print_line
 from device.errors import DeviceError
+from device.instrument.alarms import EMPTY_FRACTION, NO_ROOM
 from device.instrument.state import InstrumentState
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
@@ -22,7 +23,6 @@ BROKEN_WAIT_S: Final = 10.0
 
 BROKEN: Final = "out of order"
 
-EMPTY_FRACTION: Final = 0.05
 EMPTY_MV: Final = 3300.0
 """A lithium cell below this voltage drops fast; the gauge's charge may be wrong, its voltage is not."""
 
@@ -77,7 +77,10 @@ def status_line(state: InstrumentState) -> str:
         return f"{BROKEN}: {state.sentence}"
     if state.calibration.fault:
         return f"no scans yet: {state.calibration.fault}"
-    return "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
+    if state.scans_left == 0:
+        return f"no scans: {state.alarms[0] if state.alarms else NO_ROOM}"
+    room = "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
+    return "; ".join([room, *state.alarms])
 
 
 def identity(options: argparse.Namespace) -> int:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from device.guidance.downsample import ReducedFrame, downsample_step
+from device.bundles.scan import VerdictLevel
+from device.guidance.downsample import ReducedFrame, downsample_bayer, downsample_step
 from device.guidance.reading import GuideReading, advise
+from device.imaging.exposure import Levels
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
 from device.imaging.frame_measures import SHADED
 from device.inverse_map.tabulated import TabulatedInverseMap
+from device.quality.lights import border_levels, light_complaint
+from device.quality.press_faults import PressFigures
 from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, TILT_CONTACT
 from device.surface.fields import Float32Array, MaskArray
 from device.surface.poisson_dct import integrate_dct
@@ -33,22 +37,29 @@ class GuideModel:
     slopes : the inverse map at that size; None without a calibration
     pitch_um : pixel pitch of the small image on the skin, µm
     slab_um : thickness of the gel's slab, µm
+    lights : their names in R, G, B order
     """
 
     flat_field: Float32Array
     slopes: TabulatedInverseMap | None
     pitch_um: float
     slab_um: float
+    lights: tuple[str, ...] = ("red", "green", "blue")
 
     @classmethod
     def prepare(
-        cls, reference: RawFrame, slopes: TabulatedInverseMap | None, pitch_um: float, slab_um: float
+        cls,
+        reference: RawFrame,
+        slopes: TabulatedInverseMap | None,
+        pitch_um: float,
+        slab_um: float,
+        lights: tuple[str, ...] = ("red", "green", "blue"),
     ) -> GuideModel:
         """The model for live frames of the reference frame's size; `pitch_um` is the sensor's."""
         step = downsample_step(reference.shape)
         flat_field = np.maximum(bin_bayer(reference, step).rgb, np.float32(DARK_FLOOR))
         resized = slopes.resized(reference.shape, step) if slopes else None
-        return cls(np.ascontiguousarray(flat_field), resized, pitch_um * step, slab_um)
+        return cls(np.ascontiguousarray(flat_field), resized, pitch_um * step, slab_um, lights)
 
 
 class PressGuide:
@@ -64,9 +75,11 @@ class PressGuide:
         self._flat_field = model.flat_field if model else None
         self._previous: Float32Array | None = None
         self._still_since_ns: int | None = None
+        self._drift: tuple[VerdictLevel, str] | None = None
 
-    def set_light_levels(self, levels: tuple[float, float, float]) -> None:
-        """Correct for light levels that changed since the reference: R, G, B relative to it."""
+    def set_light_levels(self, levels: Levels, drift: tuple[VerdictLevel, str] | None = None) -> None:
+        """Correct for untouched skin's levels in R, G, B relative to the reference; `drift` says which light is off."""
+        self._drift = drift
         if self._model:
             self._flat_field = self._model.flat_field * np.array(levels, np.float32)
 
@@ -81,26 +94,34 @@ class PressGuide:
         smooth = self._smooth(frame)
         motion = None if self._previous is None else change(self._previous, smooth)
         self._previous = smooth
-        contact, depth_um, lean = (None, None, None) if model is None else _contact(smooth, model)
-        fraction = None if contact is None else float(contact.mean())
-        is_tilt_valid = lean is not None and fraction is not None and fraction >= TILT_CONTACT
-        exposure = float(np.percentile(frame.rgb, 99))
-        reading = GuideReading(
-            contact_fraction=fraction,
-            tilt_deg=_lean_deg(lean) if is_tilt_valid and lean else None,
-            tilt_towards=_lean_side(lean) if is_tilt_valid and lean else "",
-            motion=motion,
-            still_s=self._still_s(frame.at_ns, motion, fraction),
+        press = PressMeasure() if model is None else measure_press(smooth, model)
+        border = light_complaint(press.border, model.lights, {}) if model else None
+        figures = PressFigures(
+            exposure=float(np.percentile(frame.rgb, 99)),
             clipped_fraction=frame.clipped_fraction,
-            exposure=exposure,
-            depth_um=depth_um,
-            depth_fraction=None if depth_um is None or model is None else depth_um / (MAX_DEPTH * model.slab_um),
-            in_air=fraction is not None and fraction < MIN_CONTACT,
-            advice="press",
-            sentence="",
-            cpu_ms=0.0,
+            lights=border or self._drift,
+            contact_fraction=press.contact_fraction,
+            depth_fraction=press.depth_fraction,
+            tilt_deg=press.tilt_deg,
+            tilt_towards=press.tilt_towards,
         )
-        return advise(reading, 1e3 * (time.thread_time() - began_s))
+        still_s = self._still_s(frame.at_ns, motion, press.contact_fraction)
+        advice, sentence = advise(figures, still_s)
+        return GuideReading(
+            contact_fraction=press.contact_fraction,
+            tilt_deg=press.tilt_deg,
+            tilt_towards=press.tilt_towards,
+            motion=motion,
+            still_s=still_s,
+            clipped_fraction=frame.clipped_fraction,
+            exposure=figures.exposure,
+            depth_um=press.depth_um,
+            depth_fraction=None if press.depth_fraction is None else press.depth_fraction / MAX_DEPTH,
+            in_air=press.contact_fraction is not None and press.contact_fraction < MIN_CONTACT,
+            advice=advice,
+            sentence=sentence,
+            cpu_ms=1e3 * (time.thread_time() - began_s),
+        )
 
     def _smooth(self, frame: ReducedFrame) -> Float32Array:
         return box_smoothed(frame.rgb if self._flat_field is None else frame.rgb / self._flat_field)
@@ -126,19 +147,50 @@ def change(before: Float32Array, now: Float32Array) -> float:
     return float(np.percentile(np.abs(now - before).max(axis=-1), 99))
 
 
-def _contact(smooth: Float32Array, model: GuideModel) -> tuple[MaskArray, float | None, tuple[float, float] | None]:
-    """Mask of touched skin, its maximum height (µm), and the median slope of its upper part."""
+@dataclass(frozen=True, slots=True)
+class PressMeasure:
+    """A press as the guide measures it; None means not measurable.
+
+    contact_fraction : fraction of the field where the skin is shaded or raised
+    depth_um, depth_fraction : how far the skin is raised, and the same as a fraction of the slab's thickness
+    tilt_deg, tilt_towards : tilt of the contact plane, and the side that is pressed deeper
+    border : median intensity along the border in R, G and B
+    """
+
+    contact_fraction: float | None = None
+    depth_um: float | None = None
+    depth_fraction: float | None = None
+    tilt_deg: float | None = None
+    tilt_towards: str = ""
+    border: Levels | None = None
+
+
+def measure_frame(frame: RawFrame, model: GuideModel, levels: Levels) -> PressMeasure:
+    """The press in a raw frame, under these levels of untouched skin in R, G and B."""
+    flat_field = model.flat_field * np.array(levels, np.float32)
+    return measure_press(box_smoothed(downsample_bayer(frame).rgb / flat_field), model)
+
+
+def measure_press(smooth: Float32Array, model: GuideModel) -> PressMeasure:
+    """The press in a small intensity image, float32 array of shape (h, w, 3)."""
     shaded: MaskArray = np.asarray(np.abs(smooth - 1.0).max(axis=-1) > SHADED)
-    if model.slopes is None:
-        return shaded, None, None
     every = np.ones(shaded.shape, np.bool_)
-    field = model.slopes.gradients(NormalizedImage(smooth, every, ~every))
+    image = NormalizedImage(smooth, every, ~every)
+    border = border_levels(image)
+    if model.slopes is None:
+        return PressMeasure(float(shaded.mean()), border=border)
+    field = model.slopes.gradients(image)
     p, q = field.p * field.valid, field.q * field.valid
     z_um = integrate_dct(p, q, model.pitch_um)
-    base_um, top_um = np.percentile(z_um, (_BASE_PERCENTILE, _TOP_PERCENTILE))
-    touched: MaskArray = shaded | (z_um - base_um > RAISED * model.slab_um)
-    upper = z_um - base_um > _UPPER_FRACTION * (top_um - base_um)
-    return touched, float(top_um - base_um), (float(np.median(p[upper])), float(np.median(q[upper])))
+    base_um, top_um = (float(value) for value in np.percentile(z_um, (_BASE_PERCENTILE, _TOP_PERCENTILE)))
+    contact = float((shaded | (z_um - base_um > RAISED * model.slab_um)).mean())
+    depth_um = top_um - base_um
+    measured = PressMeasure(contact, depth_um, depth_um / model.slab_um, border=border)
+    if contact < TILT_CONTACT:
+        return measured
+    upper = z_um - base_um > _UPPER_FRACTION * depth_um
+    lean = float(np.median(p[upper])), float(np.median(q[upper]))
+    return replace(measured, tilt_deg=_lean_deg(lean), tilt_towards=_lean_side(lean))
 
 
 def _lean_deg(lean: tuple[float, float]) -> float:

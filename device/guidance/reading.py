@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
-from device.quality.thresholds import (
-    CLIPPED_RETAKE,
-    DEEP,
-    MAX_DEPTH,
-    MAX_TILT_DEG,
-    MIN_CONTACT,
-    STILL_S,
-    UNDEREXPOSED,
-)
+from device.quality.press_faults import FaultKind, PressFigures, press_faults
+from device.quality.thresholds import STILL_S
 
-Advice = Literal[
-    "calibrate", "too dark", "too bright", "press", "press more", "too deep", "press flatter", "hold still", "ready"
-]
+Advice = FaultKind | Literal["calibrate", "hold still", "ready"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +43,18 @@ class GuideReading:
     cpu_ms: float
 
 
-def advise(reading: GuideReading, cpu_ms: float) -> GuideReading:
-    """The reading with its advice and its CPU time (ms) filled in."""
-    advice, sentence = next(_advices(reading))
-    return replace(reading, advice=advice, sentence=sentence, cpu_ms=cpu_ms)
+def advise(figures: PressFigures, still_s: float) -> tuple[Advice, str]:
+    """What to do about a live frame: one word for programs, one sentence for people. It says "ready" of no press that
+    the verdict would find at fault for the same figures."""
+    fault = next(press_faults(figures), None)
+    if fault:
+        return fault.kind, _sentence(fault.cue or fault.sentence)
+    if figures.contact_fraction is None:
+        return "calibrate", "No reference yet: calibrate first, then contact is shown."
+    if still_s < STILL_S:
+        return "hold still", "Hold still."
+    return "ready", "Ready: push the button."
 
 
-def _advices(reading: GuideReading) -> Iterator[tuple[Advice, str]]:
-    """Every advice that applies, most urgent first."""
-    if reading.exposure < UNDEREXPOSED:
-        yield "too dark", "Too dark: check the lights and the lens."
-    if reading.clipped_fraction > CLIPPED_RETAKE:
-        clipped = f"{reading.clipped_fraction:.0%}"
-        yield "too bright", f"Too bright: {clipped} is saturated. Press more evenly or set the exposure again."
-    if reading.contact_fraction is None:
-        yield "calibrate", "No reference yet: calibrate first, then contact is shown."
-        return
-    if reading.contact_fraction < MIN_CONTACT:
-        yield "press", "Press the object into the gel."
-    if reading.depth_fraction is not None and reading.depth_fraction > DEEP / MAX_DEPTH:
-        yield "too deep", f"Too deep: {reading.depth_fraction:.0%} of the gel's limit. Press less."
-    if reading.tilt_deg is not None and reading.tilt_deg > MAX_TILT_DEG:
-        yield "press flatter", f"Tilted by {reading.tilt_deg:.0f} degrees: press less at the {reading.tilt_towards}."
-    if reading.still_s < STILL_S:
-        yield "hold still", "Hold still."
-    yield "ready", "Ready: push the button."
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."

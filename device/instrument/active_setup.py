@@ -13,13 +13,13 @@ from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.errors import DeviceError
-from device.guidance.guide import GuideModel
 from device.imaging.exposure import Brightness
 from device.instrument.events import Failed, Info, ZeroChecked, show
 from device.instrument.health import BaselineScheduler, health_state, zero_sentence
 from device.instrument.live import LiveFrame, LiveLoop
 from device.instrument.state import CalibrationState, GelState, HealthState, StateStore
 from device.quality.thresholds import FLAT_RESIDUAL_UM
+from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
 from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
@@ -65,11 +65,13 @@ class ActiveSetup:
         return self._scanner
 
     def scans_left(self) -> int | None:
-        """Number of scans that still fit; None if unknown."""
-        try:
-            return self.scanner().scans_left()
-        except (DeviceError, HalError):
-            return None
+        """Number of scans that still fit, after acknowledged ones made room if needed; None if unknown."""
+        left = None
+        with suppress(DeviceError, HalError):
+            left = self.scanner().scans_left()
+            if left < 1:
+                left = self.scanner().check_room()
+        return left
 
     def scanner_for_press(self) -> Scanner:
         """The scanner for a press that begins now, after changes by other programs. Errors as for `scanner`."""
@@ -110,14 +112,25 @@ class ActiveSetup:
             return
         self._scanner, self._fault = scanner, None
         self._baseline = BaselineScheduler(scanner.health, self._executor)
-        self._live.begin(scanner.plan, _guide_model(scanner, fitted.profile.gel.slab_thickness_mm))
+        self._live.begin(scanner.plan, scanner.health.guide_model)
         self._states.update(calibration=state)
         self.report_health()
 
     def check_baseline(self, live: LiveFrame) -> None:
-        """Check untouched skin in a live frame if a check is due."""
-        if self._baseline and self._baseline.step(live):
+        """Check untouched skin in a live frame if a check is due.
+
+        Raises
+        ------
+        HalError, FrameError, FrameNotConfirmed
+            The hardware failed while each light was measured alone.
+        """
+        if self._scanner is None or self._baseline is None:
+            return
+        if self._baseline.step(live):
             self.report_health()
+        if self._baseline.wants_lights_alone(live) and not self._hardware.button.is_down():
+            self._baseline.measured_alone(self._scanner.measure_lights())
+            self._live.lights_changed()
 
     def request_baseline(self) -> None:
         """Request a baseline check soon, after a press."""
@@ -129,8 +142,7 @@ class ActiveSetup:
         if self._scanner is None:
             return
         health = self._scanner.health
-        red, green, blue = (1.0 + (change or 0.0) for change in health.light_change.values())
-        self._live.set_light_levels((red, green, blue))
+        self._live.set_light_levels(health.channel_levels, next(drift_complaints(health.light_change, None), None))
         gel = gel_state(self._store.root, self._hardware)
         self._states.update(gel=gel, health=health_state(health, gel, self._zero))
 
@@ -196,12 +208,6 @@ class ActiveSetup:
         self._states.update(sentence=sentence)
         self._states.publish(Failed(sentence))
         show(self._hardware, "refused: calibration")
-
-
-def _guide_model(scanner: Scanner, slab_thickness_mm: float) -> GuideModel:
-    calibration = scanner.calibration
-    pitch_um = calibration.record.pixel_pitch_um
-    return GuideModel.prepare(calibration.reference(), scanner.model.slopes, pitch_um, 1e3 * slab_thickness_mm)
 
 
 def active_selection(store: BundleStore, hardware: Hardware) -> Selection:

@@ -53,6 +53,10 @@ class ButtonWatch:
             return "long"
         return None
 
+    def forget(self) -> None:
+        """Forget the current push: after a failure of the button's driver its release was not seen."""
+        self._waiting_ns = self.began_ns = None
+
     def is_waiting(self) -> bool:
         """Whether a push has begun that the next `wait` will report."""
         if self.began_ns is None and self._waiting_ns is None:

@@ -61,7 +61,9 @@ def _complaints(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> It
 
 def _summary(health: ScanHealth) -> str:
     changes = [abs(change) for change in health.light_change.values() if change is not None]
-    return f"Lights within {max(changes):.1%} of calibration." if changes else "Lights not measured yet: lift off."
+    if not changes:
+        return "Lights not measured yet: touch nothing for a moment."
+    return f"Lights within {max(changes):.1%} of calibration."
 
 
 class BaselineScheduler:
@@ -88,9 +90,24 @@ class BaselineScheduler:
             self._check = None
         motion = live.reading.motion
         self._calm_frames = self._calm_frames + 1 if motion is not None and motion < MOVING else 0
-        at_ns = live.frame.sensor_timestamp_ns
-        wait_s = REQUESTED_INTERVAL_S if self._is_requested else IDLE_INTERVAL_S
-        if self._check is None and self._calm_frames >= CALM_FRAMES and at_ns - self._checked_ns >= wait_s * 1e9:
-            self._checked_ns = at_ns
+        if self._check is None and self._health.knows_shares and self._is_due(live):
+            self._checked_ns = live.frame.sensor_timestamp_ns
             self._check = self._executor.submit(self._health.update, live.frame)
         return updated
+
+    def wants_lights_alone(self, live: LiveFrame) -> bool:
+        """Whether each light should now be measured alone, which the first check needs; asked once per attempt."""
+        if self._health.knows_shares or not self._is_due(live):
+            return False
+        self._checked_ns = live.frame.sensor_timestamp_ns
+        return True
+
+    def _is_due(self, live: LiveFrame) -> bool:
+        wait_s = REQUESTED_INTERVAL_S if self._is_requested else IDLE_INTERVAL_S
+        waited_ns = live.frame.sensor_timestamp_ns - self._checked_ns
+        return self._calm_frames >= CALM_FRAMES and waited_ns >= wait_s * 1e9
+
+    def measured_alone(self, succeeded: bool) -> None:
+        """Each light was measured alone: check soon if that succeeded, else wait as long as between checks."""
+        self._is_requested = succeeded
+        self._calm_frames = 0

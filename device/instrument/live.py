@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from device.acquisition.capture import FRAME_TIMEOUT_S, CaptureSettings, check_frame, retry_with_restart
+from device.acquisition.capture import FRAME_TIMEOUT_S, CaptureSettings, check_frame
+from device.bundles.scan import VerdictLevel
 from device.guidance.downsample import downsample_bayer, downsample_step
 from device.guidance.guide import GuideModel, PressGuide
 from device.guidance.reading import GuideReading
+from device.imaging.exposure import Levels
 from device.instrument.state import LiveView, StateStore
 from device.quality.thresholds import STILL_S
+from hal.errors import FrameTimeout
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 
@@ -19,6 +22,9 @@ SLEEP_AFTER_S: Final = 120.0
 
 PERIOD_S: Final = 0.05
 """Interval of live frames; between them the worker waits for the button."""
+
+LIVE_TIMEOUT_S: Final = 0.8
+"""A camera that delivers no further live frame within this time is reported and reopened; the first may take longer."""
 
 MAX_MOTION_AGE_S: Final = 0.5
 """Maximum age of the live frame that a scan's motion is measured against."""
@@ -40,7 +46,7 @@ class LiveLoop:
         self._states = states
         self._plan: CaptureSettings | None = None
         self._guide = PressGuide(None)
-        self._lit = False
+        self._lit = self._has_delivered = False
         self._awake_ns = hardware.clock.monotonic_ns()
         self._fired = False
         self._stepped_ns = 0
@@ -51,12 +57,12 @@ class LiveLoop:
         self._hardware.camera.apply(plan.settings)
         self._plan = plan
         self._guide = PressGuide(model)
-        self._lit = False
+        self._lit = self._has_delivered = False
         self.wake()
 
-    def set_light_levels(self, levels: tuple[float, float, float]) -> None:
-        """Correct for light levels that changed since the reference: R, G, B relative to it."""
-        self._guide.set_light_levels(levels)
+    def set_light_levels(self, levels: Levels, drift: tuple[VerdictLevel, str] | None) -> None:
+        """Correct for untouched skin's levels in R, G, B relative to the reference; `drift` says which light is off."""
+        self._guide.set_light_levels(levels, drift)
 
     def motion(self, frame: RawFrame) -> float | None:
         """How much a frame differs from the last live one; None if that is too old."""
@@ -93,7 +99,7 @@ class LiveLoop:
             Camera or lights do not answer, or frames differ from the board profile.
         """
         self._stepped_ns = self._hardware.clock.monotonic_ns()
-        if self._plan is None or self._is_asleep():
+        if self._plan is None or self.is_asleep():
             self.rest()
             self._states.update(live=None)
             return None
@@ -101,7 +107,14 @@ class LiveLoop:
             self._hardware.lights.switch_on(self._plan.currents_ma)
             self._lit = True
         camera = self._hardware.camera
-        frame = retry_with_restart(camera, lambda: camera.next_frame(FRAME_TIMEOUT_S))
+        try:
+            frame = camera.next_frame(LIVE_TIMEOUT_S if self._has_delivered else FRAME_TIMEOUT_S)
+        except FrameTimeout as error:
+            sentence = (
+                f"camera {camera.camera_id} delivers no frame: check its ribbon cable at both ends and its supply"
+            )
+            raise FrameTimeout(sentence) from error
+        self._has_delivered = True
         check_frame(frame, self._hardware.profile.sensor, camera.camera_id)
         small = downsample_bayer(frame)
         reading = self._guide.read(small)
@@ -120,5 +133,6 @@ class LiveLoop:
         self._fired = True
         return True
 
-    def _is_asleep(self) -> bool:
+    def is_asleep(self) -> bool:
+        """Whether the lights are off because nothing has happened for a while: the next push only switches them on."""
         return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9

@@ -1,5 +1,8 @@
 """Scans one after another: captured at once, processed in the background.
 
+A press whose frame shows too little untouched skin to prove the lights right waits, for at most ten seconds, until the
+operator has lifted and a live frame shows them: only then it is judged and published.
+
 A press begins at button-down: cue, frame, "you may lift". It counts at the release: a long push means something else,
 and its frame is discarded. Another thread computes the quick look and writes the disk, so that presses never wait.
 """
@@ -10,16 +13,18 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from dataclasses import replace
-from typing import Final, Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal, TypeVar
 
-from device.acquisition.scanner import RawCapture, Scanner, ScanOutcome
+from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
+from device.bundles.scan import Annotations
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.instrument.button import ButtonWatch
 from device.instrument.events import (
     REFUSALS,
     CaptureDone,
     Failed,
+    Info,
     PressRefused,
     PressSeen,
     RefusalReason,
@@ -30,6 +35,7 @@ from device.instrument.state import LastScan, StateStore
 from hal.errors import HalError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
+from hal.interfaces import MayLift
 
 MAX_IN_WORK: Final = 2
 """Maximum number of frames in memory that wait for the disk; further presses are refused."""
@@ -37,10 +43,29 @@ MAX_IN_WORK: Final = 2
 MAX_CUE_DELAY_MS: Final = 100.0
 """The "busy" cue is skipped for older presses: the operator could not relate it to the push."""
 
+AWAKE: Final = "Lights on: push again to scan."
+LIFT_OFF: Final = "lift off: the lights are checked on untouched skin, then comes the verdict"
+
 Source = Literal["button", "screen", "auto-shutter"]
-Work = Future[tuple[ScanOutcome, float]]
+Result = TypeVar("Result")
 Taken = tuple[Scanner, RawCapture]
 """A press in memory with its scanner, which also judges and records it."""
+
+
+@dataclass(slots=True)
+class Pending:
+    """A press on its way to the disk.
+
+    assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
+        skin, until `until_ns`
+    """
+
+    scanner: Scanner
+    annotations: Annotations
+    until_ns: int
+    assessing: Future[tuple[Assessment, float]]
+    publishing: Future[tuple[ScanOutcome, float]] | None = None
+    is_announced: bool = False
 
 
 class ScanQueue:
@@ -51,6 +76,7 @@ class ScanQueue:
     scanner : returns the active scanner; called for each press
     motion : how much a frame differs from the last live frame
     on_long_press : called after a long push
+    is_asleep : whether the next push only wakes the instrument
     """
 
     def __init__(
@@ -61,6 +87,7 @@ class ScanQueue:
         scanner: Callable[[], Scanner],
         motion: Callable[[RawFrame], float | None],
         on_long_press: Callable[[], None],
+        is_asleep: Callable[[], bool],
     ) -> None:
         self._hardware = hardware
         self._states = states
@@ -68,7 +95,8 @@ class ScanQueue:
         self._scanner = scanner
         self._motion = motion
         self._on_long_press = on_long_press
-        self._works: deque[Work] = deque()
+        self._is_asleep = is_asleep
+        self._works: deque[Pending] = deque()
         self._held: Taken | None = None
         self._button = ButtonWatch(hardware)
         self._busy_until_ns = 0
@@ -91,6 +119,9 @@ class ScanQueue:
 
     def scan(self, source: Source) -> None:
         """Scan without the button."""
+        if self._is_asleep():
+            self._states.publish(Info(AWAKE))
+            return
         taken = self.capture(source, self._hardware.clock.monotonic_ns())
         if taken:
             self.submit(taken)
@@ -114,35 +145,85 @@ class ScanQueue:
         self._states.publish(CaptureDone(self._busy_until_ns))
         motion = self._motion(taken.capture.frame)
         show(self._hardware, "may lift")
+        self._hardware.operator.ask(MayLift())
         return scanner, replace(taken, motion=motion)
 
     def submit(self, press: Taken) -> None:
         """Hand a press over to be judged and published."""
-        (scanner, taken), annotations = press, self._states.state.sticky
-
-        def work() -> tuple[ScanOutcome, float]:
-            began_s = time.thread_time()
-            outcome = scanner.publish(taken, annotations)
-            return outcome, 1e3 * (time.thread_time() - began_s)
-
-        self._works.append(self._executor.submit(work))
+        scanner, taken = press
+        until_ns = taken.capture.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
+        assessing = self._timed(lambda: scanner.assess(taken))
+        self._works.append(Pending(scanner, self._states.state.sticky, until_ns, assessing))
         self._states.update(processing=len(self._works))
 
-    def collect(self) -> list[ScanOutcome]:
-        """Report the scans that were finished since the last call, and return them."""
+    def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
+        """Report the scans that were finished since the last call, and return them.
+
+        waits : whether presses may go on waiting for untouched skin
+        """
         finished = []
-        while self._works and self._works[0].done():
-            work = self._works.popleft()
+        for pending in tuple(self._works):
             try:
-                outcome, cpu_ms = work.result()
+                outcome = self._go_on(pending, waits)
             except DeviceError as error:
+                self._works.remove(pending)
                 self._states.update(processing=len(self._works), sentence=str(error))
                 self._states.publish(Failed(str(error)))
                 show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue
-            self._finish(outcome, cpu_ms)
-            finished.append(outcome)
+            if outcome:
+                self._works.remove(pending)
+                self._finish(*outcome)
+                finished.append(outcome[0])
         return finished
+
+    def forget_push(self) -> bool:
+        """Drop a push whose release was missed while a part did not answer; returns whether there was one."""
+        was_down = self._button.began_ns is not None
+        self._button.forget()
+        self._held = None
+        return was_down
+
+    def finish(self) -> None:
+        """Store every press in memory, without waiting for untouched skin any more."""
+        while self._works:
+            self.collect(waits=False)
+            for pending in self._works:
+                (pending.publishing or pending.assessing).exception()
+
+    def _go_on(self, pending: Pending, waits: bool) -> tuple[ScanOutcome, float] | None:
+        """Take the next step of a press that is due; its outcome and CPU time (ms) once it is published."""
+        if not pending.assessing.done():
+            return None
+        assessed, spent_ms = pending.assessing.result()
+        if pending.publishing is None:
+            if waits and self._must_wait(pending, assessed):
+                return None
+            scanner, annotations = pending.scanner, pending.annotations
+            pending.publishing = self._timed(lambda: scanner.publish(assessed, annotations))
+        if not pending.publishing.done():
+            return None
+        outcome, more_ms = pending.publishing.result()
+        return outcome, spent_ms + more_ms
+
+    def _must_wait(self, pending: Pending, assessed: Assessment) -> bool:
+        in_time = self._hardware.clock.monotonic_ns() < pending.until_ns
+        must = in_time and assessed.awaits_lift and not pending.scanner.lights_proven(assessed)
+        if must and not pending.is_announced:
+            pending.is_announced = True
+            self._states.update(sentence=LIFT_OFF)
+            self._states.publish(Info(LIFT_OFF))
+        return must
+
+    def _timed(self, act: Callable[[], Result]) -> Future[tuple[Result, float]]:
+        """Work for the other thread, with its CPU time, ms."""
+
+        def work() -> tuple[Result, float]:
+            began_s = time.thread_time()
+            done = act()
+            return done, 1e3 * (time.thread_time() - began_s)
+
+        return self._executor.submit(work)
 
     def refuse(self, reason: RefusalReason, sentence: str) -> None:
         """Report a refused press by event and cue."""
@@ -152,7 +233,9 @@ class ScanQueue:
 
     def _pushed(self, began_ns: int) -> None:
         """Take the frame at button-down; the release decides what becomes of it."""
-        if began_ns < self._busy_until_ns:
+        if self._is_asleep():
+            self._states.publish(Info(AWAKE))
+        elif began_ns < self._busy_until_ns:
             self.refuse("busy", "a push was ignored while the frame was being taken: push again")
         else:
             self._held = self.capture("button", began_ns)
@@ -168,6 +251,8 @@ class ScanQueue:
     def _admitted(self) -> Scanner | None:
         """The scanner if a press can be taken now; otherwise the refusal is reported."""
         if len(self._works) >= MAX_IN_WORK:
+            self._stop_waiting()
+        if len(self._works) >= MAX_IN_WORK:
             self.refuse("busy", f"{len(self._works)} scans are still being stored: push again in a moment")
             return None
         try:
@@ -182,6 +267,13 @@ class ScanQueue:
         else:
             return scanner
         return None
+
+    def _stop_waiting(self) -> None:
+        """Publish the oldest press that waits for untouched skin, since the operator presses again without lifting."""
+        waiting = next((pending for pending in self._works if pending.is_announced), None)
+        if waiting:
+            waiting.until_ns = 0
+            self.collect()
 
     def _finish(self, outcome: ScanOutcome, cpu_ms: float) -> None:
         record = outcome.bundle.record

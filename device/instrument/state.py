@@ -124,6 +124,7 @@ class InstrumentState:
     processing : scans in memory that are not on the disk yet
     sticky : job, part, operator and note of every scan
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
+    alarms : battery and room for scans, most urgent first
     sentence : the last message
     """
 
@@ -138,6 +139,7 @@ class InstrumentState:
     scans_stored: int | None = None
     scans_left: int | None = None
     power: PowerReading = field(default_factory=PowerReading)
+    alarms: tuple[str, ...] = ()
     auto_shutter: bool = False
     live: LiveView | None = None
     last: LastScan | None = None
@@ -180,4 +182,9 @@ def status_summary(state: InstrumentState) -> str:
     """Free space, battery and supply complaints in sentences, each after a blank."""
     room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
     battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
-    return room + battery + "".join(f" {complaint}." for complaint in state.power.complaints)
+    return (
+        room
+        + battery
+        + "".join(f" {alarm}." for alarm in state.alarms)
+        + "".join(f" {complaint}." for complaint in state.power.complaints)
+    )

@@ -12,9 +12,10 @@ from typing import Final
 from device.acquisition.selftest import selftest
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup
+from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.button import LONG_PUSH_S, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
-from device.instrument.events import ButtonPushed, Failed, PowerOffRequested, SelfTested, show
+from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
 from device.instrument.live import LiveLoop
 from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_queue import ScanQueue, Source
@@ -28,6 +29,8 @@ RETRY_S: Final = 1.0
 
 HOUSEKEEPING_S: Final = 5.0
 """Interval between readings of free space and supply."""
+
+RECOVERED: Final = "all parts answer again"
 
 NOT_NOW: Final = "not possible during a calibration or while a part does not answer: finish it, or check the part"
 
@@ -55,13 +58,21 @@ class InstrumentWorker:
         self._active = ActiveSetup(hardware, store, states, self._live, executor)
         self._pairing = pairing
         self._scans = ScanQueue(
-            hardware, states, executor, self._active.scanner_for_press, self._live.motion, self._on_long_press
+            hardware,
+            states,
+            executor,
+            self._active.scanner_for_press,
+            self._live.motion,
+            self._on_long_press,
+            self._live.is_asleep,
         )
         calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
         self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
         self._run: CalibrationRun | None = None
         self._is_open = self._redirects_long = self._redirects_short = False
         self._polled_ns: int | None = None
+        self._fault = ""
+        self._empty_readings = 0
 
     def enqueue(self, command: Command) -> None:
         """Queue a command for the next step."""
@@ -89,7 +100,8 @@ class InstrumentWorker:
         try:
             self.hardware.__enter__()
             self._is_open = True
-            missed = self.hardware.button.clear_presses()
+            interrupted = self._scans.forget_push()
+            missed = self.hardware.button.clear_presses() > 0 or interrupted
             if self._run:
                 self._run.cancel()
             else:
@@ -97,24 +109,25 @@ class InstrumentWorker:
         except HalError as error:
             self._out_of_order(error)
             return
-        self.states.update(activity="ready")
+        if not self._fault:
+            self.states.update(activity="ready")
+            show(self.hardware, "idle")
         self._polled_ns = None
         self._poll_housekeeping()
-        show(self.hardware, "idle")
         if missed:
             self._scans.refuse("hardware", "a push was ignored while a part did not answer: push again")
 
     def close(self) -> None:
         """Wait for running work, switch the lights off and release the hardware."""
         self._pairing.close()
+        self._scans.finish()
         self._executor.shutdown(wait=True)
-        self._scans.collect()
         self._release()
 
     def press(self) -> None:
         """Handle a push of the screen's button."""
-        self._live.wake()
         if self._run:
+            self._live.wake()
             self._run.press()
             self._live.lights_changed()
         else:
@@ -188,7 +201,9 @@ class InstrumentWorker:
     def _serve(self) -> None:
         if self._scans.collect():
             self._active.report_health()
-        if self._run:
+        if self._fault:
+            self._recover()
+        elif self._run:
             self._step_calibration(self._run)
         elif self._redirects_short:
             if press := self.hardware.button.wait_for_press(0.0):
@@ -201,6 +216,14 @@ class InstrumentWorker:
         self._active.check_baseline(live)
         if self.states.state.auto_shutter and self._live.fires(live.reading):
             self._scan("auto-shutter")
+
+    def _recover(self) -> None:
+        """After a failure: ready again only when the camera delivers too, which a reopened one may not do."""
+        self._live.step()
+        self._fault = ""
+        self.states.update(activity="ready", sentence=RECOVERED)
+        self.states.publish(Info(RECOVERED))
+        show(self.hardware, "idle")
 
     def _after_press(self) -> None:
         """The lights may be off after a press, and a baseline check is due."""
@@ -230,12 +253,17 @@ class InstrumentWorker:
             self._long_presses.on_long_press()
 
     def _out_of_order(self, error: Exception) -> None:
-        """Release all hardware after a failure and retry later; what only a new process can open ends the program."""
+        """Release all hardware after a failure and retry later; what only a new process can open ends the program.
+
+        Presses in memory are stored without waiting.
+        """
+        self._scans.collect(waits=False)
         self._release()
         if isinstance(error, CameraStuck):
             raise error
-        if self.states.state.activity != "out of order" or self.states.state.sentence != str(error):
+        if self._fault != str(error):
             self.states.publish(Failed(str(error)))
+        self._fault = str(error)
         self.states.update(activity="out of order", sentence=str(error), live=None)
         self.hardware.clock.sleep(RETRY_S)
 
@@ -253,6 +281,20 @@ class InstrumentWorker:
         with suppress(HalError):
             self.states.update(power=self.hardware.power.read())
         self.states.update(scans_left=self._active.scans_left())
+        self._raise_alarms()
         self._active.report_age()
         if self._is_open and not self._run:
             self._active.follow()
+
+    def _raise_alarms(self) -> None:
+        """Announce new alarms of battery and room; stop in order once the battery is nearly empty."""
+        state = self.states.state
+        found = alarms(state.power, state.scans_left)
+        for sentence in found:
+            if not alarm_kinds((sentence,)) <= alarm_kinds(state.alarms):
+                self.states.publish(Failed(sentence))
+        self.states.update(alarms=found)
+        charge = state.power.battery_share
+        self._empty_readings = self._empty_readings + 1 if charge is not None and charge <= EMPTY_FRACTION else 0
+        if self._empty_readings >= EMPTY_READINGS:
+            self.power_off()

@@ -17,11 +17,13 @@ MIN_CONTACT: Final = 0.005
 UNDEREXPOSED: Final = 0.1
 """A frame whose 99th percentile is below this fraction of full scale is mostly noise."""
 
-MAX_DEPTH: Final = 0.6
-"""Maximum depth as a fraction of the slab's thickness: beyond it a gel tears or comes off its window."""
+MAX_DEPTH: Final = 0.5
+"""Maximum depth, as the press guide measures it, as a fraction of the slab's thickness. Beyond 0.6 a gel tears or comes
+off its window; the guide reads up to a fifth low."""
 
-DEEP: Final = 0.5
-"""Fraction of the slab's thickness from which the press guide warns."""
+LIGHT_CONTACT: Final = 0.05
+MIN_DEPTH: Final = 0.05
+"""A press with a smaller contact fraction and a smaller depth, as a fraction of the slab's thickness, is too light."""
 
 RAISED: Final = 0.03
 """Skin raised by more than this fraction of the slab's thickness is in contact, or close to it."""
@@ -44,8 +46,12 @@ MOTION_DOUBTFUL: Final = 0.10
 SHARP: Final = 0.4
 """Fine-to-coarse contrast of the strongest edges below which the frame is far out of focus or smeared."""
 
+LIGHT_DRIFTED: Final = 0.018
+"""Relative change of a light since calibration that is reported: 0.02, which costs about half a degree of slope, less
+what the measurement may be wrong by."""
+
 DRIFTED: Final = 0.02
-"""Relative change of a light or the reference since calibration; this much costs about half a degree of slope."""
+"""Relative change of the untouched skin's pattern since calibration that is reported."""
 
 DRIFTED_FAR: Final = 0.10
 """Relative change from which the calibration is useless."""

@@ -2,11 +2,17 @@
 
 Light levels: the field is cut into blocks. A block of untouched skin differs from the reference by one factor per
 channel and by sensor noise; shading spreads more widely. Where enough blocks agree on the three factors, those are the
-light levels. Otherwise the frame gives no evidence, because pressed skin changes intensity as a weak light does.
+light levels. Otherwise the frame gives no evidence, because pressed skin changes intensity as a weak light does. With
+the lights' shares (`light_shares`) blocks agree on the lights themselves rather than on the channels.
 
 A flat object over the whole field looks much like untouched skin. Two properties reveal it: near lights reach raised
 skin unevenly, so that blocks disagree; and a tilt brightens one side as much as it darkens the other, so that the three
 changes add up to zero.
+
+Beside a press little skin may be left untouched. The largest group of calm blocks near the field's border that agree
+is that skin, if the frame also shows the steep skin at an object's edge: a gentle object over the whole field has none,
+and any of its places may look like untouched skin under other lights. A flat face in the middle is raised, which makes
+it darker by about as much as a light is to be known to.
 """
 
 from __future__ import annotations
@@ -17,7 +23,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from device.imaging.exposure import Levels
 from device.imaging.flat_field import LinearFrame, NormalizedImage
+from device.quality.light_shares import LightShares
 from device.quality.thresholds import DEFECT_CONTRAST
 from device.surface.fields import Float32Array, MaskArray
 
@@ -42,8 +50,23 @@ TILT_BALANCE: Final = 0.35
 MIN_TILT_CHANGE: Final = 0.008
 """Changes above MIN_TILT_CHANGE whose sum is below TILT_BALANCE · the largest come from a tilt, not from lights."""
 
-MAX_STEP: Final = 0.012
-"""Largest light change accepted from a partly touched frame; larger changes need a fully untouched one."""
+SHARED_NOISE: Final = 2.0
+"""Factor by which taking the lights apart amplifies a block's noise where their shares are least distinct."""
+
+BESIDE_WINDOW: Final = 0.006
+BESIDE_FRACTION: Final = 0.03
+BESIDE_RIVAL: Final = 0.7
+BESIDE_CHANGE: Final = 0.007
+"""Beside a press, the largest group of blocks within BESIDE_WINDOW is untouched skin if it has BESIDE_FRACTION of all
+blocks and the second largest at most BESIDE_RIVAL of that. The skin near an object is not quite flat, so levels are
+accepted only within BESIDE_CHANGE of the calibrated ones."""
+
+BORDER_BLOCKS: Final = 3
+"""Width of the border, in blocks, in which that skin is sought."""
+
+STEEP_CHANGE: Final = 0.2
+STEEP_FRACTION: Final = 0.02
+"""A frame in which intensity differs by STEEP_CHANGE from flat skin's in STEEP_FRACTION of the blocks shows an edge."""
 
 NOISE_BLUR_PX: Final = 1.0
 SURROUNDINGS_PX: Final = 8.0
@@ -54,12 +77,12 @@ SURROUNDINGS_PX: Final = 8.0
 class UntouchedRegion:
     """Untouched skin found in a frame.
 
-    levels : of the R, G and B channel relative to the reference
+    levels : of the lights relative to the reference; of the R, G and B channel where the lights' shares are unknown
     fraction : of the field's blocks that agree on them
     pattern : rms deviation of those blocks from the reference's pattern after removal of the levels
     """
 
-    levels: tuple[float, float, float]
+    levels: Levels
     fraction: float
     pattern: float
 
@@ -91,38 +114,66 @@ class ReferenceModel:
         """Statistics of the reference's intensity image: the frame divided by its own flat field."""
         return cls(*_blocks(reference.values))
 
-    def detect(self, intensity: NormalizedImage) -> UntouchedRegion | None:
+    def ratio(self, intensity: NormalizedImage) -> Float32Array:
+        """Intensity of each block relative to the reference: float32 array of shape (rows, columns of blocks, 3)."""
+        return _blocks(intensity.values)[0] / self.mean
+
+    def detect(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion | None:
         """Untouched skin in an intensity image of the reference's size; None if too few blocks agree."""
         mean, spread = _blocks(intensity.values)
-        ratio = mean / self.mean
-        quiet: MaskArray = np.asarray((spread < NOISIER * self.spread + SPREAD_FLOOR).all(axis=-1))
-        side = _side(intensity.values)
-        agreeing = _agreeing(ratio, quiet, AGREEING + NOISE_SIGMAS / side * self.spread)
+        ratio, window = mean / self.mean, self._window(intensity)
+        per_change = AGREEING_PER_CHANGE
+        if shares:
+            ratio, window, per_change = shares.levels(ratio), SHARED_NOISE * window, 0.0
+        agreeing = _agreeing(ratio, self._quiet(spread), window, per_change)
         if agreeing.mean() < MIN_FRACTION:
             return None
         return _region(ratio, agreeing)
 
-    def assume_untouched(self, intensity: NormalizedImage) -> UntouchedRegion:
-        """The same for a frame that is known to be untouched: every block counts."""
-        ratio = _blocks(intensity.values)[0] / self.mean
-        return _region(ratio, np.ones(ratio.shape[:2], np.bool_))
+    def lights_beside_press(self, intensity: NormalizedImage, shares: LightShares) -> Levels | None:
+        """Levels of the lights on the untouched skin beside an object, if they are as calibrated; None if unknown."""
+        mean, spread = _blocks(intensity.values)
+        levels = shares.levels(mean / self.mean)
+        if (np.abs(levels - 1.0).max(axis=-1) > STEEP_CHANGE).mean() < STEEP_FRACTION:
+            return None
+        calm = levels[self._quiet(spread) & (_unevenness(levels) < BESIDE_WINDOW) & _at_border(levels.shape[:2])]
+        group = _largest_group(calm)
+        if group.sum() < BESIDE_FRACTION * mean[..., 0].size:
+            return None
+        found = calm[group].mean(axis=0)
+        rival = _largest_group(calm[np.abs(calm - found).max(axis=-1) > 2.5 * BESIDE_WINDOW])
+        if rival.sum() > BESIDE_RIVAL * group.sum() or np.abs(found - 1.0).max() > BESIDE_CHANGE:
+            return None
+        return _as_levels(found)
+
+    def assume_untouched(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion:
+        """The same as `detect` for a frame that is known to be untouched: every block counts."""
+        ratio = self.ratio(intensity)
+        return _region(shares.levels(ratio) if shares else ratio, np.ones(ratio.shape[:2], np.bool_))
+
+    def _quiet(self, spread: Float32Array) -> MaskArray:
+        return np.asarray((spread < NOISIER * self.spread + SPREAD_FLOOR).all(axis=-1))
+
+    def _window(self, intensity: NormalizedImage) -> Float32Array:
+        return np.asarray(AGREEING + NOISE_SIGMAS / _side(intensity.values) * self.spread, np.float32)
 
 
 class LightDriftMonitor:
     """The last accepted levels of the lights."""
 
     def __init__(self) -> None:
-        self._levels = (1.0, 1.0, 1.0)
-        self._whole: tuple[float, float, float] | None = None
-        self._is_measured = False
+        self._levels: Levels | None = None
         self._pattern: float | None = None
+        self._measured_ns: int | None = None
         self._unseen_scans = 0
 
     @property
-    def changes(self) -> tuple[float, float, float] | None:
+    def changes(self) -> Levels | None:
         """Relative change of each light since calibration, R, G, B; None before the first measurement."""
+        if self._levels is None:
+            return None
         red, green, blue = self._levels
-        return (red - 1.0, green - 1.0, blue - 1.0) if self._is_measured else None
+        return (red - 1.0, green - 1.0, blue - 1.0)
 
     @property
     def pattern(self) -> float | None:
@@ -134,23 +185,24 @@ class LightDriftMonitor:
         """Scans since the last accepted measurement."""
         return self._unseen_scans
 
-    def update(self, region: UntouchedRegion | None) -> bool:
-        """Use a measurement; returns whether it was accepted."""
-        if region is None or region.is_tilt:
+    def changes_since(self, at_ns: int) -> Levels | None:
+        """The changes measured in a fully untouched frame after that time (ns); None without one."""
+        return self.changes if self._measured_ns is not None and self._measured_ns > at_ns else None
+
+    def update(self, region: UntouchedRegion | None, at_ns: int) -> bool:
+        """Use a frame that began at that time (ns); returns whether it was accepted, fully untouched."""
+        if region is None or not region.is_whole or region.is_tilt:
             return False
-        before = self._whole or self._levels
-        step = max(abs(new - old) for new, old in zip(region.levels, before, strict=True))
-        if not region.is_whole and step > MAX_STEP:
-            return False
-        self._levels, self._is_measured, self._unseen_scans = region.levels, True, 0
-        if region.is_whole:
-            self._whole, self._pattern = region.levels, region.pattern
+        self._levels, self._pattern = region.levels, region.pattern
+        self._measured_ns, self._unseen_scans = at_ns, 0
         return True
 
-    def update_from_scan(self, region: UntouchedRegion | None) -> None:
-        """Use what a scan's frame showed, and count the scan if that was nothing."""
-        if not self.update(region):
+    def update_from_scan(self, levels: Levels | None) -> None:
+        """Use the levels that a scan's frame showed beside the press, and count the scan if it showed none."""
+        if levels is None:
             self._unseen_scans += 1
+        else:
+            self._levels, self._unseen_scans = levels, 0
 
 
 def gel_defects(untouched: LinearFrame) -> MaskArray:
@@ -163,6 +215,11 @@ def gel_defects(untouched: LinearFrame) -> MaskArray:
     contrast: Float32Array = np.abs(spot / np.maximum(around, np.float32(1e-3)) - np.float32(1.0))
     inside = contrast[margin:-margin, margin:-margin].max(axis=-1)
     return np.asarray(inside > DEFECT_CONTRAST, np.bool_)
+
+
+def block_means(values: Float32Array) -> Float32Array:
+    """Mean of each block of an image (H, W, 3): float32 array of shape (rows, columns of blocks, 3)."""
+    return _blocks(values)[0]
 
 
 def _side(values: Float32Array) -> int:
@@ -180,20 +237,47 @@ def _blocks(values: Float32Array) -> tuple[Float32Array, Float32Array]:
     return np.asarray(mean + np.float32(1.0), np.float32), np.asarray(spread, np.float32)
 
 
-def _agreeing(ratio: Float32Array, quiet: MaskArray, window: Float32Array) -> MaskArray:
+def _agreeing(ratio: Float32Array, quiet: MaskArray, window: Float32Array, per_change: float) -> MaskArray:
     """Quiet blocks near the median, found by repeated outlier rejection."""
     kept = quiet
     for wider in (4.0, 2.0, 1.0, 1.0):
         if not kept.any():
             break
         level = np.median(ratio[kept], axis=0)
-        allowed = wider * (window + AGREEING_PER_CHANGE * np.abs(level - 1.0).max())
+        allowed = wider * (window + per_change * np.abs(level - 1.0).max())
         kept = quiet & np.asarray((np.abs(ratio / level - 1.0) < allowed).all(axis=-1))
     return kept
+
+
+def _unevenness(levels: Float32Array) -> Float32Array:
+    """Standard deviation over 3x3 blocks, the largest of the three lights: float32 array of shape (rows, columns)."""
+    mean, square = (
+        cv2.blur(part, (3, 3), borderType=cv2.BORDER_REPLICATE) for part in (levels - 1.0, (levels - 1.0) ** 2)
+    )
+    return np.asarray(np.sqrt(np.maximum(square - mean * mean, np.float32(0.0))).max(axis=-1), np.float32)
+
+
+def _at_border(shape: tuple[int, ...]) -> MaskArray:
+    """True in the blocks of the border; bool array of `shape` (rows, columns)."""
+    border = np.ones(shape, np.bool_)
+    border[BORDER_BLOCKS:-BORDER_BLOCKS, BORDER_BLOCKS:-BORDER_BLOCKS] = False
+    return border
+
+
+def _largest_group(levels: Float32Array) -> MaskArray:
+    """The largest group of levels (N, 3) within `BESIDE_WINDOW` of one of them: bool array of shape (N,)."""
+    if not len(levels):
+        return np.zeros(0, np.bool_)
+    near = np.abs(levels[:, None] - levels[None]).max(axis=-1) < BESIDE_WINDOW
+    return np.asarray(near[near.sum(axis=1).argmax()], np.bool_)
 
 
 def _region(ratio: Float32Array, kept: MaskArray) -> UntouchedRegion:
     level = ratio[kept].mean(axis=0)
     pattern = float(np.sqrt(np.mean((ratio[kept] / level - 1.0) ** 2)))
+    return UntouchedRegion(_as_levels(level), float(kept.mean()), pattern)
+
+
+def _as_levels(level: Float32Array) -> Levels:
     red, green, blue = (float(value) for value in level)
-    return UntouchedRegion((red, green, blue), float(kept.mean()), pattern)
+    return red, green, blue

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -14,17 +13,18 @@ from device.imaging.exposure import Levels
 from device.imaging.flat_field import BLACK_FRAME, LinearFrame, NormalizedImage
 from device.imaging.frame_measures import shaded_fraction, sharpness
 from device.quality.lights import border_levels, light_complaint
+from device.quality.press_faults import PressFigures, press_faults
 from device.quality.thresholds import (
     CLIPPED_DOUBTFUL,
-    CLIPPED_RETAKE,
     DRIFTED,
     DRIFTED_FAR,
+    LIGHT_DRIFTED,
     MAX_DEFECTS,
-    MAX_DEPTH,
-    MIN_CONTACT,
     MOTION_DOUBTFUL,
     SHARP,
 )
+
+LIGHTS_UNKNOWN: Final = "the lights could not be checked: lift off for a moment after each press"
 
 _WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 
@@ -33,22 +33,24 @@ _WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 class InstrumentContext:
     """What is known apart from the frame itself; None means not measured, never 0.
 
-    at_rest : whether the whole skin matches the reference
     motion : change of intensity between the last live frame and the scan's
     light_change : relative change of each light since calibration, by name
     reference_change : rms change of the untouched skin's pattern since calibration
     defect_fraction : fraction of the field with scratches, dust or stains
     gel_presses : number of presses of this gel
-    depth_fraction : height of the raised skin as a fraction of the slab's thickness
+    contact_fraction, depth_fraction, tilt_deg, tilt_towards : of the press, as the press guide measures them; see
+        `PressFigures`
     """
 
-    at_rest: bool | None = None
     motion: float | None = None
     light_change: Mapping[str, float | None] = field(default_factory=dict)
     reference_change: float | None = None
     defect_fraction: float | None = None
     gel_presses: int | None = None
+    contact_fraction: float | None = None
     depth_fraction: float | None = None
+    tilt_deg: float | None = None
+    tilt_towards: str = ""
 
     @property
     def figures(self) -> dict[str, float | None]:
@@ -60,6 +62,7 @@ class InstrumentContext:
             "defect_share": self.defect_fraction,
             "gel_presses": None if self.gel_presses is None else float(self.gel_presses),
             "depth_share": self.depth_fraction,
+            "tilt_deg": self.tilt_deg,
         }
 
 
@@ -93,35 +96,83 @@ class FrameMetrics:
         }
 
 
-def judge(
-    frame: LinearFrame,
-    intensity: NormalizedImage | None,
-    lights: Sequence[str] = ("red", "green", "blue"),
-    flags: Mapping[str, str] = MappingProxyType({}),
-    known: InstrumentContext | None = None,
-) -> VerdictRecord:
-    """The verdict's level, reason and figures.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Everything that a verdict follows from.
 
-    intensity : None if the frame could not be flat-field-corrected
+    metrics : of the frame
+    border : median intensity along the border; None if not measured
     lights : their names in R, G, B order
     flags : the light driver's flags during the exposure by light, such as "open"
     known : state of operator, lights and gel
     """
-    known = known or InstrumentContext()
-    metrics = FrameMetrics.of(frame, intensity)
-    border = None if intensity is None else border_levels(intensity)
-    figures = metrics.figures | border_figures(border) | known.figures
-    if metrics.exposure < BLACK_FRAME:
-        flagged = "".join(f"; the driver reports {kind} at light {light}" for light, kind in flags.items())
-        return VerdictRecord(level="retake", reason=f"the frame is black{flagged}: check the lights", figures=figures)
-    complaint = light_complaint(border, lights, flags)
-    complaints = [*([complaint] if complaint else []), *_frame_complaints(metrics, known.at_rest), *_complaints(known)]
-    for level in _WORST_FIRST:
-        for found, reason in complaints:
-            if found == level:
-                return VerdictRecord(level=level, reason=reason, figures=figures)
-    relief = "" if metrics.contact is None else f", relief over {metrics.contact:.0%} of the field"
-    return VerdictRecord(level="good", reason=f"exposure {metrics.exposure:.0%}{relief}", figures=figures)
+
+    metrics: FrameMetrics
+    border: Levels | None
+    lights: tuple[str, ...]
+    flags: Mapping[str, str]
+    known: InstrumentContext
+
+    @classmethod
+    def of(
+        cls,
+        frame: LinearFrame,
+        intensity: NormalizedImage | None,
+        lights: Sequence[str],
+        flags: Mapping[str, str],
+        known: InstrumentContext,
+    ) -> Evidence:
+        """The evidence in a frame; `intensity` is None if it could not be flat-field-corrected."""
+        border = None if intensity is None else border_levels(intensity)
+        return cls(FrameMetrics.of(frame, intensity), border, tuple(lights), flags, known)
+
+    @property
+    def lacks_only_lights(self) -> bool:
+        """Whether everything is good except that the lights' levels at this press are not known."""
+        return self.verdict().reason == LIGHTS_UNKNOWN
+
+    def with_light_change(self, change: Mapping[str, float | None]) -> Evidence:
+        """The same with another measurement of the lights."""
+        return replace(self, known=replace(self.known, light_change=change))
+
+    def verdict(self) -> VerdictRecord:
+        """The verdict's level, reason and figures."""
+        metrics, known = self.metrics, self.known
+        figures = metrics.figures | border_figures(self.border) | known.figures
+        figures["contact_share"] = self._press.contact_fraction
+        if metrics.exposure < BLACK_FRAME:
+            flagged = "".join(f"; the driver reports {kind} at light {light}" for light, kind in self.flags.items())
+            return VerdictRecord(
+                level="retake", reason=f"the frame is black{flagged}: check the lights", figures=figures
+            )
+        complaints = [
+            *((fault.level, fault.sentence) for fault in press_faults(self._press)),
+            *_frame_complaints(metrics),
+            *_complaints(known),
+            *_unknown_lights(known, self.lights),
+        ]
+        for level in _WORST_FIRST:
+            for found, reason in complaints:
+                if found == level:
+                    return VerdictRecord(level=level, reason=reason, figures=figures)
+        contact = self._press.contact_fraction
+        relief = "" if contact is None else f", relief over {contact:.0%} of the field"
+        return VerdictRecord(level="good", reason=f"exposure {metrics.exposure:.0%}{relief}", figures=figures)
+
+    @property
+    def _press(self) -> PressFigures:
+        """The figures that the press guide judges too."""
+        metrics, known = self.metrics, self.known
+        drift = drift_complaints(known.light_change, None)
+        return PressFigures(
+            exposure=metrics.exposure,
+            clipped_fraction=metrics.clipped,
+            lights=light_complaint(self.border, self.lights, self.flags) or next(drift, None),
+            contact_fraction=metrics.contact if known.contact_fraction is None else known.contact_fraction,
+            depth_fraction=known.depth_fraction,
+            tilt_deg=known.tilt_deg,
+            tilt_towards=known.tilt_towards,
+        )
 
 
 def border_figures(levels: Levels | None) -> dict[str, float | None]:
@@ -132,12 +183,8 @@ def border_figures(levels: Levels | None) -> dict[str, float | None]:
     }
 
 
-def _frame_complaints(metrics: FrameMetrics, at_rest: bool | None) -> Iterator[tuple[VerdictLevel, str]]:
-    """What is wrong with the frame, most specific first; a smooth object over the whole field hardly shades it."""
-    if metrics.clipped > CLIPPED_RETAKE:
-        yield "retake", f"{metrics.clipped:.0%} of the frame is saturated: lower the exposure or press more evenly"
-    if metrics.contact is not None and metrics.contact < MIN_CONTACT and at_rest is not False:
-        yield "doubtful", "hardly any contact: press harder, or press inside the field"
+def _frame_complaints(metrics: FrameMetrics) -> Iterator[tuple[VerdictLevel, str]]:
+    """What is wrong with the frame apart from the press."""
     if metrics.clipped > CLIPPED_DOUBTFUL:
         yield "doubtful", f"{metrics.clipped:.1%} of the frame is saturated: slopes there are interpolated"
     if metrics.sharp is not None and metrics.sharp < SHARP:
@@ -151,14 +198,15 @@ def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
     """What is wrong with operator, lights and gel."""
     if known.motion is not None and known.motion > MOTION_DOUBTFUL:
         yield "doubtful", f"the contact moved during the exposure ({known.motion:.0%} of intensity): hold still"
-    if known.depth_fraction is not None and known.depth_fraction > MAX_DEPTH:
-        yield (
-            "doubtful",
-            f"pressed to {known.depth_fraction:.0%} of the gel's thickness: press less, it may tear",
-        )
     yield from drift_complaints(known.light_change, known.reference_change)
     if known.defect_fraction is not None and known.defect_fraction > MAX_DEFECTS:
         yield "doubtful", f"{known.defect_fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
+
+
+def _unknown_lights(known: InstrumentContext, lights: Sequence[str]) -> Iterator[tuple[VerdictLevel, str]]:
+    """Lights whose level at this press is not known may be wrong: unknown is never taken as unchanged."""
+    if any(known.light_change.get(name) is None for name in lights):
+        yield "doubtful", LIGHTS_UNKNOWN
 
 
 def drift_complaints(
@@ -167,7 +215,7 @@ def drift_complaints(
     """What has drifted since calibration, worst light first."""
     changes = {name: change for name, change in light_change.items() if change is not None}
     for name, change in sorted(changes.items(), key=lambda item: -abs(item[1])):
-        if abs(change) > DRIFTED:
+        if abs(change) > LIGHT_DRIFTED:
             how = f"{abs(change):.1%} {'weaker' if change < 0.0 else 'stronger'} than at calibration"
             lost = abs(change) > DRIFTED_FAR
             advice = "calibrate before the next scan" if lost else "calibrate soon, heights are off by about as much"

@@ -30,6 +30,7 @@ class Faults:
     dimmed : remaining fraction of the light of an ageing LED, by name
     button_unreadable : the button's line cannot be read
     under_voltage : the supply voltage is too low
+    battery_share : charge of the battery, 0 to 1; None: no battery gauge
     """
 
     camera_missing: bool = False
@@ -41,6 +42,7 @@ class Faults:
     dimmed: dict[str, float] = field(default_factory=dict)
     button_unreadable: bool = False
     under_voltage: bool = False
+    battery_share: float | None = None
 
 
 Value = TypeVar("Value")

@@ -45,7 +45,7 @@ class TwinIndicator:
 
 
 class TwinPower:
-    """See `hal.interfaces.Power`; without battery."""
+    """See `hal.interfaces.Power`; the battery is one of the world's faults."""
 
     def __init__(self, bench: SimulatedScene) -> None:
         self._bench = bench
@@ -53,7 +53,8 @@ class TwinPower:
     def read(self) -> PowerReading:
         """The supply according to the world's faults."""
         low = self._bench.faults.under_voltage
-        return PowerReading(under_voltage=low, was_under_voltage=low, throttled=low)
+        charge = self._bench.faults.battery_share
+        return PowerReading(under_voltage=low, was_under_voltage=low, throttled=low, battery_share=charge)
 
     def __enter__(self) -> Self:
         return self

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from hal.errors import OperatorError
-from hal.interfaces import ButtonPress, LiftOff, OperatorRequest, PressBall, PressObject
+from hal.interfaces import ButtonPress, LiftOff, MayLift, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.elastomer import MAX_COMPRESSION, ball_indentation_mm
 from hal.simulator.gallery import gallery_names, specimen
@@ -29,20 +29,27 @@ class TwinOperator:
     def __init__(self, bench: SimulatedScene) -> None:
         self._bench = bench
         self._random = np.random.default_rng([bench.seed, 0x0B])
+        self._shown: Press | None = None
 
     def ask(self, request: OperatorRequest) -> None:
-        """Carry out the request at once and push the button a little later.
+        """Carry out the request at once and push the button a little later; lift what was pressed by name.
 
         Raises
         ------
         OperatorError
             Unknown specimen, or the gel is too thin for it.
         """
-        self._bench.place(self._press_for(request))
+        if isinstance(request, MayLift):
+            if self._shown is not None and self._bench.pressed is self._shown:
+                self._bench.place(None)
+            return
+        press = self._press_for(request)
+        self._shown = press if isinstance(request, PressObject) else None
+        self._bench.place(press)
         began_ns = self._bench.clock.monotonic_ns() + round(_BUTTON_AFTER_S * 1e9)
         self._bench.schedule_button(ButtonPress(began_ns, _BUTTON_HELD_S))
 
-    def _press_for(self, request: OperatorRequest) -> Press | None:
+    def _press_for(self, request: LiftOff | PressBall | PressObject) -> Press | None:
         match request:
             case LiftOff():
                 return None

@@ -28,7 +28,7 @@ from device.quick_look.files import PICTURE_FILE
 from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock
-from hal.interfaces import PressObject
+from hal.interfaces import LiftOff, MayLift, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
 from host_sync.library.library import Library
@@ -93,15 +93,19 @@ def _play(act: Act, out: Path, library: Library, progress: Progress) -> list[Sca
         store = BundleStore(out / "card" / act.board, hardware.clock)
         task = progress.add_task(f"calibrate, {act.title}", total=len(press_places()) + 2)
         calibrate(hardware, store, BALL_RADIUS_MM, lambda _: progress.advance(task))
+        hardware.operator.ask(LiftOff())
+        hardware.button.wait_for_press(None)
         scanner = Scanner(hardware, store)
+        scanner.measure_lights()
         task = progress.add_task(f"button scans, {act.title}", total=len(act.objects))
         for name in act.objects:
             hardware.operator.ask(PressObject(name))
             hardware.button.wait_for_press(None)
-            outcome = scanner.scan(Annotations(job="demo", part=name))
+            truth = bench.truth()
+            outcome = scanner.scan(Annotations(job="demo", part=name), lambda: hardware.operator.ask(MayLift()))
             verdict = outcome.bundle.record.verdict
             progress.console.print(f"{name}: {verdict.level}, {verdict.reason}")
-            scanned.append(Scanned(f"{name}, {act.title}", outcome.bundle.scan_id, bench.truth()))
+            scanned.append(Scanned(f"{name}, {act.title}", outcome.bundle.scan_id, truth))
             progress.advance(task)
     task = progress.add_task("pull from the card, every byte verified", total=1)
     report = pull(DirectorySource(store.root), library)

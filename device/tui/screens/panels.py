@@ -132,6 +132,7 @@ def state_text(state: InstrumentState, columns: int) -> str:
         parts.insert(1, f"{state.processing} processing")
     if state.health.level != "good" and state.health.sentence:
         parts.insert(0, f"! {state.health.sentence}")
+    parts[:0] = [f"! {alarm}" for alarm in state.alarms]
     return shortened(" · ".join(part for part in parts if part), columns)
 
 

@@ -12,6 +12,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from device.bundles.scan import Annotations
+from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState, LastScan
 from device.tui.drawing.cells import ColourDepth
@@ -133,8 +134,12 @@ def verdict_text(last: LastScan) -> Content:
 
 def cue_text(state: InstrumentState) -> str:
     """What to do now, in one sentence."""
+    if state.activity == "out of order":
+        return f"Out of order: {state.sentence}"
     if state.activity != "ready":
         return f"{state.activity.capitalize()} ..."
+    if state.scans_left == 0:
+        return f"{NO_ROOM[0].upper()}{NO_ROOM[1:]}."
     if state.calibration.calibration_id is None:
         return "Not calibrated: open Calibrate (key 2, or hold the button)."
     if state.live is None:
@@ -149,4 +154,5 @@ def idle_sentence(state: InstrumentState) -> str:
 
 
 def _is_ready(state: InstrumentState) -> bool:
-    return state.activity == "ready" and state.live is not None and state.live.reading.advice == "ready"
+    has_room = state.activity == "ready" and state.scans_left != 0
+    return has_room and state.live is not None and state.live.reading.advice == "ready"

@@ -111,9 +111,11 @@ class SetUpScreen(InstrumentScreen):
         match self._chosen().name:
             case "pair":
                 self.instrument.open_pairing()
+            case "test" if self.instrument.state.activity == "calibrating":
+                question = "Stop the calibration and test all parts? The previous calibration stays active."
+                self.app.push_screen(ConfirmDialog(question, "Stop and test"), self._selftest)
             case "test":
-                self.retroscan.findings.clear()
-                self.instrument.run_selftest()
+                self._selftest(True)
             case "zero":
                 self.instrument.zero_check()
             case "gel":
@@ -125,6 +127,11 @@ class SetUpScreen(InstrumentScreen):
                 self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
             case _:
                 await self.retroscan.go("scan")
+
+    def _selftest(self, agreed: bool | None) -> None:
+        if agreed:
+            self.retroscan.findings.clear()
+            self.instrument.run_selftest()
 
     async def short_push(self) -> None:
         """Choose the next action; after the last one the first."""

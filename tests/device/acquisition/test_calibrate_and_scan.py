@@ -19,7 +19,7 @@ from device.inverse_map.npz import read_model
 from device.quick_look.files import HEIGHT_FILE, PICTURE_FILE
 from device.store.store import BundleStore
 from hal.hardware import Hardware
-from hal.interfaces import LiftOff, LightFault, OperatorRequest, PressBall, PressObject
+from hal.interfaces import LiftOff, LightFault, MayLift, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.emulated.hardware import GAUGE_AT, Chip, emulated_hardware
 
@@ -73,6 +73,7 @@ def test_a_button_press_becomes_a_scan_with_a_verdict_and_a_quick_look(
     lifted: list[bool] = []
     with hardware:
         scanner = Scanner(hardware, calibrated)
+        assert scanner.measure_lights()
         press(hardware, "sphere")
         outcome = scanner.scan(Annotations(job="test"), lambda: lifted.append(True))
         truth = bench.truth()
@@ -110,8 +111,10 @@ def test_a_dead_light_is_a_retake_that_names_it_with_and_without_a_flag(
 ) -> None:
     with hardware:
         scanner = Scanner(hardware, calibrated)
+        scanner.measure_lights()
         press(hardware, name)
-        sound = scanner.scan(Annotations()).bundle.record
+        sound = scanner.scan(Annotations(), lambda: hardware.operator.ask(MayLift())).bundle.record
+        press(hardware, name)
         bench.faults.open_lights.add(light)
         flagged = scanner.scan(Annotations()).bundle.record
         hardware.lights.faults = lambda: ()  # type: ignore[method-assign]

@@ -115,7 +115,7 @@ def test_it_reports_ready_once_every_part_answers(bench: SimulatedScene, calibra
         assert [line[:13] for line in board.printed] == ["no chip answe"]
         mend()
         board.run(3.0)
-        assert [line[:5] for line in board.printed[1:]] == ["Ready"]
+        assert [line[:5] for line in board.printed[1:]] == ["Ready", "all p"]
 
 
 def test_a_long_push_reports_the_status_and_does_not_scan(board: Board) -> None:
@@ -165,6 +165,7 @@ def test_held_twice_the_button_alone_calibrates_and_scans(calibrating: Board) ->
     assert shown[:3] == ["busy", "may lift", "good"]
     assert shown[-3:] == ["busy", "may lift", "calibration"]
     assert shown.count("may lift") >= 13
+    calibrating.emulated.bench.place(None)
     calibrating.push(0.5)
     calibrating.run(2.0)
     assert calibrating.scans == 1

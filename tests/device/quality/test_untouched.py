@@ -68,7 +68,7 @@ def test_an_object_over_the_whole_field_is_never_mistaken_for_weak_lights(
 ) -> None:
     bench.place(Press(surface, (0.0, 0.0), 0.0, depth_mm))
     drift = LightDriftMonitor()
-    drift.update(detect())
+    drift.update(detect(), 1)
     assert max(abs(change) for change in drift.changes or (0.0,)) < 0.02
 
 
@@ -82,22 +82,26 @@ def test_a_tilt_under_distant_lights_is_no_drift() -> None:
     model = ReferenceModel.of(rest)
     leaning = model.detect(tilted)
     assert leaning is not None
-    assert not LightDriftMonitor().update(leaning)
+    assert not LightDriftMonitor().update(leaning, 1)
     region = model.detect(dimmed)
     assert region is not None
     assert region.levels == pytest.approx((0.98, 1.0, 1.0), abs=1e-3)
 
 
-def test_large_steps_need_a_fully_untouched_field() -> None:
+def test_only_a_fully_untouched_field_measures_the_lights_anew() -> None:
     drift = LightDriftMonitor()
     assert drift.changes is None
-    assert not drift.update(UntouchedRegion((0.95, 1.0, 1.0), 0.5, 0.001))
-    assert drift.update(UntouchedRegion((0.95, 1.0, 1.0), 0.99, 0.001))
+    assert not drift.update(UntouchedRegion((0.95, 1.0, 1.0), 0.5, 0.001), 5)
+    assert drift.changes_since(0) is None
+    assert drift.update(UntouchedRegion((0.95, 1.0, 1.0), 0.99, 0.001), 7)
     assert drift.changes == pytest.approx((-0.05, 0.0, 0.0))
+    assert drift.changes_since(7) is None
+    assert drift.changes_since(6) == drift.changes
     drift.update_from_scan(None)
     assert drift.unseen_scans == 1
-    drift.update_from_scan(UntouchedRegion((0.945, 1.0, 1.0), 0.5, 0.001))
+    drift.update_from_scan((1.0, 1.0, 0.99))
     assert drift.unseen_scans == 0
+    assert drift.changes_since(6) is not None
 
 
 def test_scratches_and_dust_are_found_and_the_lights_own_slope_is_not() -> None:

@@ -1,12 +1,19 @@
 import numpy as np
 import pytest
 
+from device.bundles.scan import VerdictRecord
 from device.errors import CalibrationMismatch
 from device.imaging.channel_order import check_channel_order
 from device.imaging.flat_field import LinearFrame, NormalizedImage
-from device.quality.verdict import judge
+from device.quality.verdict import LIGHTS_UNKNOWN, Evidence, InstrumentContext
 
 SHAPE = (120, 160)
+NAMES = ("red", "green", "blue")
+
+
+def judge(frame: LinearFrame, intensity: NormalizedImage | None, change: float | None = 0.0) -> VerdictRecord:
+    known = InstrumentContext(light_change=dict.fromkeys(NAMES, change))
+    return Evidence.of(frame, intensity, NAMES, {}, known).verdict()
 
 
 def frame(level: float = 0.5, clipped_fraction: float = 0.0) -> LinearFrame:
@@ -47,6 +54,12 @@ def test_a_verdict_does_not_need_an_intensity() -> None:
     verdict = judge(frame(), None)
     assert verdict.level == "good"
     assert verdict.figures["contact_share"] is None
+
+
+def test_lights_that_are_not_known_are_no_lights_that_are_right() -> None:
+    verdict = judge(frame(), intensity(pressed=True), change=None)
+    assert (verdict.level, verdict.reason) == ("doubtful", LIGHTS_UNKNOWN)
+    assert verdict.figures["light_change_green"] is None
 
 
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 0, 2), (0, 2, 1), (1, 2, 0)])

@@ -78,10 +78,16 @@ class Stage:
         await self.live(2)
 
     async def object_pressed(self) -> None:
-        """Have the twin's operator press its next object and push the button, until the scan is shown."""
+        """Have the twin's operator scan its next object, until the verdict is shown, and press it once more."""
+        for _ in range(24):  # untouched skin, for the lights
+            self.instrument.step()
         await self.press("d")
         await self.live()
+        pressed = self.bench.pressed
         self.bench.clock.sleep(1.0)
+        for _ in range(30):  # the operator lifts, and the lights are checked
+            self.instrument.step()
+        self.bench.place(pressed)
         await self.live(3)
 
     def lines(self) -> list[str]:

@@ -1,0 +1,66 @@
+"""Which light the intensity of untouched skin comes from, measured with each light alone.
+
+Colour filters overlap, and near lights reach a field unevenly: in the corner that is farthest from the blue light,
+little more than half of the blue channel is that light's. There its loss of 2 % shows as 1 %. With each light's share w
+of each channel c in each block b of the field, the levels f of the lights follow from the channels' intensities,
+
+    r_c(b) = Σ_k f_k w_ck(b),        Σ_k w_ck(b) = 1,
+
+three equations for three lights in every block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array
+
+MAX_RESIDUAL: Final = 0.012
+"""Largest rms contradiction between the lights alone and the reference, relative; pressed skin contradicts by more."""
+
+MIN_LEVEL: Final = 0.1
+"""A light below this fraction of its calibrated level is out: its shares cannot be measured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightShares:
+    """Shares of the lights in the channels of untouched skin.
+
+    shares : float32 array of shape (rows, columns of blocks, 3 channels, 3 lights); over the lights they add up to 1
+    """
+
+    shares: Float32Array
+
+    @classmethod
+    def measure(cls, alone: Sequence[Float32Array], dark: Float32Array) -> LightShares | None:
+        """The shares from frames of untouched skin under each light alone, in R, G, B order, and under none.
+
+        alone, dark : the blocks' light relative to the reference, float32 arrays of shape (rows, columns, 3). None if
+            no levels of the lights explain the reference, because something touches the skin or a light is out.
+        """
+        lit = np.stack([light - dark for light in alone], axis=-1)
+        design = lit.reshape(-1, lit.shape[-1]).astype(np.float64)
+        target = (1.0 - dark).ravel().astype(np.float64)
+        inverse_levels, *_ = np.linalg.lstsq(design, target, rcond=None)
+        residual = float(np.sqrt(np.mean((design @ inverse_levels - target) ** 2)))
+        if residual > MAX_RESIDUAL or not (inverse_levels > 0.0).all() or (inverse_levels > 1.0 / MIN_LEVEL).any():
+            return None
+        calibrated = lit * inverse_levels
+        return cls(np.asarray(calibrated / calibrated.sum(axis=-1, keepdims=True), np.float32))
+
+    def levels(self, ratio: Float32Array) -> Float32Array:
+        """Level of each light in each block, float32 array of shape (rows, columns, 3), 1 as calibrated.
+
+        ratio : the blocks' intensity relative to the reference, of that shape; on untouched skin every block then shows
+            the same levels
+        """
+        return np.asarray(np.linalg.solve(self.shares, ratio[..., None])[..., 0], np.float32)
+
+    def channels(self, levels: Sequence[float]) -> tuple[float, float, float]:
+        """Mean intensity of untouched skin in R, G and B under these levels of the lights."""
+        red, green, blue = (float(value) for value in self.shares.mean(axis=(0, 1)) @ np.asarray(levels))
+        return red, green, blue

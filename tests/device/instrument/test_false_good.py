@@ -1,0 +1,43 @@
+"""No press with a light off by more than 2 % is good, and healthy presses are: random presses, whole instrument.
+
+`pytest -s -m slow tests/device/instrument/test_false_good.py` prints the counts of every object.
+"""
+
+import sys
+
+import pytest
+
+from device.instrument.instrument import Instrument
+from device.store.store import BundleStore
+from hal.hardware import Hardware
+from hal.simulator.bench import SimulatedScene
+from tests.apparatus.random_presses import Tally, judge_press, random_presses
+
+MAX_FALSE_ALARMS = 0.01
+
+
+def judged(
+    count: int, seed: int, bench: SimulatedScene, hardware: Hardware, store: BundleStore, healthy: bool
+) -> Tally:
+    tally = Tally()
+    with Instrument(hardware, store) as instrument:
+        for press in random_presses(count, seed, hardware.lights.names, healthy=healthy):
+            tally.add(press, judge_press(instrument, bench, press))
+    sys.stdout.write(f"{tally}\n")
+    return tally
+
+
+@pytest.mark.parametrize(("count", "seed"), [(36, 1), pytest.param(1000, 2, marks=pytest.mark.slow)])
+def test_no_press_with_a_light_off_by_more_than_two_percent_is_good(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, count: int, seed: int
+) -> None:
+    assert judged(count, seed, bench, hardware, calibrated, healthy=False).wrong == []
+
+
+@pytest.mark.parametrize(("count", "seed"), [(16, 3), pytest.param(400, 4, marks=pytest.mark.slow)])
+def test_healthy_presses_of_every_object_are_good(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, count: int, seed: int
+) -> None:
+    tally = judged(count, seed, bench, hardware, calibrated, healthy=True)
+    for name, presses in tally.presses.items():
+        assert presses - tally.good[name] <= MAX_FALSE_ALARMS * presses, "\n".join(tally.wrong)
