@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -10,14 +11,15 @@ from typing import Final
 import numpy as np
 
 from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.guided_calibration import AcceptedPress, GuidedCalibration
+from device.acquisition.guided_calibration import AcceptedPress, GuidedCalibration, LastCalibration
 from device.acquisition.selftest import check_light_visible
 from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
 from device.calibration.fit import InverseFit, dropped_ball
+from device.errors import DeviceError
 from device.imaging.exposure import Brightness
-from device.inverse_map.npz import MODEL_FILE, write_model
+from device.inverse_map.npz import MODEL_FILE, read_model, write_model
 from device.store.store import BundleStore
 from hal.errors import ButtonError
 from hal.frame import RawFrame
@@ -59,7 +61,7 @@ def calibrate(
         The hardware or the disk failed.
     """
     plan = plan or CaptureSettings.of_board(hardware)
-    guide = GuidedCalibration(hardware.profile, ball_radius_mm)
+    guide = GuidedCalibration(hardware.profile, ball_radius_mm, last_calibration(hardware, store, plan))
     while guide.progress.phase in {"reference", "press"}:
         tell(guide.progress.instruction)
         prompt_and_wait(hardware, guide.request)
@@ -72,6 +74,18 @@ def calibrate(
             tell(f"  {guide.progress.complaint}.")
     tell(guide.progress.instruction)
     return finish(hardware, store, plan, guide)
+
+
+def last_calibration(hardware: Hardware, store: BundleStore, plan: CaptureSettings) -> LastCalibration | None:
+    """The active calibration if it is of this board, gel and lights and can be read; otherwise None."""
+    with suppress(DeviceError):
+        bundle = store.active_calibration()
+        record, profile = bundle.record, hardware.profile
+        present = Fingerprint.of(profile, plan.granted or plan.settings, plan.currents_ma)
+        same = (record.board, record.gel_id) == (profile.name, profile.gel.id)
+        if same and record.fingerprint.mismatch(present) is None:
+            return LastCalibration(bundle.reference(), read_model(bundle.path(record.model_files[0])))
+    return None
 
 
 def take_reference(

@@ -17,9 +17,12 @@ from device.calibration.acceptance import Check, check_fit, fit_checks
 from device.calibration.coverage import Coverage, measure_coverage
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.calibration.limits import MIN_BALLS
+from device.calibration.measured_radius import measured_radius_shares
 from device.errors import CalibrationError
 from device.imaging.exposure import Brightness
-from device.imaging.flat_field import bin_bayer, check_exposed, flat_field_correct, make_flat_field
+from device.imaging.flat_field import LinearFrame, bin_bayer, check_exposed, flat_field_correct, make_flat_field
+from device.inverse_map.model import InverseMap
+from device.quality.reference_check import MAX_CHANGED, changed_shape, reference_fault
 from device.surface.fields import Float32Array
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame
@@ -32,6 +35,9 @@ MAX_EXTRA: Final = 4
 """Maximum number of presses beyond the planned ones, for parts of the field that are still uncovered."""
 
 MAX_FIT_SAMPLES: Final = 15_000
+
+MAX_RADIUS_OFF: Final = 0.08
+"""Largest relative difference of a ball's radius from the stated one, as the last calibration reads it."""
 
 Phase = Literal["reference", "press", "fitting", "passed", "failed"]
 
@@ -80,6 +86,14 @@ def press_places() -> list[tuple[float, float]]:
     return [((column + 0.5) / COLUMNS, (row + 0.5) / ROWS) for row in range(ROWS) for column in range(COLUMNS)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LastCalibration:
+    """What a new calibration is compared with: reference and inverse map of the last one of this gel and lights."""
+
+    reference: RawFrame
+    inverse_map: InverseMap
+
+
 class GuidedCalibration:
     """One calibration from the reference to the fit.
 
@@ -87,10 +101,13 @@ class GuidedCalibration:
     ----------
     profile : of the board that takes the frames
     ball_radius_mm : radius of the calibration ball
+    last : the calibration of the same gel and lights that is active now; None: there is none to compare with
     """
 
-    def __init__(self, profile: BoardProfile, ball_radius_mm: float) -> None:
+    def __init__(self, profile: BoardProfile, ball_radius_mm: float, last: LastCalibration | None = None) -> None:
         self.ball_radius_mm = ball_radius_mm
+        self._last = last
+        self._is_warned = False
         self._reference: RawFrame | None = None
         self.presses: list[AcceptedPress] = []
         self._radius_px = ball_radius_mm * 1e3 / profile.sensor.pixel_pitch_um
@@ -148,17 +165,21 @@ class GuidedCalibration:
         rejected = int((~fit.kept).sum()) + sum(len(press.rejected) for press in self.presses)
         coverage = self.progress.coverage
         checks = fit_checks(int(fit.kept.sum()), rejected, fit.held_out_deg, coverage) if coverage else ()
-        self.progress = replace(self.progress, checks=checks)
+        self.progress = replace(self.progress, checks=(*checks, *self._radius_checks()))
+        if failed := [check.name for check in self.progress.checks if not check.passed]:
+            sentence = (
+                f"Calibration failed in: {', '.join(failed)}. {self._radius_advice()}The previous one stays active."
+            )
+            self.fail(sentence)
+            raise CalibrationError(sentence)
         return fit
 
     def succeed(self, calibration_id: str, brightness: Brightness | None) -> None:
         """End as passed: the calibration was published under this id and is active."""
-        weak = [check.name for check in self.progress.checks if not check.passed]
-        warning = f" Weak in: {', '.join(weak)}." if weak else ""
         self.progress = replace(
             self.progress,
             phase="passed",
-            instruction=f"Calibration passed and is active.{warning}",
+            instruction="Calibration passed and is active.",
             calibration_id=calibration_id,
             brightness=brightness,
         )
@@ -170,8 +191,54 @@ class GuidedCalibration:
     def _add_reference(self, frame: RawFrame) -> None:
         binned = bin_bayer(frame, BINNING)
         check_exposed(binned, "the reference")
+        if complaint := reference_fault(binned) or self._changed_since(binned):
+            instruction = "Again: touch nothing with the gel, then push the button."
+            self.progress = replace(self.progress, complaint=complaint, instruction=instruction)
+            return
         self._reference, self._flat_field = frame, make_flat_field(binned)
+        self.progress = replace(self.progress, complaint="")
         self._ask_next()
+
+    def _changed_since(self, reference: LinearFrame) -> str:
+        """A doubt about a reference that differs from the last one: said once, since skin and lights may change."""
+        if self._last is None or self._last.reference.shape != self._frame_shape(reference) or self._is_warned:
+            return ""
+        changed = changed_shape(reference, bin_bayer(self._last.reference, BINNING))
+        self._is_warned = changed > MAX_CHANGED
+        if not self._is_warned:
+            return ""
+        return (
+            f"the skin's light differs by {changed:.1%} from the last reference's: is nothing on the gel, is it clean? "
+            "Push again if so"
+        )
+
+    @staticmethod
+    def _frame_shape(binned: LinearFrame) -> tuple[int, int]:
+        return BINNING * binned.shape[0], BINNING * binned.shape[1]
+
+    def _radius_checks(self) -> tuple[Check, ...]:
+        """Whether the ball has the stated radius, as the last calibration reads it; nothing without one."""
+        share = self._radius_share()
+        if share is None:
+            return ()
+        return (Check("ball radius off from the stated one, fraction", abs(share - 1.0), MAX_RADIUS_OFF, "at most"),)
+
+    def _radius_advice(self) -> str:
+        share = self._radius_share()
+        if share is None or abs(share - 1.0) <= MAX_RADIUS_OFF:
+            return ""
+        return (
+            f"By the last calibration the ball's radius is {share * self.ball_radius_mm:.2f} mm, not "
+            f"{self.ball_radius_mm:g} mm: choose the right radius, or give the gel a new name if that one was wrong. "
+        )
+
+    def _radius_share(self) -> float | None:
+        """Median over balls of the measured radius over the stated one; None without a last calibration."""
+        if self._last is None or self._last.reference.shape != self.reference.shape:
+            return None
+        shares = measured_radius_shares(joined_samples(self.presses), self._last.inverse_map)
+        shares = shares[np.isfinite(shares)]
+        return float(np.median(shares)) if shares.size else None
 
     def _add_press(self, frame: RawFrame) -> None:
         if self._flat_field is None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Final
 
-from device.acquisition.calibrate import finish, take_reference
+from device.acquisition.calibrate import finish, last_calibration, take_reference
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.guided_calibration import GuidedCalibration
 from device.errors import DeviceError
@@ -51,8 +51,9 @@ class CalibrationRun:
         self._store = store
         self._states = states
         self._executor = executor
-        self._guide = GuidedCalibration(hardware.profile, ball_radius_mm)
         self.plan = CaptureSettings.of_board(hardware)
+        last = last_calibration(hardware, store, self.plan)
+        self._guide = GuidedCalibration(hardware.profile, ball_radius_mm, last)
         self._done = done
         self._computing: Future[None] | None = None
         self._by_button = by_button
