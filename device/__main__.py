@@ -2,7 +2,7 @@
 
 import sys
 
-from device.cli.main import main
+from device.cli.start import main
 
 if __name__ == "__main__":
     sys.exit(main())

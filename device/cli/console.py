@@ -23,6 +23,12 @@ def print_line(line: str) -> None:
     sys.stdout.flush()
 
 
+def print_note(line: str) -> None:
+    """Print a line for people to standard error, where standard output holds a document."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
 def print_error(what: object) -> None:
     """Print an error or warning to standard error, after the program's name."""
     sys.stderr.write(f"retroscan: {what}\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from contextlib import suppress
 
 from device.acquisition.auto_exposure import auto_exposure
@@ -19,9 +20,11 @@ from device.cli.console import (
     open_store,
     print_error,
     print_line,
+    print_note,
     store_folder,
 )
 from device.cli.headless import run_headless
+from device.cli.listing import print_json
 from device.cli.pairing import import_inbox
 from device.cli.service import ServiceReport
 from device.imaging.exposure import Brightness
@@ -30,7 +33,8 @@ from device.store.active import read_active
 from hal.board_profile import load_board_profile
 from hal.clock import SystemClock
 from hal.factory import open_hardware
-from hal.interfaces import PressObject
+from hal.hardware import Hardware
+from hal.interfaces import MayLift, PressObject
 
 
 def calibrate_guided(options: argparse.Namespace) -> int:
@@ -55,10 +59,12 @@ def scan_once(options: argparse.Namespace) -> int:
         store = open_store(options, hardware.clock)
         scanner = Scanner(with_active_gel(hardware, store.root), store)
         scanner.check_room()
+        scanner.measure_lights()
         hardware.operator.ask(PressObject(options.object))
-        print_line("Press the object into the gel, then push the button.")
+        say = print_note if options.json else print_line
+        say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
-        _report(scanner.scan(_annotations(options), _cue_lift))
+        _report(scanner.scan(_annotations(options), lambda: _cue_lift(hardware, say)), options.json)
     return 0
 
 
@@ -71,7 +77,8 @@ def run(options: argparse.Namespace) -> int:
         store = open_store(options, hardware.clock)
         import_inbox(store)
         with Instrument(hardware, store, ball_radius_mm=options.ball_radius_mm) as instrument:
-            instrument.set_sticky(_annotations(options))
+            if (given := _annotations(options)) != Annotations():
+                instrument.set_sticky(given)
             report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
             try:
                 run_headless(instrument, print_line, print_error, lambda: _goes_on(report, instrument))
@@ -87,13 +94,16 @@ def _goes_on(report: ServiceReport, instrument: Instrument) -> bool:
 
 def test_parts(options: argparse.Namespace) -> int:
     """Test every part and name the faulty one."""
-    failed = 0
+    found = []
     profile = load_board_profile(options.board)
     with exclusive_instrument(profile):
         for finding in selftest(open_hardware(profile), options.push):
-            print_line(f"{finding.state:8} {finding.part}: {finding.sentence}")
-            failed += finding.state == "failed"
-    return 3 if failed else 0
+            found.append(finding)
+            if not options.json:
+                print_line(f"{finding.state:8} {finding.part}: {finding.sentence}")
+    if options.json:
+        print_json(found)
+    return 3 if any(finding.state == "failed" for finding in found) else 0
 
 
 def lights_off(options: argparse.Namespace) -> int:
@@ -107,8 +117,11 @@ def _annotations(options: argparse.Namespace) -> Annotations:
     return Annotations(job=options.job, part=options.part, operator=options.operator, note=options.note)
 
 
-def _report(outcome: ScanOutcome) -> None:
+def _report(outcome: ScanOutcome, as_json: bool) -> None:
     verdict = outcome.bundle.record.verdict
+    if as_json:
+        print_json({"scan": outcome.bundle.scan_id, "verdict": verdict, "quick_look_fault": outcome.quick_look_fault})
+        return
     print_line(f"{verdict.level}: {verdict.reason} ({outcome.bundle.scan_id})")
     if outcome.quick_look_fault:
         print_line(f"No quick look: {outcome.quick_look_fault}")
@@ -122,7 +135,8 @@ def _print_levels(record: CalibrationRecord) -> None:
             print_line(f"Note: {found.warning}.")
 
 
-def _cue_lift() -> None:
+def _cue_lift(hardware: Hardware, say: Callable[[str], None]) -> None:
     """Print that the object may be lifted; a closed output must not cost the scan."""
     with suppress(OSError):
-        print_line("You may lift.")
+        say("You may lift.")
+    hardware.operator.ask(MayLift())

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 
+from device.cli.board import chosen_board
 from device.cli.console import print_error
 from device.cli.parser import OLD_COMMANDS, make_parser
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
@@ -26,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_error(f"`{options.command_name}` is now called `{new_name}`; the old name will be removed")
     try:
         with signals_as_keyboard_interrupt(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+            options.board = chosen_board(options.board)
             return _function(options.command)(options)
     except (BoardProfileError, OperatorError) as error:
         return _fail(error, 2)

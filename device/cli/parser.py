@@ -6,6 +6,7 @@ import argparse
 from importlib.metadata import version
 from typing import Final
 
+from device.cli.board import BOARD_FILE, DEFAULTS_FILE, VARIABLE
 from device.cli.console import (
     Commands,
     count_argument,
@@ -29,7 +30,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="retroscan", description=DESCRIPTION, epilog=EXIT_CODES)
     parser.add_argument("--version", action="version", version=f"retrograph {version('retrograph')}")
     known = ", ".join(profile_names())
-    parser.add_argument("--board", required=True, help=f"board profile: one of {known}, or a .toml file")
+    named = f"default: {VARIABLE}, {BOARD_FILE} or {DEFAULTS_FILE}"
+    parser.add_argument("--board", help=f"board profile: one of {known}, or a .toml file; {named}")
     parser.add_argument("--store", type=folder_argument, help="folder of scans and calibrations")
     parser.set_defaults(command="screens:run_screens")
     commands = parser.add_subparsers(
@@ -47,6 +49,7 @@ def make_parser() -> argparse.ArgumentParser:
     scan = commands.add_parser("scan", help="wait for one press of the button and scan")
     scan.add_argument("--object", default="coin", help="what the twin's operator presses (ignored on a real board)")
     _add_annotations(scan)
+    _add_json(scan)
     scan.set_defaults(command="instrument_commands:scan_once")
 
     run = commands.add_parser("run", help="scan at every press of the button, without a screen")
@@ -58,9 +61,11 @@ def make_parser() -> argparse.ArgumentParser:
     _add_pairing_commands(commands)
     _add_calibrations_commands(commands)
     _add_service_commands(commands)
+    _add_listing_commands(commands)
 
     test = commands.add_parser("selftest", help="test every part and name the faulty one")
     test.add_argument("--push", action="store_true", help="also wait for a push of the button")
+    _add_json(test)
     test.set_defaults(command="instrument_commands:test_parts")
 
     dark = commands.add_parser("lights-off", help="switch all lights off")
@@ -73,6 +78,10 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_annotations(parser: argparse.ArgumentParser) -> None:
     for name in ("job", "part", "operator", "note"):
         parser.add_argument(f"--{name}", type=text_argument, help="stored with the scan")
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of sentences")
 
 
 def _add_ball(parser: argparse.ArgumentParser) -> None:
@@ -141,6 +150,16 @@ def _add_service_commands(commands: Commands[argparse.ArgumentParser]) -> None:
     guard = commands.add_parser("guard-battery", help="power the device off once the battery is nearly empty")
     guard.add_argument("--check", action="store_true", help="only check whether this board measures a battery")
     guard.set_defaults(command="service:guard_battery")
+
+
+def _add_listing_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `status` and `list` to `retroscan`."""
+    status = commands.add_parser("status", help="calibration, gel, and room for scans; opens no hardware")
+    _add_json(status)
+    status.set_defaults(command="listing:show_status")
+    listing = commands.add_parser("list", help="the scans on this device, newest first")
+    _add_json(listing)
+    listing.set_defaults(command="listing:list_scans")
 
 
 def _add_focus_command(commands: Commands[argparse.ArgumentParser]) -> None:

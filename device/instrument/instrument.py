@@ -14,7 +14,7 @@ from device.bundles.scan import Annotations
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup, gel_state
 from device.instrument.calibration_ball import BALL_RADIUS_MM
-from device.instrument.events import Event
+from device.instrument.events import Event, Failed
 from device.instrument.history import History, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, StateStore
@@ -23,6 +23,7 @@ from device.pairing_service.service import PairingSetup
 from device.store.gels import known_gels
 from device.store.marks import Opinion, ScanMark, write_mark
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
+from device.store.sticky import read_sticky, write_sticky
 from device.store.store import BundleStore
 from device.surface.fields import HeightMap
 from hal.clock import VirtualClock
@@ -93,8 +94,12 @@ class Instrument:
         self._worker.enqueue(lambda worker: worker.hardware.operator.ask(LiftOff()))
 
     def set_sticky(self, annotations: Annotations) -> None:
-        """Set job, part, operator and note of every later scan."""
+        """Set job, part, operator and note of every later scan, also after a restart."""
         self._states.update(sticky=annotations)
+        try:
+            write_sticky(self._store.root, annotations)
+        except DeviceError as error:
+            self._states.publish(Failed(str(error)))
 
     def redirect_button(self, short_too: bool) -> None:
         """Report long pushes as `ButtonPushed`; with `short_too` also short ones, which then do not scan."""
@@ -189,6 +194,7 @@ def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
         calibration=CalibrationState(),
         gel=gel_state(store.root, hardware),
         health=HealthState(dict.fromkeys(hardware.profile.currents_ma)),
+        sticky=read_sticky(store.root),
         scans_stored=len(store.scans().bundles),
         sentence="starting",
     )

@@ -21,6 +21,7 @@ from device.store.device_id import DeviceState
 from device.store.gels import GelRecord, MountedGel
 from device.store.marks import ScanMark
 from device.store.registry_file import RegistryFile
+from device.store.sticky import StickyAnnotations
 
 _RECORDS: Final[tuple[type[Record], ...]] = (
     ScanRecord,
@@ -33,6 +34,7 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     GelRecord,
     MountedGel,
     RegistryFile,
+    StickyAnnotations,
 )
 
 

@@ -1,6 +1,7 @@
 """`retroscan` from its command line: what it says, and with which code it ends."""
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -13,12 +14,14 @@ import pytest
 
 import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
+from device.cli.board import chosen_board
 from device.cli.main import main
 from device.cli.parser import OLD_COMMANDS, make_parser
 from device.pairing.card import leave_host_card, read_device_card
 from device.pairing.exchange import HostCard
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
+from hal.errors import BoardProfileError
 
 
 def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
@@ -76,11 +79,9 @@ def test_an_unknown_board_lists_the_known_ones(capsys: pytest.CaptureFixture[str
     assert "twin-distant" in error
 
 
-def test_the_twin_is_never_taken_unasked(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["scan"])
-    assert ended.value.code == 2
-    assert "--board" in capsys.readouterr().err
+def test_the_twin_is_never_taken_unasked(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RETROSCAN_BOARD", raising=False)
+    assert "give --board NAME" in refusal(capsys, ["scan"], 2)
 
 
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "ssh"])
@@ -250,3 +251,45 @@ def test_help_comes_without_the_instrument() -> None:
     program = "import sys; from device.cli import main, parser; parser.make_parser().format_help(); print(*sys.modules)"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert {"cv2", "scipy", "tifffile", "device.store.store"}.isdisjoint(said.stdout.split())
+
+
+def test_the_board_is_named_by_option_environment_or_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, defaults = tmp_path / "board", tmp_path / "retroscan"
+    monkeypatch.delenv("RETROSCAN_BOARD", raising=False)
+    with pytest.raises(BoardProfileError, match=r"no board is named: give --board NAME"):
+        chosen_board(None, file, defaults)
+    defaults.write_text("# written by install.sh\nRETROSCAN_BOARD=pi4-imx477\n", encoding="utf-8")
+    assert chosen_board(None, file, defaults) == "pi4-imx477"
+    file.write_text("zero2w-imx708\n", encoding="utf-8")
+    assert chosen_board(None, file, defaults) == "zero2w-imx708"
+    monkeypatch.setenv("RETROSCAN_BOARD", "twin")
+    assert chosen_board(None, file, defaults) == "twin"
+    assert chosen_board("pi5-imx296", file, defaults) == "pi5-imx296"
+
+
+def test_status_list_and_selftest_answer_in_json_too(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(calibrated_root, store)
+    retroscan = ["--board", str(small_board), "--store", str(store)]
+    assert main([*retroscan, "scan", "--json"]) == 0
+    told = capsys.readouterr()
+    scanned = json.loads(told.out)
+    assert "You may lift." in told.err
+    assert scanned["verdict"]["level"] == "good"
+    assert main([*retroscan, "list", "--json"]) == 0
+    (listed,) = json.loads(capsys.readouterr().out)["scans"]
+    assert listed["scan"] == scanned["scan"]
+    assert listed["verdict"]["reason"] == scanned["verdict"]["reason"]
+    assert main([*retroscan, "status", "--json"]) == 0
+    status = json.loads(capsys.readouterr().out)
+    assert (status["scans"], status["scans_sent"], status["calibration_fault"]) == (1, 0, "")
+    assert status["scans_left"] > 0
+    assert main([*retroscan, "selftest", "--json"]) == 0
+    findings = json.loads(capsys.readouterr().out)
+    assert {finding["state"] for finding in findings} == {"ok"}
+    assert main([*retroscan, "list"]) == 0
+    assert scanned["scan"] in capsys.readouterr().out
