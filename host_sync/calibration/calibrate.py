@@ -35,6 +35,7 @@ from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_ba
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
 from host_sync.denoising.slope_noise import measure_slope_noise
@@ -77,6 +78,7 @@ class Calibration:
     elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads untouched skin
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
+    shading : what each channel shows of a slope, None where the balls do not tell it well enough
     """
 
     calibration_id: str
@@ -94,6 +96,7 @@ class Calibration:
     elevation: ElevationResponse | None = None
     shrinkage: DetailShrinkage | None = None
     slope_noise: SlopeNoise | None = None
+    shading: ShadingModel | None = None
 
     @property
     def pixel_pitch_sigma_um(self) -> float | None:
@@ -183,6 +186,7 @@ def calibrate(
         slope_noise=(
             measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training) if shrinkage else None
         ),
+        shading=fit_shading_model(training, kept),
     )
 
 

@@ -5,12 +5,14 @@ slopes of skin that stands as high. So the intensity inside each contact is chan
 on untouched skin, by the response that the balls themselves tell (`elevation_response`).
 
 Centres: under near lights the apex does not read 1, and a centre that is sought where it does is off by up to seven
-hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness.
+hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness, but where the frame's
+border cuts the slope around a ball it is off by as much as eight. Of the two, those centres are taken under which the
+balls agree better on what elevation does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -89,14 +91,37 @@ def find_elevated_balls(
     radius_px = float(np.median([ball.radius_px for ball in every]))
     reliefs = [_Relief.of(image, inverse, _grid_step(radius_px)) for image, _ in presses]
     reduced = [reduce_intensity(image, radius_px / REFINE_RADIUS_PX) for image, _ in presses]
+
+    def own(_skins: Sequence[_Skin], _response: ElevationResponse | None) -> Centred:
+        return tuple(tuple(of_press) for _, of_press in presses)
+
+    def symmetric(skins: Sequence[_Skin], response: ElevationResponse | None) -> Centred:
+        return tuple(
+            tuple(_centred(seen, skin, ball, response) for ball in of_press)
+            for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
+        )
+
+    both = (_elevated(presses, reliefs, flat_field, centres) for centres in (own, symmetric))
+    return min((found for found in both if found), key=lambda found: found.response.relative_sigma, default=None)
+
+
+Centred = tuple[tuple[Ball, ...], ...]
+"""The balls of every press."""
+
+
+def _elevated(
+    presses: Sequence[Press],
+    reliefs: Sequence[_Relief],
+    flat_field: Float32Array,
+    centres: Callable[[Sequence[_Skin], ElevationResponse | None], Centred],
+) -> ElevatedBalls | None:
+    """The balls where `centres` puts them, by skins and the response so far, and what elevation does to those."""
     images = [image for image, of_press in presses for _ in of_press]
+    radius_px = float(np.median([ball.radius_px for _, of_press in presses for ball in of_press]))
     trained, found = ElevationCorrection(0.0, radius_px, 0.0), None
     for _ in range(ROUNDS):
         skins = [relief.at(trained) for relief in reliefs]
-        balls = tuple(
-            tuple(_centred(seen, skin, ball, found.response if found else None) for ball in of_press)
-            for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
-        )
+        balls = centres(skins, found.response if found else None)
         apexes = tuple(
             tuple(skin.apex_px(ball) for ball in of_press) for skin, of_press in zip(skins, balls, strict=True)
         )

@@ -92,6 +92,11 @@ class ElevationResponse:
         return confirmed and self.nearness_per_px > 0.0
 
     @property
+    def relative_sigma(self) -> float:
+        """Relative standard uncertainty of the share."""
+        return self.share_sigma / max(abs(self.share), 1e-6)
+
+    @property
     def possible_fraction(self) -> float:
         """Share of the foretold that may be there where it is not certain, at most 1."""
         return min(float(np.hypot(self.share, self.share_sigma)), 1.0)
@@ -123,7 +128,7 @@ class ElevationResponse:
         """Standard uncertainty of `nearness_per_px`: what a correction leaves of slants that were foretold."""
         a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
         slant = abs(float((a * c).sum() / (a**2).sum()))
-        return slant * float(np.hypot(self.share_sigma / max(abs(self.share), 1e-6), MODEL_DOUBT))
+        return slant * float(np.hypot(self.relative_sigma, MODEL_DOUBT))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,6 +37,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "LayoutModel": {"rest": "h w 3"},
     "LightPositionModel": {"gradient": "cells 3 2"},
     "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3"},
+    "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
     "GridPose": {"parameters": "k", "covariance": "k k"},

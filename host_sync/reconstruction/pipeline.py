@@ -22,6 +22,7 @@ from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
 from host_sync.johnson2009.model import estimate_gradients, integrate_forward_difference
+from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
 from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
 from host_sync.results.files import DetailName
@@ -117,6 +118,9 @@ def reconstruct(
     warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
     raise_on_warnings(warnings, name, force=force)
     gradients = estimate(intensity, calibration, chosen)
+    shadow = _cast_shadow(gradients, intensity, calibration, chosen)
+    if shadow is not None:
+        shadow.apply(gradients)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     datum = find_datum(height, gradients)
@@ -140,6 +144,8 @@ def reconstruct(
     other = None
     if shrinkage is not None:
         raw_gradients = estimate(raw, calibration, chosen)
+        if shadow is not None:
+            shadow.apply(raw_gradients)
         other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
         if detail == "raw":
             steepness_sigma = raw_slope_sigma(steepness_sigma, p, q, calibration.slope_noise)
@@ -199,6 +205,15 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
             f"{name} was not made as its calibration was: {'; '.join(warnings)}. Use a calibration of these lights and "
             "this gel, or --force to reconstruct it all the same"
         )
+
+
+def _cast_shadow(
+    gradients: GradientField, intensity: NormalizedImage, calibration: Calibration, method: Method
+) -> ShadowCorrection | None:
+    """What the default's slopes gain where a light is hidden."""
+    if method == "paper" or calibration.shading is None:
+        return None
+    return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
 
 
 def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
