@@ -13,7 +13,7 @@ from device.guidance.guide import GuideModel, PressMeasure, measure_frame
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct
 from device.quality.light_shares import LightShares
-from device.quality.thresholds import FLAT_RESIDUAL_UM, LIGHT_DRIFTED, STALE_EVIDENCE_SCANS
+from device.quality.thresholds import FLAT_RESIDUAL_UM, LIGHT_CONTACT, LIGHT_DRIFTED, MIN_CONTACT, STALE_EVIDENCE_SCANS
 from device.quality.untouched import LightDriftMonitor, ReferenceModel, UntouchedRegion, gel_defects
 from device.quality.verdict import InstrumentContext
 from device.quick_look.solver import QuickLookModel, quick_look
@@ -157,6 +157,7 @@ class ScanHealth:
             defect_fraction=self.defect_fraction,
             gel_presses=self._count_press(),
             contact_fraction=press.contact_fraction,
+            covers_field=_covers_field(press, region),
             depth_fraction=press.depth_fraction,
             tilt_deg=press.tilt_deg,
             tilt_towards=press.tilt_towards,
@@ -188,6 +189,14 @@ class ScanHealth:
             return count_gel_press(self._root, self._profile.gel).presses
         except DeviceError:
             return None
+
+
+def _covers_field(press: PressMeasure, region: UntouchedRegion | None) -> bool:
+    """Whether a gentle object covers the whole field: little relief stands out, and yet the field is not untouched."""
+    fraction = press.contact_fraction
+    if fraction is None or fraction >= LIGHT_CONTACT:
+        return False
+    return region is None or (fraction < MIN_CONTACT and not region.is_whole)
 
 
 def _changes(levels: Levels) -> Levels:

@@ -40,6 +40,7 @@ class InstrumentContext:
     gel_presses : number of presses of this gel
     contact_fraction, depth_fraction, tilt_deg, tilt_towards : of the press, as the press guide measures them; see
         `PressFigures`
+    covers_field : whether a gentle object covers the whole field, so that its contact cannot be measured
     """
 
     motion: float | None = None
@@ -51,6 +52,7 @@ class InstrumentContext:
     depth_fraction: float | None = None
     tilt_deg: float | None = None
     tilt_towards: str = ""
+    covers_field: bool = False
 
     @property
     def figures(self) -> dict[str, float | None]:
@@ -164,11 +166,12 @@ class Evidence:
         """The figures that the press guide judges too."""
         metrics, known = self.metrics, self.known
         drift = drift_complaints(known.light_change, None)
+        contact = metrics.contact if known.contact_fraction is None else known.contact_fraction
         return PressFigures(
             exposure=metrics.exposure,
             clipped_fraction=metrics.clipped,
             lights=light_complaint(self.border, self.lights, self.flags) or next(drift, None),
-            contact_fraction=metrics.contact if known.contact_fraction is None else known.contact_fraction,
+            contact_fraction=None if known.covers_field else contact,
             depth_fraction=known.depth_fraction,
             tilt_deg=known.tilt_deg,
             tilt_towards=known.tilt_towards,
