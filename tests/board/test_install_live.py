@@ -78,6 +78,7 @@ def test_the_system_knows_units_folders_and_rules_before_the_program_is_swapped(
     ran = install("twin")
     assert ran.returncode == 0, ran.stderr
     lines = told.read_text().splitlines()
-    assert (lines[0], lines[-1]) == ("systemctl daemon-reload", "retrograph-slot install")
+    assert lines[:2] == ["retrograph-slot verify", "systemctl daemon-reload"]
+    assert lines[-1] == "retrograph-slot install"
     assert {"systemctl start data.mount", "udevadm control --reload"} <= set(lines)
     assert "systemd-tmpfiles --create /etc/tmpfiles.d/retrograph.conf" in lines

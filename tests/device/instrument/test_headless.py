@@ -257,7 +257,7 @@ def test_a_fault_is_reported_nothing_is_published_and_the_next_push_scans(
 
 def test_lights_that_could_not_be_switched_off_are_dark_a_second_after_the_bus_is_back(board: Board) -> None:
     emulated = board.emulated
-    board.run(0.3)
+    board.run(3.0, lambda: any(emulated.leds.currents_ma()))
     assert any(emulated.leds.currents_ma())
     emulated.wire.faults.unplugged.add(LIGHTS_AT)
     board.push(0.2)

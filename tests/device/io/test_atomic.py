@@ -31,5 +31,8 @@ def test_hidden_folders_elsewhere_are_nobodys_business(tmp_path: Path) -> None:
     assert (tmp_path / ".download.partial").is_dir()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").touch()
-    with pytest.raises(OutputError, match="holds something else"), atomic_directory(tmp_path / "mine", "result.json"):
+    with (
+        pytest.raises(OutputError, match="holds other files than results"),
+        atomic_directory(tmp_path / "mine", "result.json"),
+    ):
         pass

@@ -19,7 +19,7 @@ class Stepped:
     """An instrument that counts its steps, or breaks at one."""
 
     def __init__(self, breaks: bool = False) -> None:
-        self.state = SimpleNamespace(activity="ready", calibration=CalibrationState(), scans_left=None)
+        self.state = SimpleNamespace(activity="ready", calibration=CalibrationState(), scans_left=None, alarms=())
         self.stepped, self.left = Event(), Event()
         self._breaks = breaks
 
