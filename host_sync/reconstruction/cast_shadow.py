@@ -60,6 +60,9 @@ SHADOW_WEIGHT: Final = 0.3
 NEIGHBOURS: Final = 5.0
 """Standard deviation, in cells, of the neighbourhood whose lit skin tells what the model leaves."""
 
+RELATIVE_SIGMA: Final = 0.33
+"""Standard uncertainty of a correction as a share of it: what the twin's heights keep of their error."""
+
 SLOPING: Final = 0.05
 """Slope from which lit skin tells that."""
 
@@ -85,6 +88,14 @@ class ShadowCorrection:
             values += _enlarged(change, self.cell)[:rows, :columns]
         weight = np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * _enlarged(self.shadow, self.cell)
         np.multiply(gradients.weight, weight[:rows, :columns], out=gradients.weight)
+
+    def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
+        """Standard uncertainties of the corrected slopes p and q, with sign, on a field of `size` (w, h)."""
+        p, q = (
+            cv2.resize(np.float32(RELATIVE_SIGMA) * part, size, interpolation=cv2.INTER_AREA)
+            for part in (self.p, self.q)
+        )
+        return np.asarray(p, np.float32), np.asarray(q, np.float32)
 
 
 def find_cast_shadow(

@@ -136,7 +136,15 @@ def reconstruct(
     replicas = calibration.inverse.replicas if chosen == "direct" else ()
     unsure = calibration_uncertainty(intensity, replicas, reduced_size(p.shape))
     known = height_uncertainty(
-        height, gradients, contradiction, error, resting, datum, known_scale_share(calibration), calibration=unsure
+        height,
+        gradients,
+        contradiction,
+        error,
+        resting,
+        datum,
+        known_scale_share(calibration),
+        calibration=unsure,
+        shadow=None if shadow is None else shadow.sigma(reduced_size(p.shape)),
     )
     noise = calibration.slope_noise
     kept = noise.shrunk_kept if noise else NOISE_KEPT

@@ -131,6 +131,7 @@ def height_uncertainty(
     scale_share: float = 0.0,
     seed: int = 0,
     calibration: CalibrationUncertainty | None = None,
+    shadow: SlopePair | None = None,
 ) -> HeightUncertainty:
     """Standard uncertainty of the height, and the samples it comes from.
 
@@ -140,6 +141,8 @@ def height_uncertainty(
     datum : what the height map's zero was taken from
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
+    shadow : standard uncertainties of slopes of p and q where a light is hidden, wrong all at once, on a field of
+        `reduced_size`; None where none is
     """
     rows, columns = gradients.p.shape
     size = reduced_size(gradients.p.shape)
@@ -162,6 +165,9 @@ def height_uncertainty(
         if calibration is not None:
             unsure = calibration.sample(rng.standard_normal(len(calibration.p), np.float32))
             p, q = p + unsure[0], q + unsure[1]
+        if shadow is not None:
+            dark = np.float32(rng.standard_normal())
+            p, q = p + dark * shadow[0], q + dark * shadow[1]
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         # Untouched skin is flat: by how much its heights differ, their zero is unknown.
         sample_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((sample_um * zero).sum())

@@ -9,7 +9,7 @@ from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model, measure_leaks
-from host_sync.reconstruction.cast_shadow import clearance, find_cast_shadow
+from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA, clearance, find_cast_shadow
 
 SHAPE = (180, 240)
 RADIUS_PX = 60.0
@@ -124,6 +124,15 @@ def test_slopes_beside_a_ball_are_those_of_the_lights_that_arrive(model: Shading
     assert after[0] < 0.5 * before[0]
     assert after[1] < before[1] + 0.01
     assert gradients.weight[dark].mean() < 0.6 < 0.95 < gradients.weight[~dark].mean()
+
+
+def test_what_a_shadow_changes_is_known_to_a_third(model: ShadingModel) -> None:
+    image, _ = frame(*ball_skin())
+    found = find_cast_shadow(lambert_slopes(image), image, model, None)
+    assert found is not None
+    p, q = found.sigma(found.p.shape[::-1])
+    np.testing.assert_allclose((p, q), (RELATIVE_SIGMA * found.p, RELATIVE_SIGMA * found.q), rtol=1e-5)
+    assert p[0, 0] == q[0, 0] == 0.0
 
 
 def test_gentle_skin_hides_no_light(model: ShadingModel) -> None:

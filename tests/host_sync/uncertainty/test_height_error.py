@@ -52,11 +52,11 @@ def known_of(
     error: SlopeError,
     scale_share: float = 0.0,
     resting: tuple[np.ndarray, np.ndarray] = LEVEL,
+    shadow: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> HeightUncertainty:
-    height = HeightMap(bump().astype(np.float32), PITCH_UM)
-    return height_uncertainty(
-        height, gradients, np.zeros(SHAPE, np.float32), error, resting, Datum(bump() < 1e-4, 0.0, 0.0, 0.5), scale_share
-    )
+    height, datum = HeightMap(bump().astype(np.float32), PITCH_UM), Datum(bump() < 1e-4, 0.0, 0.0, 0.5)
+    level = np.zeros(SHAPE, np.float32)
+    return height_uncertainty(height, gradients, level, error, resting, datum, scale_share, shadow=shadow)
 
 
 def sigma_of(gradients: GradientField, error: SlopeError) -> np.ndarray:
@@ -156,6 +156,17 @@ def test_what_the_map_reads_on_untouched_skin_is_not_known_better_than_that() ->
     sag_um = 0.5 * 1e-3 * 0.5 * SHAPE[1] * PITCH_UM
     drawn_um = np.abs(known.samples_um[:, 100, 2] - known.samples_um[:, 100, 128])
     assert 0.5 * sag_um < np.sqrt((drawn_um**2).mean()) < 1.5 * sag_um
+
+
+def test_a_hidden_light_leaves_the_whole_object_in_doubt_beside_it() -> None:
+    ramp = np.zeros(SHAPE, np.float32)
+    ramp[:, 60:70] = 0.02
+    gradients, error = gradients_of(bump(), 0.0), error_of(0.0, 0.0, 8.0)
+    known = known_of(gradients, error, shadow=(ramp, 0.0 * ramp))
+    rise_um = 0.02 * 10.0 * PITCH_UM
+    drawn_um = np.abs(known.samples_um[:, 100, 100] - known.samples_um[:, 100, 30])
+    assert 0.7 * rise_um < np.sqrt((drawn_um**2).mean()) < 1.3 * rise_um
+    assert known_of(gradients, error).sigma_um[100, 100] < 0.1 * rise_um
 
 
 def test_an_unsure_scale_of_the_pixel_pitch_counts_as_well() -> None:
