@@ -348,7 +348,7 @@ def _press_frame(number: int, press: Press, pixel_pitch_um: float, encoding: Enc
 
 
 def _frame(image: Image, encoding: Encoding) -> LinearFrame:
-    """The image as linear light; FrameSetError when it is none."""
+    """The image as linear light; FrameSetError when it is not an image."""
     import numpy as np
 
     from host_sync.errors import FrameSetError

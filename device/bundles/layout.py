@@ -83,7 +83,7 @@ def bundle_ids(root: Path, kind: BundleKind) -> list[str]:
     Raises
     ------
     OSError
-        The folder exists and cannot be read, or is none.
+        The folder exists and cannot be read, or is not a folder.
     """
     try:
         with Folder(root / kind) as folder:

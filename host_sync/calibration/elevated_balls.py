@@ -27,10 +27,9 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.illumination import between_nodes, rows_between_nodes
 from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import field_position
-from device.surface.fields import Float32Array, GradientField, HeightMap
-from device.surface.poisson_dct import integrate_dct
+from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.elevation_response import MIN_BALLS, ElevationResponse, measure_elevation_response
-from host_sync.integration.zero_level import find_datum
+from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 GRID_STEP_PX: Final = 4
@@ -191,14 +190,9 @@ class _Relief:
     def at(self, trained: ElevationCorrection) -> _Skin:
         """The skin, where slopes are read right at the elevation of the training balls."""
         found = self.gradients
-        share = trained.steeper(self._elevation_px(found), found.p**2 + found.q**2)
+        share = trained.steeper(elevation_over_datum_px(found, float(self.step)), found.p**2 + found.q**2)
         right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
-        return _Skin(right.p, right.q, self._elevation_px(right), self.step, self.shape)
-
-    def _elevation_px(self, gradients: GradientField) -> Float32Array:
-        # In pixels instead of µm: zero as a scan's height map has it.
-        height = HeightMap(integrate_dct(gradients.p, gradients.q, float(self.step)), float(self.step))
-        return find_datum(height, gradients).level(height).z_um
+        return _Skin(right.p, right.q, elevation_over_datum_px(right, float(self.step)), self.step, self.shape)
 
 
 def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, response: ElevationResponse | None) -> Ball:

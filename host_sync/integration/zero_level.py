@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import height_of_rest_um, skin_at_rest
 
 NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
@@ -81,6 +82,16 @@ class Datum:
     def level(self, height: HeightMap) -> HeightMap:
         """The height map above this zero."""
         return HeightMap(height.z_um - np.float32(self.zero_um), height.pitch_um)
+
+
+def elevation_over_datum_px(gradients: GradientField, step_px: float) -> Float32Array:
+    """Elevation above the datum of slopes at points `step_px` pixels apart, pixels: float32 array of shape (h, w).
+
+    The slopes of invalid points count as they are: set them to zero for level skin.
+    """
+    # In pixels instead of µm: zero as a scan's height map has it.
+    height = HeightMap(integrate_dct(gradients.p, gradients.q, step_px), step_px)
+    return find_datum(height, gradients).level(height).z_um
 
 
 def find_datum(height: HeightMap, gradients: GradientField) -> Datum:

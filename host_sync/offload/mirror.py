@@ -53,7 +53,7 @@ class SftpPlace:
         Raises
         ------
         HostError
-            It begins like one and is none.
+            It begins like one and is not one.
         """
         if not text.startswith("sftp://"):
             return None

@@ -18,11 +18,10 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.illumination import rows_between_nodes
 from device.inverse_map.polynomial_features import field_position
-from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
-from device.surface.poisson_dct import integrate_dct
+from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
-from host_sync.integration.zero_level import find_datum
+from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.reconstruction.elevation_correction import cell_means
 
 WIDEST_CELLS: Final = 256
@@ -38,7 +37,7 @@ MIN_SLOPE: Final = 0.1
 """Height maps whose steepest hundredth is gentler than this hide no light."""
 
 DARKER: Final = (0.03, 0.08)
-"""Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is none."""
+"""Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
 
 SET: Final = (0.16, 0.08)
 """Foretold intensity below which a light is about to set, and at which it has."""
@@ -115,7 +114,8 @@ def find_cast_shadow(
     view = _Cells.of(image, model, response, p.shape, cell)
     found_p, found_q = p, q
     for _ in range(ROUNDS):
-        z_px = _elevation_px(found_p, found_q, known, cell)
+        found = GradientField(found_p, found_q, known, known.astype(np.float32))
+        z_px = elevation_over_datum_px(found, float(cell))
         found_p, found_q, shadow = view.slopes(p, q, known, z_px)
         if not shadow.any():
             return None
@@ -267,13 +267,6 @@ def _trust(intensity: Float64Array, foretold: Float64Array) -> Float64Array:
     missing = np.clip((foretold - intensity - DARKER[0]) / (DARKER[1] - DARKER[0]), 0.0, 1.0)
     setting = np.clip((SET[0] - foretold) / (SET[0] - SET[1]), 0.0, 1.0)
     return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
-
-
-def _elevation_px(p: Float32Array, q: Float32Array, known: MaskArray, cell: int) -> Float32Array:
-    """Elevation over untouched skin, pixels, of slopes of cells."""
-    height = HeightMap(integrate_dct(p, q, float(cell)), float(cell))
-    datum = find_datum(height, GradientField(p, q, known, known.astype(np.float32)))
-    return np.ascontiguousarray(datum.level(height).z_um, np.float32)
 
 
 def _cell_intensity(image: NormalizedImage, size: tuple[int, int], cell: int) -> Float64Array:

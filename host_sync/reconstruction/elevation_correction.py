@@ -12,11 +12,10 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
-from device.surface.poisson_dct import integrate_dct
+from device.surface.fields import Float32Array, GradientField, MaskArray
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.integration.datum import cell_sums
-from host_sync.integration.zero_level import find_datum
+from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 
@@ -54,9 +53,8 @@ def elevation_px(
     true_p, true_q = p, q
     z_px = np.zeros_like(p)
     for _ in range(ROUNDS):
-        height = HeightMap(integrate_dct(true_p, true_q, step_px), step_px)
-        datum = find_datum(height, GradientField(true_p, true_q, known, known.astype(np.float32)))
-        z_px = np.clip(datum.level(height).z_um, -highest, highest)
+        found = GradientField(true_p, true_q, known, known.astype(np.float32))
+        z_px = np.clip(elevation_over_datum_px(found, step_px), -highest, highest)
         wrong_p, wrong_q = read_too_steep(p, q, z_px, factors)
         true_p, true_q = p - wrong_p, q - wrong_q
     return z_px

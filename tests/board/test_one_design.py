@@ -24,7 +24,7 @@ BILL = (BOARD / "bill-of-materials.md").read_text(encoding="utf-8")
 HOUSING = (BOARD / "enclosure" / "retrograph.scad").read_text(encoding="utf-8")
 HOUSED = ("pi5-imx296", "pi4-imx477", "pi4-imx477-binned")
 BENCH = "zero2w-imx708"
-MOST_UNEVEN = 6.0
+MAX_UNEVENNESS = 6.0
 
 
 def parameter(name: str) -> float:
@@ -93,14 +93,14 @@ def test_light_over_the_field_is_within_six_to_one(board: str) -> None:
     profile = load_board_profile(board)
     for light in profile.lights:
         lit = light_over_field(light.position_mm, sleeve(), half_field_mm(profile))
-        assert centre_to_darkest(lit) <= brightest_to_darkest(lit) <= MOST_UNEVEN, light.name
+        assert centre_to_darkest(lit) <= brightest_to_darkest(lit) <= MAX_UNEVENNESS, light.name
 
 
 def test_on_the_bench_no_place_has_less_than_a_sixth_of_the_centres_light() -> None:
     profile = load_board_profile(BENCH)
     for light in profile.lights:
         lit = light_over_field(light.position_mm, led_width_deg(), half_field_mm(profile))
-        assert centre_to_darkest(lit) <= MOST_UNEVEN, light.name
+        assert centre_to_darkest(lit) <= MAX_UNEVENNESS, light.name
 
 
 @pytest.mark.parametrize("narrow", [Sleeve(30.0, (0.0,), 5.0, 4.0), Sleeve(30.0, (-2.65, 2.65), 1.0, 4.4)])
@@ -110,7 +110,7 @@ def test_narrow_leds_and_long_bores_are_found_out(narrow: Sleeve) -> None:
         centre_to_darkest(light_over_field(light.position_mm, narrow, half_field_mm(profile)))
         for light in profile.lights
     ]
-    assert max(ratios) > MOST_UNEVEN
+    assert max(ratios) > MAX_UNEVENNESS
 
 
 def test_a_far_wide_light_is_even_and_a_near_one_falls_with_the_cube_of_its_distance() -> None:

@@ -21,7 +21,7 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 
 ROOT = Path(__file__).parents[3]
-MOST_MB = 180.0
+MAX_MB = 180.0
 """Of the 512 MB of a Zero 2 W, the camera's contiguous memory takes 256 and the system some 60."""
 
 SCAN_ALONE = """
@@ -109,4 +109,4 @@ def test_a_scan_in_flight_leaves_a_zero_2_w_its_memory(tmp_path: Path, capsys: p
     with capsys.disabled():
         size = f"{frame.shape[1]} x {frame.shape[0]}"
         sys.stdout.write(f"\nthree scans of {size}: at most {peak_mb:.0f} MB resident, {resident_mb:.0f} after\n")
-    assert peak_mb <= MOST_MB
+    assert peak_mb <= MAX_MB

@@ -74,7 +74,7 @@ def test_a_called_kernel_is_compiled_again_when_its_file_changes(tmp_path: Path)
     assert found == [1, 22]
 
 
-def test_whoever_imports_the_package_caches_outside_the_sources(tmp_path: Path) -> None:
+def test_every_import_of_a_kernel_caches_outside_the_sources(tmp_path: Path) -> None:
     """A kernel that has run is found again, in the folder of this state and not beside its source."""
     code = (
         "import os, numpy as np; "

@@ -50,7 +50,7 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
     settings.private_key(server.private_key.read_bytes)
     settings.save(server.device())
     environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")}
-    streamed_s, pulled_s, theirs_s, most_rss_kb = [], [], [], 0
+    streamed_s, pulled_s, theirs_s, peak_rss_kb = [], [], [], 0
     for turn in range(TURNS):
         target = tmp_path / f"theirs-{turn}"
         target.mkdir()
@@ -76,7 +76,7 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
         command = [sys.executable, "-c", PULL_AND_SAY_RSS, library]
         ran = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
         pulled_s.append(float(ran.stderr.split()[-2]))
-        most_rss_kb = max(most_rss_kb, int(ran.stderr.split()[-1]))
+        peak_rss_kb = max(peak_rss_kb, int(ran.stderr.split()[-1]))
         shutil.rmtree(target)
         shutil.rmtree(library)
     megabytes = FILES * FILE_BYTES / 1e6
@@ -87,10 +87,10 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
         sys.stdout.write(
             f"\nsftp {megabytes / min(theirs_s):.0f} MB/s; ours {megabytes / min(streamed_s):.0f} MB/s written and "
             f"hashed, {megabytes / min(pulled_s):.0f} MB/s as a whole pull with fsync, re-reading and receipts; "
-            f"at most {most_rss_kb / 1e3:.0f} MB of memory\nshares of sftp, turn by turn: "
+            f"at most {peak_rss_kb / 1e3:.0f} MB of memory\nshares of sftp, turn by turn: "
             f"streamed {' '.join(f'{share:.2f}' for share in streamed)}, "
             f"pulled {' '.join(f'{share:.2f}' for share in pulled)}\n"
         )
-    assert most_rss_kb <= MAX_RSS_KB
+    assert peak_rss_kb <= MAX_RSS_KB
     assert max(streamed) >= MIN_SHARE
     assert max(pulled) >= MIN_SHARE
