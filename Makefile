@@ -71,13 +71,16 @@ format: set-up ## put the code into the house's form
 board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 
-release: set-up ## what a handheld is made from: dist/release with wheel, lock, board/, systemd/, SBOM; signed with KEY=... (docs/build.md)
-	@rm -rf dist/release
-	"$(VENV)/bin/python" -m hatchling build -t wheel -d dist/release >/dev/null
+release: set-up ## wheel and sdist in dist/; dist/release for handhelds (wheel, lock, board/, systemd/, SBOM; signed with KEY=...)
+	@rm -rf dist/release dist/retrograph-*
+	"$(VENV)/bin/python" -m hatchling build -t wheel -t sdist -d dist >/dev/null
+	mkdir dist/release
+	cp dist/retrograph-*.whl dist/release/
 	cp -r requirements-device.lock board systemd dist/release/
 	[ -z "$(WHEELS)" ] || cp -r "$(WHEELS)" dist/release/wheels
 	"$(VENV)/bin/python" .ci/sbom.py dist/release
 	bash .ci/seal dist/release $(if $(KEY),"$(abspath $(KEY))")
+	echo "dist/ holds wheel and sdist: pip install \"$$(echo dist/*.whl)[host]\""
 	echo "dist/release is ready$(if $(KEY),, and not signed (KEY=...)): copy it to the handheld and run sudo board/install.sh --board NAME there"
 
 lock: ## choose the newest versions that pyproject.toml allows and pin them (wants the network)

@@ -50,8 +50,11 @@ def run_away_from_checkout(unpacked: Path, *arguments: str) -> str:
 
 def test_wheel_holds_the_three_packages_and_nothing_else(held: frozenset[str]) -> None:
     assert {name.partition("/")[0] for name in held if ".dist-info/" not in name} == set(PACKAGES)
-    facts = ("hal/board/", "host_sync/viewer/page/", "device/tui/screens/screens.tcss")
-    code = [name for name in held if ".dist-info/" not in name and not name.startswith(facts)]
+    facts = ("hal/board/", "device/schemas/", "host_sync/viewer/page/", "device/tui/screens/screens.tcss")
+    marks = {f"{package}/py.typed" for package in PACKAGES}
+    assert marks <= held
+    assert not [name for name in held if "test" in Path(name).parts[0] or Path(name).name.startswith("test_")]
+    code = [name for name in held if ".dist-info/" not in name and not name.startswith(facts) and name not in marks]
     assert {Path(name).suffix for name in code} == {".py"}
     assert {Path(name).suffix for name in held if name.startswith("hal/board/")} <= {".toml", ".md"}
 
@@ -67,6 +70,12 @@ def test_wheel_holds_every_board_profile(held: frozenset[str]) -> None:
     assert profiles <= held
 
 
+def test_wheel_holds_every_schema(held: frozenset[str]) -> None:
+    schemas = {f"device/schemas/{path.name}" for path in (ROOT / "docs" / "schemas").glob("*.json")}
+    assert "device/schemas/scan-1.json" in schemas
+    assert {name for name in held if name.startswith("device/schemas/")} == schemas
+
+
 def test_wheel_holds_the_viewers_page_and_the_licence_of_what_it_brings(held: frozenset[str]) -> None:
     place = ROOT / "host_sync" / "viewer" / "page"
     page = {path.relative_to(ROOT).as_posix() for path in place.rglob("*") if path.is_file()}
@@ -76,6 +85,28 @@ def test_wheel_holds_the_viewers_page_and_the_licence_of_what_it_brings(held: fr
 def test_wheel_carries_its_licence(held: frozenset[str]) -> None:
     carried = {Path(name).name for name in held if ".dist-info/licenses/" in name}
     assert carried == {"LICENSE", "NOTICE"}
+
+
+def test_version_stands_in_one_place(wheel: Path) -> None:
+    """The program reads it from its own metadata; no source file repeats it."""
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert wheel.name == f"retrograph-{stated}-py3-none-any.whl"
+    sources = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    assert [path.name for path in sources if f'"{stated}"' in path.read_text(encoding="utf-8")] == []
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"({stated})" in changes.split("\n## ")[1].splitlines()[0] or f"## {stated}" in changes
+
+
+@pytest.mark.slow  # compiles once more, for another place of the source files
+def test_demo_plays_from_the_wheel(unpacked: Path, small_board: Path, tmp_path: Path) -> None:
+    """Without a checkout, and to the picture."""
+    out = tmp_path / "story"
+    arguments = ["demo", "--out", str(out), "--board", str(small_board), "--no-open"]
+    said = run_away_from_checkout(
+        unpacked, "-c", f"import sys; from host_sync.cli.main import main; sys.exit(main({arguments!r}))"
+    )
+    assert "12 balls used, 0 rejected" in said
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_board_profile_loads_from_the_wheel(unpacked: Path) -> None:

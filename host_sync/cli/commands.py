@@ -19,6 +19,11 @@ class Command(NamedTuple):
 
 COMMANDS: Final = (
     Command(
+        "demo",
+        "host_sync.cli.demo:demo_command",
+        "Play the whole way with a simulated handheld: calibrate, scan, pull, reconstruct, look.",
+    ),
+    Command(
         "pull",
         "host_sync.cli.offload:pull_command",
         "Copy every scan and calibration that the library lacks, read each one back, and leave receipts.",

@@ -1,0 +1,36 @@
+"""`retrosync demo`: from a simulated press to a picture, and what it refuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from host_sync.cli.main import main
+
+
+def test_the_story_ends_with_a_picture(
+    small_board: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RETROGRAPH_CACHE", "")
+    out = tmp_path / "story"
+    demo = ["demo", "--out", str(out), "--board", str(small_board), "--no-open"]
+    assert main(demo) == 0
+    told = capsys.readouterr().out
+    assert "12 balls used, 0 rejected" in told
+    heights = {part: int(um) for part, um in re.findall(r"^(\w+): highest point (\d+) ± \d+ µm", told, re.MULTILINE)}
+    assert set(heights) == {"coin", "texture"}
+    assert all(200 < um < 900 for um in heights.values())
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list((out / "library" / "scans").iterdir())) == 2
+    assert main(demo) == 2
+    assert f"{out} exists already: show it with `retrosync view {out / 'library'}`" in capsys.readouterr().err
+
+
+def test_a_board_that_is_not_there_ends_it_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--out", str(tmp_path / "story"), "--board", "moon", "--no-open"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("retrosync: ")
+    assert "twin-distant" in told
+    assert told.count("\n") == 1
