@@ -128,7 +128,9 @@ class ActiveSetup:
             return
         if self._baseline.step(live):
             self.report_health()
-        if self._baseline.wants_lights_alone(live) and not self._hardware.button.is_down():
+        is_awaited = self._states.state.processing > 0
+        wanted = self._baseline.wants_lights_alone(live, is_awaited=is_awaited)
+        if wanted and not self._hardware.button.is_down():
             self._baseline.measured_alone(self._scanner.measure_lights())
             self._live.lights_changed()
 

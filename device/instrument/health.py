@@ -16,6 +16,8 @@ CALM_FRAMES: Final = 5
 
 REQUESTED_INTERVAL_S: Final = 0.3
 
+AWAITED_INTERVAL_S: Final = 1.0
+
 IDLE_INTERVAL_S: Final = 10.0
 
 
@@ -67,7 +69,11 @@ def _summary(health: ScanHealth) -> str:
 
 
 class BaselineScheduler:
-    """Schedules baseline checks of untouched skin: 0.3 s after a press once the view is calm, then every 10 s."""
+    """Schedules baseline checks of untouched skin: 0.3 s after a press once the view is calm, then every 10 s.
+
+    Until the lights were measured alone, every movement in view requests an attempt, since it may be the lift of an
+    object that was in contact from the start, and so does every second of a press that waits for its verdict.
+    """
 
     def __init__(self, health: ScanHealth, executor: Executor) -> None:
         self._health = health
@@ -76,6 +82,7 @@ class BaselineScheduler:
         self._calm_frames = 0
         self._is_requested = True
         self._checked_ns = 0
+        self._was_in_air = True
 
     def request(self) -> None:
         """Request a check soon, after a press."""
@@ -88,26 +95,33 @@ class BaselineScheduler:
             updated = self._check.result()
             self._is_requested = self._is_requested and not updated
             self._check = None
-        motion = live.reading.motion
-        self._calm_frames = self._calm_frames + 1 if motion is not None and motion < MOVING else 0
+        motion, in_air = live.reading.motion, live.reading.in_air
+        is_calm = motion is not None and motion < MOVING
+        self._calm_frames = self._calm_frames + 1 if is_calm else 0
+        if not self._health.knows_shares and (not is_calm or in_air != self._was_in_air):
+            self._is_requested = True
+        self._was_in_air = in_air
         if self._check is None and self._health.knows_shares and self._is_due(live):
             self._checked_ns = live.frame.sensor_timestamp_ns
             self._check = self._executor.submit(self._health.update, live.frame)
         return updated
 
-    def wants_lights_alone(self, live: LiveFrame) -> bool:
-        """Whether each light should now be measured alone, which the first check needs; asked once per attempt."""
-        if self._health.knows_shares or not self._is_due(live):
+    def wants_lights_alone(self, live: LiveFrame, *, is_awaited: bool) -> bool:
+        """Whether each light should now be measured alone, which the first check needs; asked once per attempt.
+
+        is_awaited : whether a press waits for it
+        """
+        if self._health.knows_shares or not self._is_due(live, AWAITED_INTERVAL_S if is_awaited else IDLE_INTERVAL_S):
             return False
         self._checked_ns = live.frame.sensor_timestamp_ns
         return True
 
-    def _is_due(self, live: LiveFrame) -> bool:
-        wait_s = REQUESTED_INTERVAL_S if self._is_requested else IDLE_INTERVAL_S
+    def _is_due(self, live: LiveFrame, otherwise_s: float = IDLE_INTERVAL_S) -> bool:
+        wait_s = REQUESTED_INTERVAL_S if self._is_requested else otherwise_s
         waited_ns = live.frame.sensor_timestamp_ns - self._checked_ns
         return self._calm_frames >= CALM_FRAMES and waited_ns >= wait_s * 1e9
 
     def measured_alone(self, succeeded: bool) -> None:
-        """Each light was measured alone: check soon if that succeeded, else wait as long as between checks."""
+        """Each light was measured alone: check soon if that succeeded, else after the next movement."""
         self._is_requested = succeeded
         self._calm_frames = 0
