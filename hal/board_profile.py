@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -11,6 +10,7 @@ import msgspec
 
 from hal.errors import BoardProfileError
 from hal.frame import BayerOrder, CameraSettings
+from hal.profile_files import profile_folder, profile_names
 from hal.validation import explain_with_accepted, not_finite
 
 ASPECT_TOLERANCE: Final = 0.02
@@ -222,11 +222,6 @@ class BoardProfile(Table, frozen=True):
         return frozenset(name for name, present in has.items() if present)
 
 
-def profile_names() -> tuple[str, ...]:
-    """Names of the profiles shipped with the program, sorted."""
-    return tuple(sorted(path.stem for path in _profile_folder().glob("*.toml")))
-
-
 def load_board_profile(name_or_path: str | Path) -> BoardProfile:
     """The shipped profile of that name, or the one at that path (`….toml`).
 
@@ -251,20 +246,13 @@ def load_board_profile(name_or_path: str | Path) -> BoardProfile:
     return profile
 
 
-def _profile_folder() -> Path:
-    """Folder of the shipped profiles: inside an installed wheel, else beside the package in a checkout."""
-    package = Path(str(resources.files("hal")))
-    shipped = package / "board"
-    return shipped if shipped.is_dir() else package.parent / "board"
-
-
 def _locate(name_or_path: str | Path) -> Path:
     if isinstance(name_or_path, Path) or name_or_path.endswith(".toml") or "/" in name_or_path:
         return Path(name_or_path)
     if name_or_path not in profile_names():
         known = ", ".join(profile_names())
         raise BoardProfileError(f"unknown board profile {name_or_path!r}: name one of {known}, or a .toml file")
-    return _profile_folder() / f"{name_or_path}.toml"
+    return profile_folder() / f"{name_or_path}.toml"
 
 
 def _check(profile: BoardProfile, path: Path) -> None:

@@ -22,8 +22,9 @@ PORTABLE_ROOMS = (
     "device.pairing",
     "device.errors",
     "device.shutdown",
+    "device.command_line",
 )
-PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs"}
+PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs", "cyclopts"}
 PORTABLE_HAL = {
     "hal",
     "hal.board_profile",
@@ -31,6 +32,7 @@ PORTABLE_HAL = {
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
+    "hal.profile_files",
     "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")

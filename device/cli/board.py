@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Final
 
-from hal.board_profile import profile_names
 from hal.errors import BoardProfileError
+from hal.profile_files import profile_names
 
 VARIABLE: Final = "RETROSCAN_BOARD"
 BOARD_FILE: Final = Path("/etc/retrograph/board")

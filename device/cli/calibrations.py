@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
+from typing import Literal
 
 from device.acquisition.gel_profile import profile_with_mounted_gel
-from device.cli.console import open_store, print_line
+from device.cli.console import Given, Options, open_store, print_line
+from device.command_line import Folder
 from device.errors import NoCalibration
 from device.store.gels import known_gel, known_gels, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
@@ -14,10 +15,18 @@ from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 
 
-def show_or_mount_gel(options: argparse.Namespace) -> int:
-    """List the gels, or mount one."""
+def show_or_mount_gel(gel_id: str | None = None, /, *, slab_mm: float | None = None, options: Given) -> int:
+    """Show or change the mounted gel; its calibration becomes active.
+
+    Parameters
+    ----------
+    gel_id
+        Name of the gel that is mounted now.
+    slab_mm
+        Slab thickness of a new gel, mm; by default from the board profile.
+    """
     store, default = open_store(options), load_board_profile(options.board).gel
-    if options.gel_id is None:
+    if gel_id is None:
         mounted = mounted_gel(store.root, default)
         known = {gel.gel_id: gel for gel in (*known_gels(store.root), mounted)}
         for gel in known.values():
@@ -25,10 +34,10 @@ def show_or_mount_gel(options: argparse.Namespace) -> int:
             print_line(f"{gel.gel_id}: slab {gel.slab_thickness_mm:g} mm, {gel.presses} presses{mark}")
         return 0
     _registry(options, store).list()  # records the active calibration for the gel that is taken off
-    known_one = known_gel(store.root, options.gel_id) if options.slab_mm is None else None
-    slab_mm = default.slab_thickness_mm if options.slab_mm is None else options.slab_mm
-    mount_gel(store.root, known_one or make_gel(options.gel_id, slab_mm))
-    print_line(f"Gel {options.gel_id} is mounted.")
+    known_one = known_gel(store.root, gel_id) if slab_mm is None else None
+    new_mm = default.slab_thickness_mm if slab_mm is None else slab_mm
+    mount_gel(store.root, known_one or make_gel(gel_id, new_mm))
+    print_line(f"Gel {gel_id} is mounted.")
     try:
         entry = _registry(options, store).switch()
     except NoCalibration as error:
@@ -38,7 +47,7 @@ def show_or_mount_gel(options: argparse.Namespace) -> int:
     return 0
 
 
-def list_calibrations(options: argparse.Namespace) -> int:
+def list_calibrations(options: Options) -> int:
     """List the calibrations."""
     store = open_store(options)
     found = _registry(options, store).list()
@@ -60,38 +69,72 @@ def list_calibrations(options: argparse.Namespace) -> int:
     return 0
 
 
-def use_calibration(options: argparse.Namespace) -> int:
-    """Activate a calibration."""
-    entry = _registry(options, open_store(options)).activate(options.calibration_id)
+def use_calibration(calibration_id: str, /, *, options: Given) -> int:
+    """Activate a calibration.
+
+    Parameters
+    ----------
+    calibration_id
+        Its id, as `retroscan calibrations` lists it.
+    """
+    entry = _registry(options, open_store(options)).activate(calibration_id)
     print_line(f"Calibration {entry.calibration_id} (version {entry.version}) is active.")
     return 0
 
 
-def roll_back(options: argparse.Namespace) -> int:
+def roll_back(*, options: Given) -> int:
     """Activate the previous version."""
     entry = _registry(options, open_store(options)).roll_back()
     print_line(f"Rolled back to version {entry.version} ({entry.slot}): calibration {entry.calibration_id} is active.")
     return 0
 
 
-def import_calibration(options: argparse.Namespace) -> int:
-    """Copy a calibration folder into the store."""
+def import_calibration(
+    folder: Folder,
+    /,
+    *,
+    slot: Literal["user", "factory"] = "user",
+    adopt: bool = False,
+    use: bool = False,
+    options: Given,
+) -> int:
+    """Copy a calibration folder into the store.
+
+    Parameters
+    ----------
+    folder
+        The calibration folder.
+    slot
+        Rollbacks end at the factory calibration.
+    adopt
+        Accept one made by this instrument under an earlier id.
+    use
+        Activate it too.
+    """
     registry = _registry(options, open_store(options))
-    entry = registry.import_(options.folder, options.slot, adopt=options.adopt)
+    entry = registry.import_(folder, slot, adopt=adopt)
     print_line(f"Calibration {entry.calibration_id} is imported as version {entry.version} ({entry.slot}).")
-    if options.use:
+    if use:
         registry.activate(entry.calibration_id)
         print_line("It is active.")
     return 0
 
 
-def export_calibration(options: argparse.Namespace) -> int:
-    """Copy a calibration into a folder."""
-    copied_to = _registry(options, open_store(options)).export(options.calibration_id, options.folder)
+def export_calibration(calibration_id: str, folder: Folder, /, *, options: Given) -> int:
+    """Copy a calibration into a folder.
+
+    Parameters
+    ----------
+    calibration_id
+        Its id, as `retroscan calibrations` lists it.
+    folder
+        Destination; the calibration folder is created in it.
+    """
+    copied_to = _registry(options, open_store(options)).export(calibration_id, folder)
     print_line(f"Copied to {copied_to}.")
     return 0
 
 
-def _registry(options: argparse.Namespace, store: BundleStore) -> CalibrationRegistry:
+def _registry(options: Options, store: BundleStore) -> CalibrationRegistry:
     profile = load_board_profile(options.board)
     return CalibrationRegistry(store, profile_with_mounted_gel(profile, store.root))

@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from device.store.store import BundleStore
     from hal.interfaces import Clock
 
-Commands = argparse._SubParsersAction  # the type of `add_subparsers()`, which argparse does not export
 MAX_PORT: Final = 65535
 MAX_LENGTH_MM: Final = 1000.0
 MAX_COUNT: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options that stand before every command.
+
+    board : name or path of the board profile
+    store_folder : folder of scans and calibrations, None for the default one
+    """
+
+    board: str
+    store_folder: Path | None = None
+
+
+Given = Annotated[Options, Parameter(parse=False)]
+"""How a command receives these options."""
 
 
 def print_line(line: str) -> None:
@@ -29,20 +47,26 @@ def print_note(line: str) -> None:
     sys.stderr.flush()
 
 
+def print_json(document: Any) -> None:
+    """Print a document as one line of JSON."""
+    import msgspec
+
+    print_line(msgspec.json.encode(document).decode())
+
+
 def print_error(what: object) -> None:
     """Print an error or warning to standard error, after the program's name."""
     sys.stderr.write(f"retroscan: {what}\n")
 
 
-def store_folder(options: argparse.Namespace) -> Path:
+def store_folder(options: Options) -> Path:
     """The folder given with `--store`, or the default one."""
     from device.store.store import default_store
 
-    folder: Path = options.store or default_store()
-    return folder
+    return options.store_folder or default_store()
 
 
-def open_store(options: argparse.Namespace, clock: Clock | None = None) -> BundleStore:
+def open_store(options: Options, clock: Clock | None = None) -> BundleStore:
     """The store of the options; without a clock it takes the system's."""
     from device.store.store import BundleStore  # here and above: help and wrong arguments need no store
     from hal.clock import SystemClock
@@ -50,42 +74,48 @@ def open_store(options: argparse.Namespace, clock: Clock | None = None) -> Bundl
     return BundleStore(store_folder(options), clock or SystemClock())
 
 
-def text_argument(text: str) -> str:
-    """Type of an argument that must be valid UTF-8."""
+def _text(_: Any, tokens: Sequence[Any]) -> str:
+    text: str = tokens[0].value
     try:
         text.encode()
     except UnicodeEncodeError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not valid UTF-8 text") from error
+        raise ValueError(f"{text!r} is not valid UTF-8 text") from error
     return text
 
 
-def folder_argument(text: str) -> Path:
-    """Type of an argument that names a folder or file."""
-    if not text:
-        raise argparse.ArgumentTypeError("a folder name must not be empty")
-    return Path(text)
-
-
-def length_mm_argument(text: str) -> float:
-    """Type of an argument that gives a length in mm."""
+def _length_mm(_: Any, tokens: Sequence[Any]) -> float:
+    text = tokens[0].value
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 0.0 < value < MAX_LENGTH_MM:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a length between 0 and {MAX_LENGTH_MM:g} mm")
+        raise ValueError(f"{text!r} is not a length between 0 and {MAX_LENGTH_MM:g} mm")
     return value
 
 
-def port_argument(text: str) -> int:
-    """Type of an argument that gives a TCP port."""
+def _port(_: Any, tokens: Sequence[Any]) -> int:
+    text = tokens[0].value
     if not (text.isdecimal() and 1 <= int(text) <= MAX_PORT):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port: give a number from 1 to {MAX_PORT}")
+        raise ValueError(f"{text!r} is not a port: give a number from 1 to {MAX_PORT}")
     return int(text)
 
 
-def count_argument(text: str) -> int:
-    """Type of an argument that counts something: 1 or more."""
+def _count(_: Any, tokens: Sequence[Any]) -> int:
+    text = tokens[0].value
     if not (text.isdecimal() and 1 <= int(text) <= MAX_COUNT):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a count: give a number from 1 to {MAX_COUNT}")
+        raise ValueError(f"{text!r} is not a count: give a number from 1 to {MAX_COUNT}")
     return int(text)
+
+
+Text = Annotated[str, Parameter(converter=_text)]
+"""Valid UTF-8."""
+
+LengthMm = Annotated[float, Parameter(converter=_length_mm)]
+"""A length in mm."""
+
+Port = Annotated[int, Parameter(converter=_port)]
+"""A TCP port."""
+
+Count = Annotated[int, Parameter(converter=_count)]
+"""1 or more."""

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 from itertools import count
 from typing import Final
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.instrument_lock import open_exclusive
-from device.cli.console import print_line
+from device.cli.console import Count, Given, print_line
 from device.imaging.focus import focus_figure
 from hal.board_profile import load_board_profile
 
 BAR: Final = 40
 
 
-def focus(options: argparse.Namespace) -> int:
-    """Print the focus figure of every frame."""
+def focus(*, frames: Count | None = None, options: Given) -> int:
+    """Show how sharp the lens is set, until Ctrl-C.
+
+    Parameters
+    ----------
+    frames
+        End after that many frames.
+    """
     print_line("Turn the focus ring through the largest figure and back to it. Ctrl-C ends.")
     best = 0.0
     with open_exclusive(load_board_profile(options.board)) as hardware:
@@ -26,6 +31,6 @@ def focus(options: argparse.Namespace) -> int:
             best = max(best, figure)
             bar = "#" * round(BAR * figure / best) if best else ""
             print_line(f"{figure:8.2f}  best {best:8.2f}  {bar}")
-            if number == options.frames:
+            if number == frames:
                 return 0
     return 0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Annotated
 
-from device.acquisition.auto_exposure import auto_exposure
+from cyclopts import Parameter
+
+from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
@@ -17,17 +20,21 @@ from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord
 from device.bundles.scan import Annotations
 from device.cli.console import (
+    Given,
+    LengthMm,
+    Text,
     open_store,
     print_error,
+    print_json,
     print_line,
     print_note,
     store_folder,
 )
 from device.cli.headless import run_headless
-from device.cli.listing import print_json
 from device.cli.pairing import import_inbox
 from device.cli.service import ServiceReport
 from device.imaging.exposure import Brightness
+from device.instrument.calibration_ball import BALL_RADIUS_MM
 from device.instrument.instrument import Instrument
 from device.store.active import read_active
 from hal.board_profile import load_board_profile
@@ -37,13 +44,53 @@ from hal.hardware import Hardware
 from hal.interfaces import MayLift, PressObject
 
 
-def calibrate_guided(options: argparse.Namespace) -> int:
-    """Calibrate: a reference, then ball presses all over the field."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Labels:
+    """What is stored with a scan.
+
+    Attributes
+    ----------
+    job
+        Job, stored with the scan.
+    part
+        Part, stored with the scan.
+    operator
+        Operator, stored with the scan.
+    note
+        Note, stored with the scan.
+    """
+
+    job: Text | None = None
+    part: Text | None = None
+    operator: Text | None = None
+    note: Text | None = None
+
+
+def calibrate_guided(
+    *,
+    ball_radius_mm: LengthMm = BALL_RADIUS_MM,
+    auto_exposure: bool = False,
+    balance: Annotated[bool, Parameter(show=False)] = False,
+    options: Given,
+) -> int:
+    """Calibrate, guided: a reference, then ball presses all over the field.
+
+    Parameters
+    ----------
+    ball_radius_mm
+        Radius of the calibration ball, mm.
+    auto_exposure
+        Set exposure and currents for gel and lights first.
+    balance
+        The old name of --auto-exposure.
+    """
     with open_exclusive(load_board_profile(options.board)) as hardware:
         store = open_store(options, hardware.clock)
-        plan = auto_exposure(hardware, options.ball_radius_mm, print_line).plan if options.auto_exposure else None
+        set_first = auto_exposure or balance
+        plan = find_exposure(hardware, ball_radius_mm, print_line).plan if set_first else None
         fitted = with_active_gel(hardware, store.root)
-        outcome = calibrate(fitted, store, options.ball_radius_mm, print_line, plan)
+        outcome = calibrate(fitted, store, ball_radius_mm, print_line, plan)
     fit = outcome.fit
     error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"
     print_line(f"{int(fit.kept.sum())} balls used, {int((~fit.kept).sum())} rejected; error on held-out balls {error}.")
@@ -52,32 +99,52 @@ def calibrate_guided(options: argparse.Namespace) -> int:
     return 0
 
 
-def scan_once(options: argparse.Namespace) -> int:
-    """Wait for one press of the button and scan."""
+def scan_once(
+    *,
+    pressed: Annotated[str, Parameter(name="--object")] = "coin",
+    labels: Labels | None = None,
+    json: bool = False,
+    options: Given,
+) -> int:
+    """Wait for one press of the button and scan.
+
+    Parameters
+    ----------
+    pressed
+        What the twin's operator presses (ignored on a real board).
+    json
+        Print one JSON document instead of sentences.
+    """
     with open_exclusive(load_board_profile(options.board)) as hardware:
         read_active(store_folder(options))  # a store without a calibration is refused before anything is created
         store = open_store(options, hardware.clock)
         scanner = Scanner(with_active_gel(hardware, store.root), store)
         scanner.check_room()
         scanner.measure_lights()
-        hardware.operator.ask(PressObject(options.object))
-        say = print_note if options.json else print_line
+        hardware.operator.ask(PressObject(pressed))
+        say = print_note if json else print_line
         say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
-        _report(scanner.scan(_annotations(options), lambda: _cue_lift(hardware, say)), options.json)
+        _report(scanner.scan(_annotations(labels), lambda: _cue_lift(hardware, say)), json)
     return 0
 
 
-def run(options: argparse.Namespace) -> int:
-    """Scan at every press of the button."""
+def run(*, labels: Labels | None = None, ball_radius_mm: LengthMm = BALL_RADIUS_MM, options: Given) -> int:
+    """Scan at every press of the button, without a screen.
+
+    Parameters
+    ----------
+    ball_radius_mm
+        Radius of the calibration ball, mm.
+    """
     profile = load_board_profile(options.board)
     with exclusive_instrument(profile):
         # The loop waits for a person: the twin runs in real time too.
         hardware = open_hardware(profile, SystemClock())
         store = open_store(options, hardware.clock)
         import_inbox(store)
-        with Instrument(hardware, store, ball_radius_mm=options.ball_radius_mm) as instrument:
-            if (given := _annotations(options)) != Annotations():
+        with Instrument(hardware, store, ball_radius_mm=ball_radius_mm) as instrument:
+            if (given := _annotations(labels)) != Annotations():
                 instrument.set_sticky(given)
             report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
             try:
@@ -92,29 +159,37 @@ def _goes_on(report: ServiceReport, instrument: Instrument) -> bool:
     return True
 
 
-def test_parts(options: argparse.Namespace) -> int:
-    """Test every part and name the faulty one."""
+def check_parts(*, push: bool = False, json: bool = False, options: Given) -> int:
+    """Test every part and name the faulty one.
+
+    Parameters
+    ----------
+    push
+        Also wait for a push of the button.
+    json
+        Print one JSON document instead of sentences.
+    """
     found = []
     profile = load_board_profile(options.board)
     with exclusive_instrument(profile):
-        for finding in selftest(open_hardware(profile), options.push):
+        for finding in selftest(open_hardware(profile), push):
             found.append(finding)
-            if not options.json:
+            if not json:
                 print_line(f"{finding.state:8} {finding.part}: {finding.sentence}")
-    if options.json:
+    if json:
         print_json(found)
     return 3 if any(finding.state == "failed" for finding in found) else 0
 
 
-def lights_off(options: argparse.Namespace) -> int:
+def lights_off(*, options: Given) -> int:
     """Switch all lights off."""
     with open_hardware(load_board_profile(options.board)).lights as lights:
         lights.off()
     return 0
 
 
-def _annotations(options: argparse.Namespace) -> Annotations:
-    return Annotations(job=options.job, part=options.part, operator=options.operator, note=options.note)
+def _annotations(labels: Labels | None) -> Annotations:
+    return Annotations(**asdict(labels or Labels()))
 
 
 def _report(outcome: ScanOutcome, as_json: bool) -> None:

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
-
-import msgspec
 
 from device.acquisition.gel_profile import profile_with_mounted_gel
 from device.acquisition.scanner import BYTES_PER_PIXEL
-from device.cli.console import open_store, print_line
+from device.cli.console import Given, open_store, print_json, print_line
 from device.errors import DeviceError
 from device.instrument.history import ScanEntry, read_history
 from device.store.eviction import acknowledged_scans
 from hal.board_profile import load_board_profile
 
 
-def print_json(document: Any) -> None:
-    """Print a document as one line of JSON."""
-    print_line(msgspec.json.encode(document).decode())
+def show_status(*, json: bool = False, options: Given) -> int:
+    """Show calibration, gel and room for scans; opens no hardware.
 
-
-def show_status(options: argparse.Namespace) -> int:
-    """Show calibration, gel and room."""
+    Parameters
+    ----------
+    json
+        Print one JSON document instead of sentences.
+    """
     store, profile = open_store(options), load_board_profile(options.board)
     fitted = profile_with_mounted_gel(profile, store.root)
     stored = store.scans()
@@ -44,7 +42,7 @@ def show_status(options: argparse.Namespace) -> int:
         "scans_left": store.scans_left(bytes_per_scan),
         "store": str(store.root),
     }
-    if options.json:
+    if json:
         print_json(facts)
         return 0
     print_line(f"{facts['device_id']} ({profile.name}), gel {fitted.gel.id}")
@@ -56,10 +54,16 @@ def show_status(options: argparse.Namespace) -> int:
     return 0
 
 
-def list_scans(options: argparse.Namespace) -> int:
-    """List the scans, newest first."""
+def list_scans(*, json: bool = False, options: Given) -> int:
+    """List the scans on this device, newest first.
+
+    Parameters
+    ----------
+    json
+        Print one JSON document instead of sentences.
+    """
     history = read_history(open_store(options))
-    if options.json:
+    if json:
         print_json({"scans": [_facts(scan) for scan in history.scans], "damaged": history.damaged})
         return 0
     for scan in history.scans:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-
-from device.cli.console import open_store, print_line
+from device.cli.console import Given, Port, open_store, print_line
+from device.command_line import Folder
 from device.pairing.card import leave_device_card, take_host_cards
 from device.pairing.exchange import PAIRING_PORT
 from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize
@@ -22,20 +21,40 @@ def import_inbox(store: BundleStore) -> list[InboxItem]:
     return items
 
 
-def pair(options: argparse.Namespace) -> int:
-    """Pair with a workstation, by a code or by cards."""
+def pair(
+    *,
+    port: Port = PAIRING_PORT,
+    ssh_port: Port = 22,
+    user: str = OFFLOAD_USER,
+    keys: Folder | None = None,
+    host_key: Folder = SSHD_HOST_KEY,
+    card: Folder | None = None,
+    options: Given,
+) -> int:
+    """Show a code for two minutes; a workstation that has it may fetch scans.
+
+    Parameters
+    ----------
+    port
+        Port that listens for the workstation.
+    ssh_port
+        Port of sshd.
+    user
+        Account that workstations log in to.
+    keys
+        Folder of authorized keys named in sshd's configuration.
+    host_key
+        sshd's public key.
+    card
+        Exchange keys through this memory card instead of a code.
+    """
     store = open_store(options)
-    port, user, host_key = (
-        options.port or PAIRING_PORT,
-        options.user or OFFLOAD_USER,
-        options.host_key or SSHD_HOST_KEY,
-    )
-    setup = PairingSetup(port, options.ssh_port, user, host_key, options.keys)
-    if options.card:
-        card, hosts = setup.card(store), take_host_cards(options.card)
+    setup = PairingSetup(port, ssh_port, user, host_key, keys)
+    if card:
+        own, hosts = setup.card(store), take_host_cards(card)
         for host in hosts:
             authorize(setup.authorized_keys(store), host)
-        left = leave_device_card(options.card, card)
+        left = leave_device_card(card, own)
         print_line(f"{len(hosts)} workstations authorized; this device's card is {left}")
         return 0
     with open_pairing_window(store, SystemClock(), setup) as window:
@@ -44,11 +63,17 @@ def pair(options: argparse.Namespace) -> int:
     return 0
 
 
-def import_pushed(options: argparse.Namespace) -> int:
-    """Import what workstations pushed."""
+def import_pushed(*, activate: bool = False, options: Given) -> int:
+    """Import the calibrations that a workstation pushed.
+
+    Parameters
+    ----------
+    activate
+        Activate the last one imported.
+    """
     store = open_store(options)
     items = import_inbox(store)
     imported = [item.name for item in items if item.refusal is None]
-    if options.activate and imported:
+    if activate and imported:
         print_line(f"Calibration {store.activate(imported[-1]).calibration_id} is active.")
     return 2 if len(imported) < len(items) else 0

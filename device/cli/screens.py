@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import os
 import signal
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
 from device.acquisition.sd_notify import SdNotify
-from device.cli.console import open_store, store_folder
+from device.cli.console import Given, open_store, store_folder
 from device.cli.service import ServiceReport
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
@@ -73,8 +72,10 @@ class InstrumentThread:
             self._report.ended()
 
 
-def run_screens(options: argparse.Namespace) -> int:
-    """Show the screens until the operator quits; returns the exit code.
+def run_screens(*, options: Given) -> int:
+    """Show the screens on this terminal (the default command).
+
+    Returns the exit code when the operator quits.
 
     Raises
     ------

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Callable
 from typing import Final
 
 from device.acquisition.sd_notify import SdNotify
-from device.cli.console import open_store, print_error, print_line
+from device.cli.console import Given, open_store, print_error, print_line
 from device.errors import DeviceError
 from device.instrument.alarms import EMPTY_FRACTION, NO_ROOM
 from device.instrument.state import InstrumentState
@@ -83,17 +82,23 @@ def status_line(state: InstrumentState) -> str:
     return "; ".join([room, *state.alarms])
 
 
-def identity(options: argparse.Namespace) -> int:
-    """Print the device's id."""
+def identity(*, options: Given) -> int:
+    """Print this device's id, created on first use."""
     print_line(open_store(options).device_id)
     return 0
 
 
-def guard_battery(options: argparse.Namespace) -> int:
-    """Power the device off once the battery is nearly empty."""
+def guard_battery(*, check: bool = False, options: Given) -> int:
+    """Power the device off once the battery is nearly empty.
+
+    Parameters
+    ----------
+    check
+        Only check whether this board measures a battery.
+    """
     profile = load_board_profile(options.board)
     _check_gauge(profile)
-    if options.check:
+    if check:
         return 0
     clock = SystemClock()
     with open_hardware(profile, clock).power as power:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from device.command_line import Folder
 from host_sync.cli.calibrator import calibrator_for, obtain_calibration
-from host_sync.cli.console import DONE, PARTLY, Folder, print_error, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import load_frame_set
 
@@ -24,11 +25,6 @@ def calibrate_command(
     check: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
 ) -> int:
     """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
-
-    Examples:
-    retrosync calibrate FRAMESET.toml --out gel.calibration
-    retrosync reconstruct FRAMESET.toml --calibration gel.calibration --out results
-    retrosync calibrate FRAMESET.toml --check STEP.toml --out certificate
 
     Ends with 1 when the instrument does not agree with a specimen, or cannot be judged by it.
 

@@ -1,10 +1,10 @@
-"""Output of every command: plain lines, exit codes, progress; named folders and renamed commands."""
+"""Output of every command: plain lines, exit codes, progress; renamed commands."""
 
 from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -62,15 +62,8 @@ def renamed(command: Callable[..., int], *, old: str, new: str) -> Callable[...,
     return under_old_name
 
 
-def _named_folder(_: Any, tokens: Sequence[Any]) -> Path:
-    text = tokens[0].value
-    if not text:
-        raise ValueError("an empty name is not a folder")
-    return Path(text)
-
-
-Folder = Annotated[Path, Parameter(converter=_named_folder)]
-"""A named folder; an empty name is refused, because it would mean the current folder."""
+OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
+"""A file to write; - is standard output."""
 
 
 def tell_of_compiling() -> None:

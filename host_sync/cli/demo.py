@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
+from device.command_line import Folder
 from host_sync.cli.calibrator import calibrator_for
-from host_sync.cli.console import DONE, Folder, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.view import view_command
 from host_sync.errors import HostError
 from host_sync.library.library import Library

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from device.command_line import Folder
 from device.pairing.exchange import PAIRING_PORT
-from host_sync.cli.console import CONNECTION, DONE, Folder, print_error, print_line
+from host_sync.cli.console import CONNECTION, DONE, print_error, print_json, print_line
 from host_sync.errors import PairingError
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
 from host_sync.offload.resolve import MAX_PORT
@@ -91,10 +92,20 @@ def _checked_port(port: int) -> int:
     return port
 
 
-def status_command() -> int:
-    """List the paired devices and how the last sync with each went."""
+def status_command(*, json: bool = False) -> int:
+    """List the paired devices and how the last sync with each went.
+
+    Parameters
+    ----------
+    json
+        Print one JSON document instead of lines.
+    """
     devices = known_devices()
     known = devices.all()
+    if json:
+        facts = [{"device": one, "last_sync": devices.sync_state(one.device_id)} for one in known]
+        print_json({"devices": facts})
+        return DONE
     for device in known:
         state = devices.sync_state(device.device_id)
         print_line(f"{device.device_id}  {device.host}:{device.port}")

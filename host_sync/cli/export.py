@@ -9,7 +9,8 @@ from typing import Annotated, Final, Literal, cast, get_args
 from cyclopts import Parameter
 
 from device.bundles.scan import SCAN_MANIFEST
-from host_sync.cli.console import DONE, Folder, print_line
+from device.command_line import Folder
+from host_sync.cli.console import DONE, print_line
 from host_sync.errors import ExportError
 from host_sync.export.csv_profile import LineUm
 from host_sync.export.raw_scan import RawFormat, export_raw

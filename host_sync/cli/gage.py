@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from host_sync.cli.console import DONE, Folder, print_line, renamed
-from host_sync.cli.measure import OutputFile, chosen_recipe, measured, write_text
+from device.command_line import Folder
+from host_sync.cli.console import DONE, OutputFile, print_line, renamed
+from host_sync.cli.measure import chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
 from host_sync.library.library import Library
 
@@ -26,7 +27,8 @@ def gage_command(
     recipe: Path | None = None,
     number: str = "surface/Sa",
     tolerance: float | None = None,
-    json: OutputFile = None,
+    json: bool = False,
+    json_file: OutputFile = None,
 ) -> int:
     """Gage R&R from repeated scans of the same parts (crossed ANOVA): repeatability, reproducibility, categories.
 
@@ -47,7 +49,9 @@ def gage_command(
     tolerance
         Tolerance width, in the quantity's unit.
     json
-        Also write the study to this file; - writes only it, to the output.
+        Print the study as one JSON document instead of the table.
+    json_file
+        Also write that document to this file.
     """
     if sum(one is not None for one in (table, plan, library)) != 1:
         raise MeasurementError("name one source: --table FILE, --plan FILE or --library LIB")
@@ -65,12 +69,13 @@ def gage_command(
         planned = read_rows(plan, "result") if plan else _annotated(Library(library), scans) if library else []
         rows, unit = _measured(planned, chosen, number)
     found = study(*crossed(rows), tolerance=tolerance)
-    if json != Path("-"):
+    if not json:
         for line in study_text(found, what, unit).splitlines():
             print_line(line)
-    if json is not None:
-        record = msgspec.to_builtins(found) | {"number": what, "unit": unit, "schema": "retrograph.gage/1"}
-        write_text(json, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
+    record = msgspec.to_builtins(found) | {"number": what, "unit": unit, "schema": "retrograph.gage/1"}
+    for path in (Path("-") if json else None, json_file):
+        if path is not None:
+            write_text(path, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
     return DONE
 
 

@@ -9,32 +9,27 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import CycloptsError
 
+from device.command_line import add_commands, make_app, sentence
 from device.errors import DeviceError
 from device.shutdown import signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error
 from host_sync.errors import HostError, SourceError
 
-app = App(
-    name="retrosync",
-    version=lambda: f"retrograph {version('retrograph')}",
-    help="Fetch scans from a handheld, verify them, reconstruct, measure and show their surfaces. "
+app = make_app(
+    "retrosync",
+    "Fetch scans from a handheld, verify them, reconstruct, measure and show their surfaces.",
     "Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.",
-    help_format="plaintext",
-    default_parameter=Parameter(negative_iterable=()),
-    suppress_keyboard_interrupt=False,
 )
-for command in COMMANDS:
-    app.command(command.function, name=command.name, help=command.summary or None, show=bool(command.summary))
+add_commands(app, COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
-    return run(lambda: app(arguments, exit_on_error=False, print_error=True, result_action="return_value"))
+    return run(lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value"))
 
 
 def run(command: Callable[[], int | None]) -> int:
@@ -47,8 +42,8 @@ def run(command: Callable[[], int | None]) -> int:
         return print_error(error, CONNECTION)
     except (DeviceError, HostError) as error:
         return print_error(error, BAD_INPUT)
-    except CycloptsError:
-        return BAD_INPUT  # cyclopts has printed which argument is wrong
+    except CycloptsError as error:
+        return print_error(sentence(error, app), BAD_INPUT)
     except KeyboardInterrupt:
         return print_error("stopped: unfinished results are not kept", 130)
     except BrokenPipeError:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 from cyclopts import Parameter
 
+from device.command_line import Folder
 from device.errors import DeviceError
 from device.io.atomic import write_output
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, status_spinner
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
@@ -20,9 +21,6 @@ from host_sync.results.files import DetailName
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
     from host_sync.measurement.recipe import Recipe
-
-OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
-"""A file to write; - is standard output."""
 
 Region = tuple[float, float, float, float]
 
@@ -39,7 +37,8 @@ def measure_command(
     spectrum: bool | None = None,
     detail: DetailName | None = None,
     coverage_factor: Annotated[Literal[1, 2] | None, Parameter(name=("--coverage-factor", "-k"))] = None,
-    json: OutputFile = None,
+    json: bool = False,
+    json_file: OutputFile = None,
     csv: OutputFile = None,
 ) -> int:
     """Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.
@@ -70,7 +69,9 @@ def measure_command(
     coverage_factor
         1 for standard uncertainties, 2 for about 95 %.
     json
-        Also write everything to this file; - writes only it, to the output.
+        Print one JSON document instead of the table.
+    json_file
+        Also write that document to this file.
     csv
         Also write all quantities to this file; - writes only them, to the output.
     """
@@ -87,7 +88,7 @@ def measure_command(
     chosen = chosen_recipe(recipe, {name: value for name, value in given.items() if value is not None})
     done: list[Measurement] = []
     failed = False
-    alone = Path("-") in (json, csv)
+    alone = json or csv == Path("-")
     for found in measured(result_folders(results, library), chosen):
         if isinstance(found, str):
             failed = True
@@ -99,7 +100,11 @@ def measure_command(
         if not alone:
             for line in (*as_text(found).splitlines(), ""):
                 print_line(line)
-    _write_files(done, json, csv)
+    for path in (Path("-") if json else None, json_file):
+        if path is not None:
+            _write_json(done, path)
+    if csv is not None:
+        _write_csv(done, csv)
     if failed:
         return PARTLY if done else BAD_INPUT
     return DONE
@@ -166,13 +171,16 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = T
                 yield words if words.startswith(str(folder)) else f"{folder}: {words}"
 
 
-def _write_files(done: Sequence[Measurement], json: Path | None, csv: Path | None) -> None:
-    from host_sync.measurement.measurement_text import as_csv, as_record
+def _write_json(done: Sequence[Measurement], path: Path) -> None:
+    from host_sync.measurement.measurement_text import as_record
 
-    if json is not None:
-        write_text(json, msgspec.json.format(msgspec.json.encode([as_record(one) for one in done]), indent=2).decode())
-    if csv is not None:
-        write_text(csv, as_csv(done))
+    write_text(path, msgspec.json.format(msgspec.json.encode([as_record(one) for one in done]), indent=2).decode())
+
+
+def _write_csv(done: Sequence[Measurement], path: Path) -> None:
+    from host_sync.measurement.measurement_text import as_csv
+
+    write_text(path, as_csv(done))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -17,7 +17,8 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, Folder, print_error, print_line
+from device.command_line import Folder
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, print_line
 from host_sync.cli.devices import known_devices
 from host_sync.errors import PairingError, SourceError
 from host_sync.library.library import Library, default_library

@@ -11,13 +11,13 @@ from typing import Annotated, Literal
 import msgspec
 from cyclopts import Parameter
 
+from device.command_line import Folder
 from device.errors import DeviceError
 from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.console import (
     BAD_INPUT,
     DONE,
     PARTLY,
-    Folder,
     print_error,
     print_json,
     print_line,

@@ -12,7 +12,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line, tell_of_compiling
+from device.command_line import Folder
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, tell_of_compiling
 from host_sync.errors import HostError, RenderError
 
 if TYPE_CHECKING:

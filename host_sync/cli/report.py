@@ -6,9 +6,10 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+from device.command_line import Folder
 from device.errors import DeviceError
 from device.io.atomic import write_output
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, Folder, print_error, print_line
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
 from host_sync.cli.measure import chosen_recipe, measured, result_folders
 from host_sync.errors import HostError, ResultError
 

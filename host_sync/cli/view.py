@@ -8,7 +8,8 @@ import webbrowser
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from host_sync.cli.console import DONE, Folder, print_error, print_line
+from device.command_line import Folder
+from host_sync.cli.console import DONE, print_error, print_line
 from host_sync.library.library import default_library
 
 

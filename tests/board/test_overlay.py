@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hal.board_profile import load_board_profile, profile_names
+from hal.board_profile import load_board_profile
+from hal.profile_files import profile_names
 
 BOARD = Path(__file__).parents[2] / "board"
 OVERLAY = BOARD / "overlay" / "retrograph.dts"

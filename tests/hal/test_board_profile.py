@@ -3,11 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal.board_profile import load_board_profile, profile_names
+from hal.board_profile import load_board_profile
 from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings
+from hal.profile_files import profile_names
 from hal.simulator.camera import CONTROLS, granted
 
 

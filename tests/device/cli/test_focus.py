@@ -48,6 +48,5 @@ def test_the_command_shows_figure_and_best(small_board: Path, capsys: pytest.Cap
 
 
 def test_no_number_of_frames_is_refused(small_board: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--board", str(small_board), "focus", "--frames", "0"])
+    assert main(["--board", str(small_board), "focus", "--frames", "0"]) == 2
     assert "is not a count" in capsys.readouterr().err

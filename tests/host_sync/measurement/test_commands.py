@@ -60,7 +60,7 @@ def test_json_and_csv_hold_every_number(
 ) -> None:
     folders = [str(write_result(wave, name)) for name in ("one", "=two")]
     table = tmp_path / "numbers.csv"
-    assert main(["measure", *folders, "--json", "-", "--csv", str(table), "--spectrum"]) == 0
+    assert main(["measure", *folders, "--json", "--csv", str(table), "--spectrum"]) == 0
     records = json.loads(capsys.readouterr().out)
     assert [record["name"] for record in records] == ["one", "=two"]
     assert records[0]["spectrum"]["density_um3"]
@@ -123,7 +123,9 @@ def test_a_gage_study_from_a_table(tmp_path: Path, capsys: pytest.CaptureFixture
     rows += [f"p{p},{o},{p + 0.01 * random.standard_normal()}" for p in range(5) for o in "ab" for _ in range(3)]
     table = tmp_path / "study.csv"
     table.write_text("\n".join(rows), encoding="utf-8")
-    assert main(["gage-rr", "--table", str(table), "--tolerance", "0.5", "--json", str(tmp_path / "gage.json")]) == 0
+    assert (
+        main(["gage-rr", "--table", str(table), "--tolerance", "0.5", "--json-file", str(tmp_path / "gage.json")]) == 0
+    )
     out = capsys.readouterr().out
     assert "5 parts, 2 operators, 3 repeats" in out
     assert "good (up to 10 % good" in out

@@ -1,0 +1,125 @@
+"""Every command of `retroscan` with where its function is and examples; nothing of the instrument is imported here."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from device.command_line import Command
+
+OLD_COMMANDS: Final = {"watch": "run", "shelf": "calibrations", "receive": "import-inbox"}
+"""Names of the previous release, still accepted but not listed."""
+
+COMMANDS: Final = (
+    Command(
+        "tui",
+        "device.cli.screens:run_screens",
+        "Show the screens on this terminal (the default command).",
+        ("retroscan --board twin", "retroscan --board twin tui"),
+    ),
+    Command(
+        "calibrate",
+        "device.cli.instrument_commands:calibrate_guided",
+        "Calibrate, guided: a reference, then ball presses all over the field.",
+        ("retroscan calibrate", "retroscan calibrate --auto-exposure --ball-radius-mm 2.5"),
+    ),
+    Command(
+        "scan",
+        "device.cli.instrument_commands:scan_once",
+        "Wait for one press of the button and scan.",
+        ("retroscan scan --job J-17 --part housing-3", "retroscan --board twin scan --object coin --json"),
+    ),
+    Command(
+        "run",
+        "device.cli.instrument_commands:run",
+        "Scan at every press of the button, without a screen.",
+        ("retroscan run", "retroscan run --operator Ada --ball-radius-mm 3"),
+    ),
+    Command(
+        "focus",
+        "device.cli.focus:focus",
+        "Show how sharp the lens is set, until Ctrl-C.",
+        ("retroscan focus", "retroscan focus --frames 100"),
+    ),
+    Command(
+        "pair",
+        "device.cli.pairing:pair",
+        "Show a code for two minutes; a workstation that has it may fetch scans.",
+        ("retroscan pair", "retroscan pair --card /media/card"),
+    ),
+    Command(
+        "import-inbox",
+        "device.cli.pairing:import_pushed",
+        "Import the calibrations that a workstation pushed.",
+        ("retroscan import-inbox", "retroscan import-inbox --activate"),
+    ),
+    Command(
+        "gel",
+        "device.cli.calibrations:show_or_mount_gel",
+        "Show or change the mounted gel; its calibration becomes active.",
+        ("retroscan gel", "retroscan gel gel-4 --slab-mm 2.5"),
+    ),
+    Command(
+        "identity",
+        "device.cli.service:identity",
+        "Print this device's id, created on first use.",
+        ("retroscan identity",),
+    ),
+    Command(
+        "guard-battery",
+        "device.cli.service:guard_battery",
+        "Power the device off once the battery is nearly empty.",
+        ("retroscan guard-battery", "retroscan guard-battery --check"),
+    ),
+    Command(
+        "status",
+        "device.cli.listing:show_status",
+        "Show calibration, gel and room for scans; opens no hardware.",
+        ("retroscan status", "retroscan status --json"),
+    ),
+    Command(
+        "list",
+        "device.cli.listing:list_scans",
+        "List the scans on this device, newest first.",
+        ("retroscan list", "retroscan list --json"),
+    ),
+    Command(
+        "selftest",
+        "device.cli.instrument_commands:check_parts",
+        "Test every part and name the faulty one.",
+        ("retroscan selftest --push", "retroscan --board twin selftest --json"),
+    ),
+    Command(
+        "lights-off",
+        "device.cli.instrument_commands:lights_off",
+        "Switch all lights off.",
+        ("retroscan lights-off",),
+    ),
+)
+
+CALIBRATIONS: Final = (
+    Command(
+        "use",
+        "device.cli.calibrations:use_calibration",
+        "Activate a calibration.",
+        ("retroscan calibrations use rg60bb5d63-000001-cal",),
+    ),
+    Command(
+        "rollback",
+        "device.cli.calibrations:roll_back",
+        "Activate the previous version.",
+        ("retroscan calibrations rollback",),
+    ),
+    Command(
+        "import",
+        "device.cli.calibrations:import_calibration",
+        "Copy a calibration folder into the store.",
+        ("retroscan calibrations import /media/card/calibrations/rg60bb5d63-000001-cal --use",),
+    ),
+    Command(
+        "export",
+        "device.cli.calibrations:export_calibration",
+        "Copy a calibration into a folder.",
+        ("retroscan calibrations export rg60bb5d63-000001-cal /media/card",),
+    ),
+)
+"""Actions of `retroscan calibrations`."""

@@ -1,0 +1,143 @@
+"""Both command lines: examples that parse, arguments explained, completion, one sentence for what is wrong."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from cyclopts import App, CycloptsError
+
+from device.cli.commands import CALIBRATIONS
+from device.cli.commands import COMMANDS as OF_THE_HANDHELD
+from device.cli.main import app as retroscan
+from device.cli.main import main as run_retroscan
+from device.command_line import Command
+from host_sync.cli.commands import COMMANDS as OF_THE_WORKSTATION
+from host_sync.cli.main import app as retrosync
+from host_sync.cli.main import main as run_retrosync
+
+PROGRAMS: dict[str, tuple[App, Callable[[Sequence[str]], int]]] = {
+    "retroscan": (retroscan, run_retroscan),
+    "retrosync": (retrosync, run_retrosync),
+}
+TABLES = (
+    ("retroscan", OF_THE_HANDHELD),
+    ("retroscan calibrations", CALIBRATIONS),
+    ("retrosync", tuple(command for command in OF_THE_WORKSTATION if command.summary)),
+)
+LISTED = [(f"{program} {command.name}", command) for program, commands in TABLES for command in commands]
+EVERY_NAME = [name for name, _ in LISTED] + ["retroscan calibrations"]
+HEAVY = {"numba", "scipy", "matplotlib", "asyncssh", "zeroconf", "numpy", "cv2", "tifffile", "textual"}
+
+
+def split(name: str) -> tuple[str, list[str]]:
+    program, *words = shlex.split(name)
+    return program, words
+
+
+def app_of(name: str) -> App:
+    program, words = split(name)
+    app = PROGRAMS[program][0]
+    for word in words:
+        app = app[word]
+    return app
+
+
+def test_every_command_is_in_a_table() -> None:
+    shown = {
+        f"{program} {name}"
+        for program, (app, _) in PROGRAMS.items()
+        for name in app
+        if name[0] != "-" and app[name].show
+    }
+    assert shown <= set(EVERY_NAME)
+
+
+@pytest.mark.parametrize("name", EVERY_NAME)
+def test_help_ends_with_one_block_of_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, words = split(name)
+    assert PROGRAMS[program][1]([*words, "--help"]) == 0
+    told = capsys.readouterr().out
+    assert told.count("Examples:\n") == 1
+    lines = told.rpartition("Examples:\n")[2].strip("\n").split("\n")
+    assert lines
+    assert all(line.startswith(("  retroscan", "  retrosync")) for line in lines)
+    assert any(name in re.sub(r" --board twin", "", line) or name == "retroscan tui" for line in lines)
+
+
+@pytest.mark.parametrize("line", [line for _, command in LISTED for line in command.examples])
+def test_every_example_parses(line: str) -> None:
+    parse(line)
+
+
+def parse(line: str) -> None:
+    """Parse a command as a person types it; cyclopts' error when an option or value does not exist."""
+    program, words = split(line)
+    app = PROGRAMS[program][0]
+    if program == "retroscan":
+        _, given, _ = app.meta.parse_args(words, exit_on_error=False, print_error=False)
+        words = list(given.args)
+        assert not words or words[0] in app, line
+    app.parse_args(words, exit_on_error=False, print_error=False)
+
+
+def test_a_wrong_example_does_not_parse() -> None:
+    for wrong in (
+        "retroscan scan --nope",
+        "retrosync measure -k 3",
+        "retrosync nope",
+        "retroscan focus --frames 0",
+    ):
+        with pytest.raises(CycloptsError):
+            parse(wrong)
+
+
+@pytest.mark.parametrize("name", EVERY_NAME)
+def test_every_argument_is_explained(name: str) -> None:
+    arguments = app_of(name).assemble_argument_collection(parse_docstring=True)
+    assert not [argument.name for argument in arguments if argument.show and not argument.parameter.help]
+
+
+@pytest.mark.parametrize("command", [command for _, command in LISTED], ids=lambda command: command.function)
+def test_the_table_says_what_the_docstring_says(command: Command) -> None:
+    module, _, function = command.function.partition(":")
+    docstring = getattr(import_module(module), function).__doc__
+    assert command.summary == " ".join(docstring.split("\n\n")[0].split())
+
+
+@pytest.mark.parametrize("module", ["device.cli.main", "host_sync.cli.main"])
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_load_nothing_heavy(module: str, option: str) -> None:
+    program = f"import sys; from {module} import main; main([{option!r}]); print(*sys.modules)"
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert HEAVY.isdisjoint(told.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_installed_for_every_command(
+    program: str, shell: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    place = tmp_path / "completion"
+    assert PROGRAMS[program][1](["--install-completion", "--shell", shell, "--output", str(place)]) == 0
+    text = place.read_text(encoding="utf-8")
+    names = [name.partition(" ")[2] for name in EVERY_NAME if name.startswith(program) and name.count(" ") == 1]
+    assert not [name for name in names if name not in text]
+    assert "balance" not in text
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_wrong_argument_is_one_sentence(program: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["list", "--nope"], ["nope"], ["list", "surplus"]):
+        assert PROGRAMS[program][1](words) == 2
+        told = capsys.readouterr()
+        assert told.err.startswith(f"{program}: ")
+        assert told.err.count("\n") == 1
+        assert told.out == ""
