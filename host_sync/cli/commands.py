@@ -142,7 +142,7 @@ COMMANDS: Final = (
         "Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.",
         (
             "retrosync calibrate FRAMESET.toml --out gel.calibration",
-            "retrosync reconstruct SCANS.toml --calibration gel.calibration --out results",
+            "retrosync reconstruct SCANS.toml --calibration gel.calibration --out DIR",
             "retrosync calibrate FRAMESET.toml --check STEP.toml --out certificate",
         ),
     ),
@@ -180,7 +180,7 @@ COMMANDS: Final = (
         "Draw reliefs as in the paper's figures: from above or from another viewpoint, under a chosen light.",
         (
             "retrosync render results/coin --out coin.png",
-            "retrosync render results/coin --elevation 35 --azimuth 300 --out aslant.png",
+            "retrosync render results/coin --elevation 35 --out aslant.png",
             "retrosync render scans --contact-sheet --out sheet.png",
         ),
     ),
