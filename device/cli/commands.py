@@ -113,7 +113,7 @@ CALIBRATIONS: Final = (
         "import",
         "device.cli.calibrations:import_calibration",
         "Copy a calibration folder into the store.",
-        ("retroscan calibrations import /media/card/calibrations/rg60bb5d63-000001-cal --use",),
+        ("retroscan calibrations import /media/card/rg60bb5d63-000001-cal --use",),
     ),
     Command(
         "export",
