@@ -34,6 +34,7 @@ app = make_app(
     "Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.",
 )
 app.default_parameter = Parameter(negative=())
+app.meta.suppress_keyboard_interrupt = False
 add_commands(app, COMMANDS)
 calibrations = App(
     name="calibrations",
