@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from device.balls.sphere import BallSamples
 from device.calibration.cross_validation import GroupedRidgeCV
+from device.calibration.product_features import ProductFeatures
 from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity
 from device.inverse_map.feature_scaling import FeatureScaler
@@ -17,12 +19,13 @@ from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.leverage import Leverage
 from device.inverse_map.near_light import NearLightModel
 from device.inverse_map.polynomial_features import colour_exponents, field_position, position_exponents
-from device.inverse_map.regressor import FeatureRegressor, design_matrix
+from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.rest_reading import flat_at_rest, seen_at_rest
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
+PENALTY_STRIDE: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,7 @@ class RegressorFit:
         For a learner that does not read light.
         """
         root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
-        found = Leverage.of(root, self.ridge.design[alive[self.ridge.ball]])
+        found = Leverage.of(root, self.ridge.features.table(np.flatnonzero(alive[self.ridge.ball])))
         scaled = found.root * self.form.term_scale()[:, None]
         if self.flat:
             scaled = flat_at_rest(self._bare, scaled, self.reading)
@@ -156,20 +159,23 @@ def fit_regressor(
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
     seen = _seen(samples.intensity, place, reading)
     colours = FeatureScaler.observed(seen, linear=reading is not None)
+    everywhere = place if isinstance(reading, IlluminationMap) else place[:1]
 
-    def features(colour: Float32Array, where: Float64Array) -> Float64Array:
-        return design_matrix(colours, form.colour_degree, form.position_degree, colour, where, form.waves)
+    def features(colour: Float32Array, where: Float64Array) -> ProductFeatures:
+        rest = colours.variables(seen_at_rest(everywhere, reading))[0].astype(np.float64) if flat else None
+        variables = colours.variables(colour)[0].astype(np.float64)
+        degrees = form.colour_degree, form.position_degree
+        return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest)
 
-    design = features(seen, place)
-    if flat:
-        design -= features(seen_at_rest(place, reading), place)
-    design *= form.term_scale()
+    own = features(seen, place)
     if not isinstance(reading, NearLightModel):
-        return RegressorFit(colours, form, reading, penalty, GroupedRidgeCV(design, samples.ball), flat)
-    gentle, anywhere = _gentle_skin(ANCHORS)
-    known = (features(gentle, anywhere) - features(seen_at_rest(anywhere, reading), anywhere)) * form.term_scale()
-    anchor = known.T @ known * (ANCHOR_SHARE * len(design) / ANCHORS) if flat and form.anchored else None
-    ridge = GroupedRidgeCV(design, samples.ball, _matt_prior(colours, form), anchor)
+        return RegressorFit(colours, form, reading, penalty, GroupedRidgeCV(own, samples.ball), flat)
+    anchor = None
+    if flat and form.anchored:
+        gentle = features(*_gentle_skin(ANCHORS))
+        known, _ = gentle.normal_equations(np.arange(ANCHORS), np.ones(ANCHORS), np.zeros((ANCHORS, 0)))
+        anchor = known * (ANCHOR_SHARE * len(place) / ANCHORS)
+    ridge = GroupedRidgeCV(own, samples.ball, _matt_prior(colours, form), anchor)
     return RegressorFit(colours, form, reading, penalty, ridge, flat)
 
 
@@ -250,12 +256,23 @@ class Lesson:
         return float(np.sqrt(((gains - 1.0) ** 2).mean())) if gains.size else 0.0
 
     def _at_best_penalty(self, form: RegressorForm, reading: Reading | None) -> tuple[RegressorFit, float]:
-        """The learner of this form with the penalty of least held-out error, and that error."""
+        """The learner of this form with the penalty of least held-out error, and that error.
+
+        Errors fall and rise again with the penalty: every third is tried, then those beside the best.
+        """
         learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat)
-        everyone = np.ones(self.count, bool)
-        held_out = learner.ridge.held_out(PENALTIES, self.slope, np.ones(len(self.samples.p)), everyone)
-        errors = _balanced_errors(self.samples, slope_from_stereographic(np.stack(held_out)), self.slope)
-        least = int(np.argmin(errors))
+        folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
+        errors: dict[int, float] = {}
+
+        def best_of(numbers: Iterable[int]) -> int:
+            tried = [number for number in numbers if 0 <= number < len(PENALTIES) and number not in errors]
+            held_out = np.stack(folds.held_out([PENALTIES[number] for number in tried]))
+            found = _balanced_errors(self.samples, slope_from_stereographic(held_out), self.slope)
+            errors.update(zip(tried, found, strict=True))
+            return min(errors, key=lambda number: errors[number])
+
+        least = best_of(range(1, len(PENALTIES), PENALTY_STRIDE))
+        least = best_of(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))
         return replace(learner, penalty=PENALTIES[least]), errors[least]
 
 

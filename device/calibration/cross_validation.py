@@ -11,6 +11,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from device.calibration.product_features import ProductFeatures
 from device.surface.fields import Float64Array, MaskArray
 from device.surface.stereographic import stereographic_from_slope
 
@@ -21,14 +22,14 @@ FOLDS: Final = 5
 class GroupedRidgeCV:
     """The features of one polynomial at the pixels of balls.
 
-    design : float64 array of shape (N, F), features
-    ball : int array of shape (N,), the ball that each row belongs to
+    features : of N pixels, F of them
+    ball : int array of shape (N,), the ball that each pixel belongs to
     prior : float64 array of shape (F, 2), coefficients that the penalty draws towards; None for 0
     anchor : float64 array of shape (F, F), Gram matrix of pixels, as much as all samples, that show what the prior
         says; None for none
     """
 
-    design: Float64Array
+    features: ProductFeatures
     ball: NDArray[np.intp]
     prior: Float64Array | None = None
     anchor: Float64Array | None = None
@@ -40,7 +41,7 @@ class GroupedRidgeCV:
         weight : float64 array of shape (N,)
         """
         gram, moment = self._normal_equations(alive[self.ball], slope, weight)
-        return self._solutions(gram, moment, [penalty])[0]
+        return self.solution(gram, moment, penalty)
 
     def leverage_root(
         self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray
@@ -62,17 +63,23 @@ class GroupedRidgeCV:
 
         fold_of_ball : int array of shape (balls,), from 0 on; by default balls are dealt out to `FOLDS` in turn
         """
+        return self.folds(slope, weight, alive, fold_of_ball).held_out(penalties)
+
+    def folds(
+        self,
+        slope: Float64Array,
+        weight: Float64Array,
+        alive: MaskArray,
+        fold_of_ball: NDArray[np.intp] | None = None,
+    ) -> FoldedRidge:
+        """The ridge with its normal equations fold by fold, for the penalties that are asked of it; arguments as for
+        `held_out`.
+        """
         fold = self._fold_of_row(alive) if fold_of_ball is None else fold_of_ball[self.ball]
         count = int(fold.max()) + 1
         parts = [self._normal_equations(alive[self.ball] & (fold == number), slope, weight) for number in range(count)]
         gram, moment = (np.sum([part[i] for part in parts], axis=0) for i in (0, 1))
-        predictions = np.zeros((len(penalties), len(self.ball), 2))
-        for number, (own_gram, own_moment) in enumerate(parts):
-            rows = np.flatnonzero(fold == number)
-            solutions = self._solutions(gram - own_gram, moment - own_moment, penalties)
-            together = self.design[rows] @ np.concatenate(solutions, axis=1)
-            predictions[:, rows] = together.reshape(len(rows), len(penalties), 2).swapaxes(0, 1)
-        return list(predictions)
+        return FoldedRidge(self, fold, [(gram - own_gram, moment - own_moment) for own_gram, own_moment in parts])
 
     def _fold_of_row(self, alive: MaskArray) -> NDArray[np.intp]:
         return (np.arange(len(alive)) % min(FOLDS, len(alive)))[self.ball]
@@ -80,43 +87,56 @@ class GroupedRidgeCV:
     def _normal_equations(
         self, rows: MaskArray, slope: Float64Array, weight: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        # Both sides of a Gram matrix are one array, so that half of it need not be computed.
-        root = np.sqrt(weight[rows, None])
-        design = self.design[rows]
-        design *= root
-        gram = design.T @ design
-        moment = design.T @ (root * stereographic_from_slope(slope[rows, 0], slope[rows, 1]))
+        wanted = np.asarray(stereographic_from_slope(slope[:, 0], slope[:, 1]), np.float64)
+        gram, moment = self.features.normal_equations(np.flatnonzero(rows), weight, wanted)
         if self.prior is not None:
             moment -= gram @ self.prior
         return gram if self.anchor is None else gram + rows.mean() * self.anchor, moment
 
-    def _solutions(self, gram: Float64Array, moment: Float64Array, penalties: Sequence[float]) -> list[Float64Array]:
-        """Ridge solutions of shape (F, 2), one a penalty.
+    def solution(self, gram: Float64Array, moment: Float64Array, penalty: float) -> Float64Array:
+        """Ridge solution of shape (F, 2).
 
-        A Cholesky factor a penalty takes a fraction of one decomposition into eigenvectors, which is only taken where
-        rounding leaves a Gram matrix that is not positive.
+        A Cholesky factor takes a fraction of a decomposition into eigenvectors, which is only taken where rounding
+        leaves a Gram matrix that is not positive.
         """
         drawn_to = 0.0 if self.prior is None else self.prior
-        try:
-            return [drawn_to + self._cholesky_solution(gram, moment, penalty) for penalty in penalties]
-        except LinAlgError:
-            values, vectors = np.linalg.eigh(gram)
-            turned = vectors.T @ moment
-            return [
-                drawn_to + vectors @ (turned / (np.maximum(values, 0.0) + self._scale * penalty)[:, None])
-                for penalty in penalties
-            ]
-
-    def _cholesky_solution(self, gram: Float64Array, moment: Float64Array, penalty: float) -> Float64Array:
         penalised = gram.copy()
         penalised.flat[:: len(gram) + 1] += self._scale * penalty
-        factor = cho_factor(penalised, lower=True, overwrite_a=True, check_finite=False)
-        return np.asarray(cho_solve(factor, moment, check_finite=False))
+        try:
+            factor = cho_factor(penalised, lower=True, overwrite_a=True, check_finite=False)
+            return np.asarray(drawn_to + cho_solve(factor, moment, check_finite=False))
+        except LinAlgError:
+            values, vectors = np.linalg.eigh(gram)
+            turned = vectors.T @ moment / (np.maximum(values, 0.0) + self._scale * penalty)[:, None]
+            return np.asarray(drawn_to + vectors @ turned)
 
     @property
     def _scale(self) -> float:
         """What a penalty is multiplied by, so that it does not depend on the number of samples."""
         return len(self.ball) / 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoldedRidge:
+    """A ridge whose folds' normal equations are known.
+
+    fold : int array of shape (N,), the fold of each pixel
+    others : of every fold, the Gram matrix and the moments of the living balls of all others
+    """
+
+    ridge: GroupedRidgeCV
+    fold: NDArray[np.intp]
+    others: list[tuple[Float64Array, Float64Array]]
+
+    def held_out(self, penalties: Sequence[float]) -> list[Float64Array]:
+        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds."""
+        predictions = np.zeros((len(penalties), len(self.fold), 2))
+        for number, (gram, moment) in enumerate(self.others):
+            rows = np.flatnonzero(self.fold == number)
+            solutions = [self.ridge.solution(gram, moment, penalty) for penalty in penalties]
+            together = self.ridge.features.times(rows, np.concatenate(solutions, axis=1))
+            predictions[:, rows] = together.reshape(len(rows), len(penalties), 2).swapaxes(0, 1)
+        return list(predictions)
 
 
 def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:

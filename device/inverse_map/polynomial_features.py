@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -30,6 +32,43 @@ def monomials(variables: NDArray[Any], degree: int) -> NDArray[Any]:
         lower = tuple(power - (i == axis) for i, power in enumerate(exponent))
         columns[exponent] = columns[lower] * variables[:, axis]
     return np.stack([columns[exponent] for exponent in exponents], axis=-1)
+
+
+def monomial_rows(variables: NDArray[Any], degree: int) -> NDArray[Any]:
+    """The same with every monomial in a row: shape (M, N), from variables of shape (D, N)."""
+    rows = np.empty((len(_steps(degree, len(variables))) + 1, variables.shape[1]), variables.dtype)
+    rows[0] = 1.0
+    for row, (lower, axis) in enumerate(_steps(degree, len(variables)), start=1):
+        np.multiply(rows[lower], variables[axis], out=rows[row])
+    return rows
+
+
+def sum_of_products(terms: NDArray[Any], place_monomials: NDArray[Any], coefficients: NDArray[Any]) -> NDArray[Any]:
+    """Sum over all terms (M, N) times place monomials (K, N) with coefficients (M, K, C): shape (N, C)."""
+    places, columns = coefficients.shape[1:]
+    by_place = (terms.T @ coefficients.reshape(len(terms), -1)).reshape(-1, places, columns)
+    found = by_place[:, 0] * place_monomials[0][:, None]
+    for number in range(1, places):
+        found += by_place[:, number] * place_monomials[number][:, None]
+    return np.asarray(found)
+
+
+def blocks_of(count: int, size: int = 4096) -> Iterator[slice]:
+    """Slices of at most `size` pixels, whose terms stay in the processor's cache."""
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
+
+
+@cache
+def _steps(degree: int, variables: int) -> list[tuple[int, int]]:
+    """Of every monomial but the constant: the monomial and the variable that it is the product of."""
+    exponents: list[tuple[int, ...]] = [*(colour_exponents(degree) if variables == 3 else position_exponents(degree))]
+    number = {exponent: at for at, exponent in enumerate(exponents)}
+    steps = []
+    for exponent in exponents[1:]:
+        axis = next(i for i, power in enumerate(exponent) if power)
+        steps.append((number[tuple(power - (i == axis) for i, power in enumerate(exponent))], axis))
+    return steps
 
 
 def field_position(column: NDArray[Any], row: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from device.errors import RecordError
 from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.fourier_features import RandomFourierFeatures
-from device.inverse_map.polynomial_features import colour_exponents, monomials, position_exponents
+from device.inverse_map.polynomial_features import (
+    blocks_of,
+    colour_exponents,
+    monomial_rows,
+    monomials,
+    position_exponents,
+    sum_of_products,
+)
 from device.surface.fields import Float32Array, Float64Array
 
 MAX_COLOUR_DEGREE: Final = 8
@@ -52,7 +59,13 @@ class FeatureRegressor:
 
     def at(self, values: Float32Array, place: Float64Array) -> Float64Array:
         """Stereographic slopes (N, 2) of colours (N, 3) at position variables (N, 2)."""
-        return np.asarray(self.design(values, place) @ self.coefficients.reshape(-1, 2).astype(np.float64))
+        u = np.empty((len(place), 2))
+        coefficients = self.coefficients.astype(np.float64)
+        for part in blocks_of(len(place)):
+            variables, _ = self.colours.variables(values[part])
+            terms = colour_rows(variables.astype(np.float64).T, self.colour_degree, self.waves)
+            u[part] = sum_of_products(terms, monomial_rows(place[part].T, self.position_degree), coefficients)
+        return u
 
     def design(self, values: Float32Array, place: Float64Array) -> Float64Array:
         """Its features (N, M K) for colours (N, 3) at position variables (N, 2); see `design_matrix`."""
@@ -114,6 +127,12 @@ def colour_terms(variables: NDArray[Any], degree: int, waves: RandomFourierFeatu
     """Monomials up to `degree` and then waves of colours' variables (N, 3): array of shape (N, M) of their type."""
     terms = monomials(variables, degree)
     return np.concatenate([terms, waves.values(variables)], axis=-1) if waves.count else terms
+
+
+def colour_rows(variables: NDArray[Any], degree: int, waves: RandomFourierFeatures) -> NDArray[Any]:
+    """The same with every term in a row: shape (M, N), from variables of shape (3, N)."""
+    terms = monomial_rows(variables, degree)
+    return np.concatenate([terms, waves.values(variables.T).T]) if waves.count else terms
 
 
 def with_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,145 @@
+"""Features of a curve at the pixels of balls, and the normal equations of their fit, without a table of all of them.
+
+A feature is a term of colour times a monomial of place. Products of two features of a polynomial are monomials of
+colour times monomials of place again, of twice the degree: their sums over pixels, a few thousand, are all that a Gram
+matrix of a hundred thousand elements holds, for a tenth of the work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.inverse_map.fourier_features import RandomFourierFeatures
+from device.inverse_map.polynomial_features import (
+    blocks_of,
+    colour_exponents,
+    monomial_rows,
+    position_exponents,
+    sum_of_products,
+)
+from device.inverse_map.regressor import colour_rows
+from device.surface.fields import Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProductFeatures:
+    """The features of one form at pixels, F of them: every term of colour times every monomial of place.
+
+    colours : float64 array of shape (N, 3), variables of colour
+    place : float64 array of shape (N, 2), position variables
+    colour_degree, position_degree, waves : which terms there are, as `FeatureRegressor` has them
+    scale : float64 array of shape (F,), by which features are multiplied
+    rest : variables of colour of untouched skin, whose features are taken off: float64 array of shape (1, 3) where they
+        are alike everywhere, else (N, 3); None where nothing is taken off
+    """
+
+    colours: Float64Array
+    place: Float64Array
+    colour_degree: int
+    position_degree: int
+    waves: RandomFourierFeatures
+    scale: Float64Array
+    rest: Float64Array | None
+
+    def normal_equations(
+        self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Gram matrix (F, F) and moments (F, C) of pixels `rows`, with weights (N,) and what is wanted (N, C)."""
+        if self.waves.count or (self.rest is not None and len(self.rest) > 1):
+            gram, moment = self._summed(rows, weight, wanted)
+        else:
+            gram, moment = self._of_sums(rows, weight, wanted)
+        gram *= self.scale
+        gram *= self.scale[:, None]
+        return gram, moment * self.scale[:, None]
+
+    def times(self, rows: NDArray[np.intp], coefficients: Float64Array) -> Float64Array:
+        """What coefficients (F, C) make of the features of pixels `rows`: float64 array of shape (n, C)."""
+        places, columns = len(position_exponents(self.position_degree)), coefficients.shape[1]
+        scaled = (coefficients * self.scale[:, None]).reshape(-1, places, columns)
+        found = np.empty((len(rows), columns))
+        for at in blocks_of(len(rows)):
+            place = monomial_rows(self.place[rows[at]].T, self.position_degree)
+            found[at] = sum_of_products(self._terms(rows[at]), place, scaled)
+        return found
+
+    def table(self, rows: NDArray[np.intp]) -> Float64Array:
+        """The features themselves of pixels `rows`: float64 array of shape (n, F)."""
+        return self._plain(rows) * self.scale
+
+    def _plain(self, rows: NDArray[np.intp]) -> Float64Array:
+        """Features before they are scaled, float64 array of shape (n, F)."""
+        place = np.ascontiguousarray(monomial_rows(self.place[rows].T, self.position_degree).T)
+        terms = np.ascontiguousarray(self._terms(rows).T)
+        return np.asarray((terms[:, :, None] * place[:, None, :]).reshape(len(rows), -1))
+
+    def _terms(self, rows: NDArray[np.intp]) -> Float64Array:
+        """Terms of colour less those of untouched skin: float64 array of shape (M, n)."""
+        terms = self._colour_terms(self.colours[rows])
+        if self.rest is not None:
+            terms -= self._colour_terms(self.rest if len(self.rest) == 1 else self.rest[rows])
+        return terms
+
+    def _colour_terms(self, colours: Float64Array) -> Float64Array:
+        return colour_rows(colours.T, self.colour_degree, self.waves)
+
+    def _summed(
+        self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Normal equations, not scaled, block by block of pixels."""
+        count = len(self.scale)
+        gram, moment = np.zeros((count, count)), np.zeros((count, wanted.shape[1]))
+        for at in blocks_of(len(rows)):
+            root = np.sqrt(weight[rows[at], None])
+            # Both sides of a Gram matrix are one array, so that half of it need not be computed.
+            features = self._plain(rows[at])
+            features *= root
+            gram += features.T @ features
+            moment += features.T @ (root * wanted[rows[at]])
+        return gram, moment
+
+    def _of_sums(
+        self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Normal equations of a polynomial, not scaled, from sums of monomials."""
+        singles, columns = _pairs(self.position_degree, 2)[0], wanted.shape[1]
+        products = _products(self.colour_degree, self.position_degree)
+        places = int(_pairs(self.position_degree, 2).max()) + 1
+        sums: Float64Array = np.zeros((int(_pairs(self.colour_degree, 3).max()) + 1, places + len(singles) * columns))
+        for at in blocks_of(len(rows)):
+            place = weight[rows[at]] * monomial_rows(self.place[rows[at]].T, 2 * self.position_degree)
+            asked = (place[singles][:, None] * wanted[rows[at]].T).reshape(-1, place.shape[1])
+            colour = monomial_rows(self.colours[rows[at]].T, 2 * self.colour_degree)
+            sums += colour @ np.concatenate([place, asked]).T
+        gram = sums[:, :places].ravel().take(products)
+        moment = sums[_pairs(self.colour_degree, 3)[0], places:].reshape(len(gram), len(singles), columns)
+        if self.rest is not None:
+            # Untouched skin is alike everywhere: its terms times the constant are taken off the others.
+            at_rest = self._colour_terms(self.rest)[:, 0]
+            gram -= np.multiply.outer(at_rest, gram[0])
+            gram -= np.multiply.outer(gram[:, :, 0].copy(), at_rest).swapaxes(2, 3)
+            moment -= np.multiply.outer(at_rest, moment[0])
+        count = len(self.scale)
+        return gram.reshape(count, count), moment.reshape(count, columns)
+
+
+@cache
+def _pairs(degree: int, variables: int) -> NDArray[np.intp]:
+    """Which monomial of twice the degree the product of two monomials is: int array of shape (M, M)."""
+    exponents = colour_exponents if variables == 3 else position_exponents
+    number = {exponent: at for at, exponent in enumerate(exponents(2 * degree))}
+    own = exponents(degree)
+    return np.array([[number[tuple(np.add(one, other))] for other in own] for one in own], np.intp)
+
+
+@cache
+def _products(colour_degree: int, position_degree: int) -> NDArray[np.intp]:
+    """Which sum of a monomial of colour (rows) times one of place (columns) the product of two features is: int array
+    of shape (M, K, M, K), by the terms of either.
+    """
+    by_colour, by_place = _pairs(colour_degree, 3), _pairs(position_degree, 2)
+    return by_colour[:, None, :, None] * (int(by_place.max()) + 1) + by_place[:, None, :]
