@@ -20,7 +20,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -71,6 +71,9 @@ format: set-up ## put the code into the house's form
 board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 
+docs: set-up ## the documents as a site in docs-site/, links checked, with the API reference
+	@bash .ci/docs "$(VENV)"
+
 release: set-up ## wheel and sdist in dist/; dist/release for handhelds (wheel, lock, board/, systemd/, SBOM; signed with KEY=...)
 	@rm -rf dist/release dist/retrograph-*
 	"$(VENV)/bin/python" -m hatchling build -t wheel -t sdist -d dist >/dev/null
@@ -98,6 +101,10 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \
 	    --extra bench --output-file requirements-bench.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
+	    $$(sed -n 's/^\([a-z0-9._-]*\)==[^;]*$$/--no-emit-package \1/p' requirements.lock) \
+	    --extra docs --output-file requirements-docs.lock pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --output-file .ci/audit.lock - <<<pip-audit
 
@@ -105,7 +112,7 @@ audit: ## whether a locked package has a known fault (wants the network; without
 	@bash .ci/audit "$(PYTHON)"
 
 clean: ## remove .venv, demo-output and every cache
-	@rm -rf .venv .lock-tool demo-output accuracy.json dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	@rm -rf .venv .lock-tool demo-output docs-site accuracy.json dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find hal device host_sync tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 set-up:

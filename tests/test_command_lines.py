@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import re
-import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 from cyclopts import App, CycloptsError
+from typed_commands import PROGRAMS, parse, split
 
 from device.cli.commands import CALIBRATIONS
 from device.cli.commands import COMMANDS as OF_THE_HANDHELD
-from device.cli.main import app as retroscan
-from device.cli.main import main as run_retroscan
 from device.command_line import Command
 from host_sync.cli.commands import COMMANDS as OF_THE_WORKSTATION
-from host_sync.cli.main import app as retrosync
-from host_sync.cli.main import main as run_retrosync
 
-PROGRAMS: dict[str, tuple[App, Callable[[Sequence[str]], int]]] = {
-    "retroscan": (retroscan, run_retroscan),
-    "retrosync": (retrosync, run_retrosync),
-}
 TABLES = (
     ("retroscan", OF_THE_HANDHELD),
     ("retroscan calibrations", CALIBRATIONS),
@@ -34,11 +25,6 @@ TABLES = (
 LISTED = [(f"{program} {command.name}", command) for program, commands in TABLES for command in commands]
 EVERY_NAME = [name for name, _ in LISTED] + ["retroscan calibrations"]
 HEAVY = {"numba", "scipy", "matplotlib", "asyncssh", "zeroconf", "numpy", "cv2", "tifffile", "textual"}
-
-
-def split(name: str) -> tuple[str, list[str]]:
-    program, *words = shlex.split(name)
-    return program, words
 
 
 def app_of(name: str) -> App:
@@ -74,17 +60,6 @@ def test_help_ends_with_one_block_of_examples(name: str, capsys: pytest.CaptureF
 @pytest.mark.parametrize("line", [line for _, command in LISTED for line in command.examples])
 def test_every_example_parses(line: str) -> None:
     parse(line)
-
-
-def parse(line: str) -> None:
-    """Parse a command as a person types it; cyclopts' error when an option or value does not exist."""
-    program, words = split(line)
-    app = PROGRAMS[program][0]
-    if program == "retroscan":
-        _, given, _ = app.meta.parse_args(words, exit_on_error=False, print_error=False)
-        words = list(given.args)
-        assert not words or words[0] in app, line
-    app.parse_args(words, exit_on_error=False, print_error=False)
 
 
 def test_a_wrong_example_does_not_parse() -> None:

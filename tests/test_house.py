@@ -104,7 +104,9 @@ def test_no_file_names_a_package_host() -> None:
     assert lines_with(PACKAGE_HOST, own_files()) == []
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-bench.lock", ".ci/torch-cpu.lock"])
+@pytest.mark.parametrize(
+    "lock", ["requirements.lock", "requirements-bench.lock", "requirements-docs.lock", ".ci/torch-cpu.lock"]
+)
 def test_the_lock_pins_by_hash_and_names_no_index(lock: str) -> None:
     lines = (ROOT / lock).read_text(encoding="utf-8").splitlines()
     facts = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]

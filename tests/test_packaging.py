@@ -127,7 +127,12 @@ def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lock", "extras"), [("requirements.lock", ("device", "host", "dev")), ("requirements-bench.lock", ("bench",))]
+    ("lock", "extras"),
+    [
+        ("requirements.lock", ("device", "host", "dev")),
+        ("requirements-bench.lock", ("bench",)),
+        ("requirements-docs.lock", ("docs",)),
+    ],
 )
 def test_lock_holds_what_the_project_asks_for(lock: str, extras: tuple[str, ...]) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
