@@ -95,7 +95,7 @@ class Result:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against the heights, one sentence each."""
-        return tuple(self.surface.record.warnings)
+        return tuple(doubt.sentence for doubt in self.surface.doubts)
 
     def as_dict(self) -> dict[str, Any]:
         """The result as `xarray.Dataset.from_dict` takes it; coordinates in µm.
@@ -120,7 +120,12 @@ class Result:
                 name: {"dims": ("y", "x"), "data": values, "attrs": {"units": unit}}
                 for name, (values, unit) in fields.items()
             },
-            "attrs": {"name": record.name, "method": record.method, "calibration_id": record.calibration_id},
+            "attrs": {
+                "name": record.name,
+                "method": record.method,
+                "calibration_id": record.calibration_id,
+                "doubts": list(self.warnings),
+            },
         }
 
 

@@ -6,16 +6,32 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
 from device.calibration.limits import PASSED_STEEPEST_DEG
 from device.surface.fields import MaskArray
+
+RealArray = NDArray[np.floating | np.integer]
 
 SIDES: Final = 3
 _DOWN: Final = ("upper", "middle", "lower")
 _ACROSS: Final = ("left", "centre", "right")
 DIRECTIONS: Final = ("right", "lower right", "down", "lower left", "left", "upper left", "up", "upper right")
 """Where the surface falls to, clockwise as the frame is seen."""
+
+
+def _sector(down: int, across: int) -> str:
+    """A sector in words, such as "upper left corner"."""
+    if down == across == 1:
+        return "middle of the frame"
+    if 1 in (down, across):
+        return f"{_ACROSS[across]} edge" if down == 1 else f"{_DOWN[down]} edge"
+    return f"{_DOWN[down]} {_ACROSS[across]} corner"
+
+
+SECTORS: Final = tuple(_sector(row, column) for row in range(SIDES) for column in range(SIDES))
+"""Names of the nine sectors, row by row."""
 
 SECTOR_PIXELS: Final = 0.25
 """A sector is covered by this share of an average ball's pixels."""
@@ -37,6 +53,11 @@ class Coverage(msgspec.Struct, frozen=True):
     directions: dict[str, bool]
     steepest_deg: float
 
+    @property
+    def uncovered(self) -> tuple[str, ...]:
+        """Names of the sectors in which no training ball lies."""
+        return tuple(name for name, covered in self.sectors.items() if not covered)
+
     def next_place(self) -> tuple[float, float] | None:
         """Middle of the first uncovered sector, as shares of the field's columns and rows; None when all are."""
         for number, covered in enumerate(self.sectors.values()):
@@ -46,9 +67,8 @@ class Coverage(msgspec.Struct, frozen=True):
 
     def next_presses(self) -> tuple[str, ...]:
         """What to press next, one sentence each; none when all is covered."""
-        empty = [name for name, covered in self.sectors.items() if not covered]
         sides = [name for name, covered in self.directions.items() if not covered]
-        advice = [f"{name} uncovered: press a ball there" for name in empty]
+        advice = [f"{name} uncovered: press a ball there" for name in self.uncovered]
         if sides:
             advice.append(
                 f"slopes that fall to the {', '.join(sides)} uncovered: press balls whose whole contact is seen"
@@ -66,13 +86,17 @@ def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: flo
 
     steepest : largest slope of the training balls
     """
-    down = np.clip(samples.row * SIDES / shape[0], 0, SIDES - 1).astype(int)
-    across = np.clip(samples.column * SIDES / shape[1], 0, SIDES - 1).astype(int)
-    count = np.bincount(down * SIDES + across, minlength=SIDES**2)
+    count = np.bincount(sector_indices(samples.row, samples.column, shape), minlength=SIDES**2)
     enough = SECTOR_PIXELS * len(samples.p) / (int(samples.ball.max()) + 1)
-    names = [_sector(row, column) for row in range(SIDES) for column in range(SIDES)]
-    sectors = {name: bool(pixels >= enough) for name, pixels in zip(names, count, strict=True)}
+    sectors = {name: bool(pixels >= enough) for name, pixels in zip(SECTORS, count, strict=True)}
     return Coverage(sectors, _directions(samples), float(np.degrees(np.arctan(steepest))))
+
+
+def sector_indices(row: RealArray, column: RealArray, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Index in `SECTORS` of each place of a frame of `shape` (H, W); row and column in pixels."""
+    down = np.clip(row * SIDES / shape[0], 0, SIDES - 1).astype(np.intp)
+    across = np.clip(column * SIDES / shape[1], 0, SIDES - 1).astype(np.intp)
+    return np.asarray(down * SIDES + across, np.intp)
 
 
 def _directions(samples: BallSamples) -> dict[str, bool]:
@@ -81,12 +105,3 @@ def _directions(samples: BallSamples) -> dict[str, bool]:
     count = np.bincount(np.round(falls / (np.pi / 4.0)).astype(int) % 8, minlength=8)
     enough = max(DIRECTION_SHARE * tilted.sum() / 8.0, 1.0)
     return {name: bool(pixels >= enough) for name, pixels in zip(DIRECTIONS, count, strict=True)}
-
-
-def _sector(down: int, across: int) -> str:
-    """A sector in words, such as "upper left corner"."""
-    if down == across == 1:
-        return "middle of the frame"
-    if 1 in (down, across):
-        return f"{_ACROSS[across]} edge" if down == 1 else f"{_DOWN[down]} edge"
-    return f"{_DOWN[down]} {_ACROSS[across]} corner"

@@ -61,18 +61,22 @@ def gage_command(
     from host_sync.gage.gage_table import crossed, numbers, read_rows
     from host_sync.gage.gage_text import study_text
 
+    doubts: list[str] = []
     if table is not None:
         unit, what = "", str(table)
         rows = numbers(read_rows(table, "value"), str(table))
     else:
         chosen, what = chosen_recipe(recipe, {}), number
         planned = read_rows(plan, "result") if plan else _annotated(Library(library), scans) if library else []
-        rows, unit = _measured(planned, chosen, number)
+        rows, unit, doubts = _measured(planned, chosen, number)
     found = study(*crossed(rows), tolerance=tolerance)
     if not json:
         for line in study_text(found, what, unit).splitlines():
             print_line(line)
-    record = msgspec.to_builtins(found) | {"number": what, "unit": unit, "schema": "retrograph.gage/1"}
+        for words in doubts:
+            print_line(f"  doubt: {words}")
+    facts = {"number": what, "unit": unit, "doubts": doubts, "schema": "retrograph.gage/1"}
+    record = msgspec.to_builtins(found) | facts
     for path in (Path("-") if json else None, json_file):
         if path is not None:
             write_text(path, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
@@ -95,10 +99,13 @@ def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
     return rows
 
 
-def _measured(rows: Sequence[GageRow], recipe: Recipe, number: str) -> tuple[list[tuple[str, str, float]], str]:
-    """Part, operator and value of each row, and the values' unit."""
+def _measured(
+    rows: Sequence[GageRow], recipe: Recipe, number: str
+) -> tuple[list[tuple[str, str, float]], str, list[str]]:
+    """Part, operator and value of each row, the values' unit, and the results' doubts."""
     subject, _, name = number.rpartition("/")
     found = []
+    doubts: list[str] = []
     unit = ""
     # The spread of the repeats replaces the samples.
     for row, measurement in zip(rows, measured([Path(row.value) for row in rows], recipe, samples=False), strict=True):
@@ -113,7 +120,8 @@ def _measured(rows: Sequence[GageRow], recipe: Recipe, number: str) -> tuple[lis
             raise MeasurementError(f"{row.value}: {number} is not defined there: leave the result out, or correct it")
         found.append((row.part, row.operator, quantity.value))
         unit = quantity.unit
-    return found, unit
+        doubts += [f"{row.value}: {doubt.sentence}" for doubt in measurement.doubts]
+    return found, unit, doubts
 
 
 gage_by_old_name = renamed(gage_command, old="gage", new="gage-rr")

@@ -97,6 +97,7 @@ def measure_command(
         from host_sync.measurement.measurement_text import as_text
 
         done.append(found)
+        failed = failed or bool(found.failed)
         if not alone:
             for line in (*as_text(found).splitlines(), ""):
                 print_line(line)

@@ -167,6 +167,12 @@ def _draw_one(entry: Entry, still: Still, path: Path, frames: int | None) -> Non
         with _counting(entry.title) as count:
             write_turntable(path, _height(entry), still, frames, count)
     print_line(str(path))
+    _print_doubts(entry)
+
+
+def _print_doubts(entry: Entry) -> None:
+    for doubt in entry.doubts:
+        print_line(f"  doubt: {entry.title}: {doubt}")
 
 
 def _draw_all(entries: list[Entry], still: Still, folder: Path, frames: int | None) -> int:
@@ -203,12 +209,16 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
             continue
         rows, columns = entry.shape
         size_mm = f"{columns * entry.pitch_um / 1e3:.3g} × {rows * entry.pitch_um / 1e3:.3g} mm"
-        facts = [entry.hit.taken[:16].replace("T", " ") if entry.hit else None, size_mm]
+        doubtful = ", ".join(doubt.partition(":")[0] for doubt in entry.doubts)
+        taken = entry.hit.taken[:16].replace("T", " ") if entry.hit else None
+        facts = [f"DOUBTFUL ({doubtful})" if doubtful else None, taken, size_mm]
         cells.append((entry.title, ", ".join(fact for fact in facts if fact), picture))
     if not cells:
         return BAD_INPUT
     write_any_picture(path, contact_sheet(cells, across))
     print_line(str(path))
+    for entry in entries:
+        _print_doubts(entry)
     return DONE if len(cells) == len(entries) else PARTLY
 
 

@@ -45,7 +45,10 @@ def write_float_tiff(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def write_npz(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write `z_um`, `valid`, `pixel_pitch_um`, `name`, `origin`, `written_utc`; if known `sigma_um`, `extrapolated`."""
+    """Write `z_um`, `valid`, `pixel_pitch_um`, `name`, `origin`, `written_utc` and `doubts`.
+
+    If known, also `sigma_um` and `extrapolated`.
+    """
     arrays: dict[str, Any] = {
         "z_um": surface.z_um,
         "valid": np.isfinite(surface.z_um),
@@ -53,6 +56,7 @@ def write_npz(file: BinaryIO, surface: SourceSurface) -> None:
         "name": np.str_(surface.name),
         "origin": np.str_(surface.origin),
         "written_utc": np.str_(surface.written_utc),
+        "doubts": np.array(surface.doubts, np.str_),
     }
     if surface.sigma_um is not None:
         arrays["sigma_um"] = surface.sigma_um
@@ -78,6 +82,7 @@ def write_png16(file: BinaryIO, surface: SourceSurface) -> None:
         "Title": surface.name,
         "Description": "height map: height_um = height_at_0_um + grey * height_step_um; grey 0 is invalid",
         **{key: repr(value) for key, value in scale.items() if isinstance(value, float)},
+        "Doubts": "; ".join(surface.doubts) or "none",
         "Gwy::Title": surface.name,
         "Gwy::XReal": repr(surface.columns * surface.pitch_um * UM),
         "Gwy::YReal": repr(surface.rows * surface.pitch_um * UM),
@@ -108,4 +113,5 @@ def png_scale(surface: SourceSurface) -> dict[str, Any]:
         "height_at_0_um": lowest - step_um,
         "height_step_um": step_um,
         "grey_of_invalid": 0,
+        "doubts": list(surface.doubts),
     }

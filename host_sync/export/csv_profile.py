@@ -15,7 +15,7 @@ LineUm: TypeAlias = tuple[float, float, float, float]
 
 
 def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | None) -> None:
-    """Write distance along the line, column, row, height and standard uncertainty; invalid values are empty.
+    """Write distance along the line, column, row, height, standard uncertainty and doubts; invalid values are empty.
 
     line_um : None takes the middle row
 
@@ -27,9 +27,10 @@ def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | 
     distance_um, rows, columns = pixels_on_line(surface, line_um)
     z_um = surface.z_um[rows, columns]
     sigma_um = np.full_like(z_um, np.nan) if surface.sigma_um is None else surface.sigma_um[rows, columns]
-    lines = ["distance_um,column,row,height_um,height_sigma_um"]
+    doubts = _quoted("; ".join(surface.doubts))
+    lines = ["distance_um,column,row,height_um,height_sigma_um,doubts"]
     for along, column, row, height, sigma in zip(distance_um, columns, rows, z_um, sigma_um, strict=True):
-        lines.append(f"{along:.9g},{column},{row},{_cell(height)},{_cell(sigma)}")
+        lines.append(f"{along:.9g},{column},{row},{_cell(height)},{_cell(sigma)},{doubts}")
     file.write("\r\n".join([*lines, ""]).encode())
 
 
@@ -63,6 +64,14 @@ def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.n
         for axis in (0, 1)
     )
     return share * math.dist(ends[:2], ends[2:]) * surface.pitch_um, rows, columns
+
+
+def _quoted(text: str) -> str:
+    """A text cell, quoted, and harmless where a spreadsheet would take it for a formula."""
+    if not text:
+        return ""
+    guarded = f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+    return '"' + guarded.replace('"', '""') + '"'
 
 
 def _cell(value: np.float32) -> str:

@@ -88,6 +88,7 @@ def _meta(surface: SourceSurface) -> bytes:
         "Origin": surface.origin,
         "Written": surface.written_utc,
         "Pixel pitch": f"{surface.pitch_um:g} µm",
+        "Doubts": "; ".join(surface.doubts),
     }
     return b"".join(_component(key, b"s" + _text(value)) for key, value in said.items() if value)
 

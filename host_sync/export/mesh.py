@@ -27,6 +27,8 @@ class Mesh:
     z_um : float32 array of shape (H, W), µm, NaN where invalid
     pitch_um : vertex spacing, µm
     index : int32 array of shape (H, W), number of the vertex, -1 where invalid
+    doubts : reasons to distrust the heights, one printable line each
+    doubtful : the same in a few words
     """
 
     z_um: Float32Array
@@ -34,6 +36,8 @@ class Mesh:
     index: NDArray[np.int32]
     vertices: int
     triangles: int
+    doubts: tuple[str, ...] = ()
+    doubtful: str = ""
 
     def places(self, scale: float) -> Iterator[Float32Array]:
         """Positions of the vertices in order, in blocks: float32 arrays of shape (N, 3), µm times `scale`."""
@@ -86,7 +90,7 @@ def grid_mesh(surface: SourceSurface, step: int | None) -> Mesh:
     triangles = sum(len(corners) for corners in mesh.corners())
     if triangles == 0:
         raise ExportError(f"{surface.name}: no three neighbouring pixels are valid: choose a smaller mesh step")
-    return Mesh(z_um, mesh.pitch_um, index, vertices, triangles)
+    return Mesh(z_um, mesh.pitch_um, index, vertices, triangles, surface.doubts, surface.doubtful)
 
 
 def check_mesh_size(surface: SourceSurface, step: int | None) -> None:

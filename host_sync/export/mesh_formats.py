@@ -25,7 +25,8 @@ MM: Final = 1e-3
 def write_stl(file: BinaryIO, mesh: Mesh, name: str) -> None:
     """Write the mesh as an open surface in binary STL."""
     # Readers take a header that begins with "solid" for text.
-    file.write(ascii_line(f"Retrograph, mm, {name}")[:80].ljust(80))
+    said = ", ".join(part for part in ("Retrograph, mm", mesh.doubtful, name) if part)
+    file.write(ascii_line(said)[:80].ljust(80))
     file.write(struct.pack("<I", mesh.triangles))
     places = np.concatenate(list(mesh.places(MM)))
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -41,6 +42,7 @@ def write_stl(file: BinaryIO, mesh: Mesh, name: str) -> None:
 def write_obj(file: BinaryIO, mesh: Mesh, name: str) -> None:
     """Write the mesh as Wavefront OBJ."""
     file.write(b"# %b\n# unit mm\n" % ascii_line(name))
+    file.writelines(b"# doubt: %b\n" % ascii_line(doubt) for doubt in mesh.doubts)
     for places in mesh.places(MM):
         file.write((b"v %.9g %.9g %.9g\n" * len(places)) % tuple(places.ravel().tolist()))
     for corners in mesh.corners():
@@ -51,7 +53,7 @@ PLY_HEADER: Final = """ply
 format binary_little_endian 1.0
 comment {name}
 comment unit mm
-element vertex {vertices}
+{doubts}element vertex {vertices}
 property float x
 property float y
 property float z
@@ -66,7 +68,9 @@ end_header
 
 def write_ply(file: BinaryIO, mesh: Mesh, name: str) -> None:
     """Write the mesh as binary PLY."""
-    file.write(ascii_line(PLY_HEADER.format(name=name, vertices=mesh.vertices, triangles=mesh.triangles)))
+    doubts = "".join(f"comment doubt: {doubt}\n" for doubt in mesh.doubts)
+    header = PLY_HEADER.format(name=name, doubts=doubts, vertices=mesh.vertices, triangles=mesh.triangles)
+    file.write(ascii_line(header))
     vertex = np.dtype([("place", "<f4", 3), ("colour", "u1", 3)])
     for places, colours in zip(mesh.places(MM), vertex_colours(mesh), strict=True):
         rows = np.empty(len(places), vertex)
@@ -127,7 +131,7 @@ def _record(mesh: Mesh, name: str, low: list[float], high: list[float]) -> dict[
     primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0}
     surface = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
     return {
-        "asset": {"version": "2.0", "generator": "retrograph"},
+        "asset": {"version": "2.0", "generator": "retrograph", "extras": {"doubts": list(mesh.doubts)}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": name}],

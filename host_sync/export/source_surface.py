@@ -23,7 +23,9 @@ class SourceSurface:
     z_um : float32 array of shape (H, W), µm, NaN where invalid; some pixel is valid
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid; or None
     written_utc : when the result was written, as 2026-11-21T14:30:00Z; empty if unknown
-    origin : program, calibration and warnings in one line of printable characters
+    origin : program, calibration and doubts in one line of printable characters
+    doubts : reasons to distrust the heights, one printable line each
+    short_doubts : the same in a few words, for formats with little room
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the training samples; or None
     """
 
@@ -34,6 +36,13 @@ class SourceSurface:
     written_utc: str = ""
     origin: str = ""
     extrapolated: MaskArray | None = None
+    doubts: tuple[str, ...] = ()
+    short_doubts: tuple[str, ...] = ()
+
+    @property
+    def doubtful(self) -> str:
+        """The doubts in a few words, for a line that has little room; empty without doubts."""
+        return f"DOUBTFUL ({', '.join(self.short_doubts)})" if self.short_doubts else ""
 
     @property
     def rows(self) -> int:
@@ -58,7 +67,8 @@ def read_surface(folder: Path) -> SourceSurface:
     """
     result = read_result(folder, samples=False)
     record = result.record
-    parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *record.warnings)
+    doubts = tuple(one_line(doubt.sentence) for doubt in result.doubts)
+    parts = (record.program, f"calibration {record.calibration_id}" if record.calibration_id else "", *doubts)
     return checked_surface(
         SourceSurface(
             name=one_line(record.name),
@@ -68,6 +78,8 @@ def read_surface(folder: Path) -> SourceSurface:
             written_utc=one_line(record.written_utc),
             origin=one_line("; ".join(part for part in parts if part)),
             extrapolated=result.extrapolated,
+            doubts=doubts,
+            short_doubts=tuple(dict.fromkeys(doubt.kind for doubt in result.doubts)),
         ),
         folder,
     )

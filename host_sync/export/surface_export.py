@@ -25,6 +25,8 @@ Rest = ParamSpec("Rest")
 
 MAX_NAME: Final = 120
 """Longest file name without suffix, bytes."""
+LITTLE_ROOM: Final = frozenset({"tmd", "stl", "al3d"})
+"""Formats that hold no text of any length: doubts are marked there, and stand in a text file beside."""
 PERMITTED: Final = "-_.+ "
 DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
 
@@ -103,7 +105,14 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
             writers[f".{form}"] = _bound(_MESHES[form], cast(Mesh, mesh), surface.name)
         if form == "png":
             writers[".png.json"] = _bound(write_png_scale, surface)
+        if form in LITTLE_ROOM and surface.doubts:
+            writers[f".{form}.doubts.txt"] = _bound(_write_doubts, surface)
     return writers
+
+
+def _write_doubts(file: BinaryIO, surface: SourceSurface) -> None:
+    """Write the doubts, one a line."""
+    file.write("\n".join((surface.name, *surface.doubts, "")).encode())
 
 
 def _bound(write: Callable[Concatenate[BinaryIO, Rest], None], *rest: Rest.args, **named: Rest.kwargs) -> Writer:

@@ -78,6 +78,7 @@ def write_gsf(file: BinaryIO, surface: SourceSurface) -> None:
         "ZUnits": "m",
         "Title": surface.name,
         "Origin": surface.origin,
+        "Doubts": "; ".join(surface.doubts),
     }
     text = "Gwyddion Simple Field 1.0\n" + "".join(f"{key} = {value}\n" for key, value in lines.items() if value)
     head = text.encode()
@@ -104,7 +105,8 @@ def write_al3d(file: BinaryIO, surface: SourceSurface) -> None:
         "NumberOfPlanes": 0,
         "IconOffset": 0,
     }
-    comment = ascii_line(f"{surface.name}; {surface.origin}")[: AL3D_COMMENT_BYTES - 3]
+    said = (surface.doubtful, surface.name, surface.origin)
+    comment = ascii_line("; ".join(part for part in said if part))[: AL3D_COMMENT_BYTES - 3]
     file.write(AL3D_MAGIC)
     for key, value in {"Version": 1, "TagCount": len(tags), **tags}.items():
         file.write(struct.pack("20s30s2s", key.encode(), str(value).encode(), b"\r\n"))

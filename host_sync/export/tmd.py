@@ -21,6 +21,9 @@ MAGIC: Final = b"Binary TrueMap Data File v2.0\r\n\0"
 ANY_VERSION: Final = b"Binary TrueMap Data File"
 UM_TO_MM: Final = 1e-3
 SIZES: Final = "<IIffff"
+COMMENT_BYTES: Final = 21
+"""Of the comment that GelSight's own program writes; surfalize reads files with this length only."""
+
 MAX_COMMENT_BYTES: Final = 4096
 MAX_PIXELS: Final = 2**31
 SQUARE: Final = 1e-3
@@ -28,9 +31,9 @@ SQUARE: Final = 1e-3
 
 
 def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
-    """Write the height map; the uncertainty is not written."""
-    comment = ascii_line(f"{surface.name}; {surface.origin}")[: MAX_COMMENT_BYTES - 1]
-    file.write(MAGIC + comment + b"\0")
+    """Write the height map; neither uncertainty nor name nor the doubts' reasons are written."""
+    comment = ascii_line("Retrograph, DOUBTFUL" if surface.doubts else "Retrograph")
+    file.write(MAGIC + comment.ljust(COMMENT_BYTES) + b"\r\n\0")
     lengths_mm = (surface.columns * surface.pitch_um * UM_TO_MM, surface.rows * surface.pitch_um * UM_TO_MM)
     file.write(struct.pack(SIZES, surface.columns, surface.rows, *lengths_mm, 0.0, 0.0))
     file.writelines(row_blocks(surface.z_um, UM_TO_MM, "<f4"))
@@ -65,7 +68,7 @@ def read_tmd(path: Path) -> SourceSurface:
         raise ExportError(f"{path}: its pixels are {pitch_um:g} x {down_um:g} um: export one with square pixels")
     z_um = np.fromfile(path, "<f4", columns * rows, offset=start).reshape(rows, columns)
     z_um /= np.float32(UM_TO_MM)
-    comment = head[len(MAGIC) : end].decode("ascii", "replace")
+    comment = head[len(MAGIC) : end].decode("ascii", "replace").strip()
     surface = SourceSurface(
         name=path.stem,
         z_um=z_um.astype(np.float32, copy=False),

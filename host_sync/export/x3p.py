@@ -53,7 +53,7 @@ _RECORD = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
       <Type>NonContacting</Type>
       <Identification>photometric, through a gel</Identification>
     </ProbingSystem>
-    <Comment>{name}</Comment>
+    <Comment>{comment}</Comment>
   </Record2>
   <Record3>
     <MatrixDimension>
@@ -84,7 +84,7 @@ def write_x3p(file: BinaryIO, surface: SourceSurface) -> None:
         y=_AXIS.format(axis="Y", pitch=surface.pitch_um * UM),
         written=escape(surface.written_utc or UNKNOWN_TIME),
         origin=escape(surface.origin or "not available"),
-        name=escape(surface.name),
+        comment=escape("; ".join((surface.name, *surface.doubts))),
         columns=surface.columns,
         rows=surface.rows,
         checksum=data.hexdigest(),

@@ -21,6 +21,7 @@ from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHA
 from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
 from host_sync.iso25178.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
 from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_parameters
+from host_sync.measurement.footprint import field_places, region_places
 from host_sync.measurement.geometry import Region
 from host_sync.measurement.recipe import Recipe
 from host_sync.measurement.sphere import SphereForm
@@ -117,6 +118,9 @@ class ArealMeasurand:
         self._window = Region(*recipe.region_um).pixels(shape, height.pitch_um) if recipe.region_um else whole
         beyond = None if extrapolated is None else extrapolated[self._window]
         self._left_out = None if recipe.keep_extrapolated else beyond
+        self.places_px = (
+            region_places([Region(*recipe.region_um)], height.pitch_um) if recipe.region_um else field_places(shape)
+        )
         self._preparation = Preparation(HeightMap(self._cut(height.z_um), height.pitch_um), recipe)
         self._wanted = _wanted(recipe)
         self._correlation = Autocorrelation(self._preparation.valid) if self._wants("spatial") else None
@@ -180,9 +184,13 @@ class ArealMeasurand:
             every.append(f"{self.masked_share:.0%} of the area is masked: the surface there may differ")
         if self._beyond_share > BEYOND_SHARE:
             done = "kept" if self._left_out is None else "left out"
-            beyond = f"{self._beyond_share:.1%} of the area has slopes beyond those of the calibration balls"
-            every.append(f"{beyond}: {done}")
+            share = f"{self._beyond_share:.1%} of the area"
+            every.append(f"extrapolated slopes: {share} has slopes beyond those of the calibration balls: {done}")
         return {"": tuple(every)} | self._spatial_warnings()
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """None: the standard defines every parameter."""
+        return {}
 
     def notes(self) -> tuple[str, ...]:
         """Notes on region and filters."""

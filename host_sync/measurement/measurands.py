@@ -7,13 +7,15 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.measurement.footprint import line_places, region_places
 from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
 from host_sync.measurement.sphere import fit_sphere
-from host_sync.profile.profile_line import Line, profile_along
-from host_sync.profile.step_height import StepEdges, find_edges, step_height_um
+from host_sync.profile.profile_line import Line, Profile, profile_along
+from host_sync.profile.step_height import StepEdges, definition_sigma_um, find_edges, room_share, step_height_um
 
 _UM: Final = ParameterKind("µm")
 _LENGTH: Final = ParameterKind("µm", 1.0)
@@ -41,50 +43,121 @@ class Measurand(Protocol):
         """The numbers on a surface of shape (H, W), NaN where undefined; at least those of `kinds`."""
         ...
 
+    @property
+    def places_px(self) -> Float64Array:
+        """Points all over it: float64 array of shape (N, 2), row and column, px."""
+        ...
+
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """Warnings by name; those of all numbers under an empty name."""
         ...
 
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """Standard uncertainties by name that no sample of the height error shows, in the number's unit."""
+        ...
 
-class _WithoutWarnings:
-    """A measurand without warnings of its own."""
+
+class _Plain:
+    """A measurand without warnings of its own, and without an uncertainty of what is called by its name."""
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         return {}
 
+    def definition_sigmas(self) -> Mapping[str, float]:
+        return {}
 
-class StepMeasurand(_WithoutWarnings):
-    """A step, groove or ridge; its edges are found once, on the height map."""
+
+class FailedMeasurand(_Plain):
+    """A measurand that the result does not show: its numbers are not defined, and its warning says why."""
+
+    masked_share = 0.0
+
+    def __init__(self, name: str, label: str, reason: str) -> None:
+        self.name = name
+        self._label = label
+        self.reason = reason
+        self.places_px = np.zeros((0, 2))
+
+    def kinds(self) -> Mapping[str, ParameterKind]:
+        """The one number that stands for all."""
+        return {self._label: ParameterKind("")}
+
+    def values(self, z_um: Float32Array) -> Mapping[str, float]:  # noqa: ARG002 - nothing is found on it
+        """No value."""
+        return {self._label: float("nan")}
+
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """The reason."""
+        return {"": (f"not measured: {self.reason}",)}
+
+
+class StepMeasurand(_Plain):
+    """A step, groove or ridge; the profile between the edges found on the height map is used of every sample."""
 
     def __init__(self, table: StepTable, height: HeightMap) -> None:
         self.name = table.name
-        self._line = Line(table.from_um, table.to_um, table.width_um)
+        self.line = Line(table.from_um, table.to_um, table.width_um)
         self._pitch_um = height.pitch_um
-        profile = profile_along(height.z_um, height.pitch_um, self._line)
-        self.masked_share = profile.masked_share
-        self._edges = StepEdges(table.kind, table.edges_um) if table.edges_um else find_edges(profile, table.kind)
-        found = step_height_um(profile, self._edges)
+        self.profile = profile_along(height.z_um, height.pitch_um, self.line)
+        self.places_px = line_places(self.line, height.pitch_um)
+        self.masked_share = self.profile.masked_share
+        self._are_found = not table.edges_um
+        self.edges = StepEdges(table.kind, table.edges_um) if table.edges_um else find_edges(self.profile, table.kind)
+        found = step_height_um(self.profile, self.edges)
+        if table.kind == "ridge" and found < 0.0:
+            raise MeasurementError("the line crosses a groove and no ridge: set kind, or draw it elsewhere")
         self._sign = -1.0 if found < 0.0 and table.kind == "groove" else 1.0
         self._label = "depth" if self._sign < 0.0 else "height"
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Height, or depth of a groove."""
-        return {self._label: _UM}
+        """Height, or depth of a groove; then where its edges lie along the line."""
+        if self.edges.kind == "step":
+            return {self._label: _UM, "edge at": _LENGTH}
+        return {self._label: _UM, "first edge at": _LENGTH, "second edge at": _LENGTH, "width": _LENGTH}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Step height or groove depth by ISO 5436-1."""
-        profile = profile_along(z_um, self._pitch_um, self._line)
-        return {self._label: self._sign * step_height_um(profile, self._edges)}
+        """Step height or groove depth by ISO 5436-1, and the edges, µm."""
+        profile = profile_along(z_um, self._pitch_um, self.line)
+        height = {self._label: self._sign * step_height_um(profile, self.edges)}
+        places = self._edges_of(profile)
+        if len(places) == 1:
+            return height | {"edge at": places[0]}
+        return height | {"first edge at": places[0], "second edge at": places[1], "width": places[1] - places[0]}
+
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """A line that is too short for the step's flank."""
+        share = room_share(self.profile, self.edges)
+        if share >= 1.0:
+            return {}
+        words = (
+            f"the line holds {share:.0%} of the profile that the flank of {self.edges.flank_um:.0f} µm asks for beside "
+            "the edge: lengthen it"
+        )
+        return {self._label: (words,)}
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """How far the height depends on how much of the profile is used."""
+        return {self._label: definition_sigma_um(self.profile, self.edges)}
+
+    def _edges_of(self, profile: Profile) -> tuple[float, ...]:
+        if not self._are_found:
+            return self.edges.places_um
+        try:
+            return find_edges(profile, self.edges.kind).places_um
+        except MeasurementError:
+            return tuple(float("nan") for _ in self.edges.places_um)
 
 
-class DistanceMeasurand(_WithoutWarnings):
+class DistanceMeasurand(_Plain):
     """Distances between two places."""
 
     def __init__(self, table: DistanceTable, height: HeightMap) -> None:
         self.name = table.name
         self._ends = np.array([table.from_um, table.to_um], np.float64)
         self._pitch_um = height.pitch_um
+        self.places_px = line_places(Line(table.from_um, table.to_um), height.pitch_um)
         self.masked_share = 0.0
+        self.values(height.z_um)  # a place outside the field is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Three lengths and the slope angle."""
@@ -100,7 +173,7 @@ class DistanceMeasurand(_WithoutWarnings):
         return between_places(z_um, self._pitch_um, *self._ends)
 
 
-class AngleMeasurand(_WithoutWarnings):
+class AngleMeasurand(_Plain):
     """Angle between two faces."""
 
     def __init__(self, table: AngleTable, height: HeightMap) -> None:
@@ -108,6 +181,7 @@ class AngleMeasurand(_WithoutWarnings):
         self._regions = Region(*table.first_um), Region(*table.second_um)
         self._pitch_um = height.pitch_um
         self.masked_share = _masked(height, *self._regions)
+        self.places_px = region_places(self._regions, height.pitch_um)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """One angle."""
@@ -119,7 +193,7 @@ class AngleMeasurand(_WithoutWarnings):
         return {"angle": between_planes_deg(first, second, self._pitch_um)}
 
 
-class RadiusMeasurand(_WithoutWarnings):
+class RadiusMeasurand(_Plain):
     """Radius of a sphere."""
 
     def __init__(self, table: RadiusTable, height: HeightMap) -> None:
@@ -127,6 +201,7 @@ class RadiusMeasurand(_WithoutWarnings):
         self._region = Region(*table.region_um)
         self._pitch_um = height.pitch_um
         self.masked_share = _masked(height, self._region)
+        self.places_px = region_places([self._region], height.pitch_um)
         self._start = fit_sphere(self._region.cut(height.z_um, height.pitch_um), height.pitch_um)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
@@ -139,7 +214,7 @@ class RadiusMeasurand(_WithoutWarnings):
         return {"radius": found.radius_um, "residual": found.residual_um}
 
 
-class VolumeMeasurand:
+class VolumeMeasurand(_Plain):
     """Volumes of a pit or a hill."""
 
     def __init__(self, table: VolumeTable, height: HeightMap) -> None:
@@ -148,6 +223,7 @@ class VolumeMeasurand:
         self._pitch_um = height.pitch_um
         self._border_px = max(round(table.border_um / height.pitch_um), 1)
         self.masked_share = _masked(height, self._region)
+        self.places_px = region_places([self._region], height.pitch_um)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Two volumes, a depth and a height."""

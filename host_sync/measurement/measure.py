@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -14,16 +14,19 @@ from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
+from host_sync.measurement.footprint import share_at
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
+from host_sync.measurement.levelling import Levelling
 from host_sync.measurement.measurands import (
     AngleMeasurand,
     DistanceMeasurand,
+    FailedMeasurand,
     Measurand,
     RadiusMeasurand,
     StepMeasurand,
     VolumeMeasurand,
 )
-from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
+from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.quantity import (
     NOISE_SHARE,
@@ -33,8 +36,18 @@ from host_sync.measurement.quantity import (
     uncertainty_of,
     uncertainty_of_uncertainty,
 )
-from host_sync.measurement.recipe import Recipe
+from host_sync.measurement.recipe import (
+    AngleTable,
+    DistanceTable,
+    ProfileTable,
+    RadiusTable,
+    Recipe,
+    StepTable,
+    VolumeTable,
+)
 from host_sync.profile.profile_line import Profile
+from host_sync.profile.step_height import lines_um, used_samples
+from host_sync.results.doubts import doubts_at
 from host_sync.results.files import SAMPLES_FILE, SLOPE_SIGMA_FILE
 from host_sync.results.reader import ResultSurface, read_result
 
@@ -42,6 +55,10 @@ DIRECTION: Final = "Std"
 NO_SHAPE_SIGMA: Final = (
     "± not stated: without an L-filter waviness dominates, which slopes determine least: set l_filter_um"
 )
+
+NO_PITCH_SIGMA: Final = "± without that of the pixel pitch, which is not known: set scale.pixel_pitch_share"
+NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: set scale.pixel_pitch_share"
+SPREAD_PX: Final = 128
 
 AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
 PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
@@ -78,15 +95,34 @@ class _MeasurementPlan:
     def __init__(self, surface: ResultSurface, smooth: HeightMap, recipe: Recipe) -> None:
         height = surface.height
         self.areal = ArealMeasurand(recipe, height, surface.extrapolated)
-        self.profiles = [ProfileMeasurand(table, height) for table in recipe.profile]
-        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth)]
+        made = [_made(table, "profile", ProfileMeasurand, height) for table in recipe.profile]
+        self.profiles = [one for one in made if isinstance(one, ProfileMeasurand)]
+        self.failed = [one for one in made if isinstance(one, FailedMeasurand)]
+        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth), *self.failed]
+        self.failed += [one for one in self.others[len(self.profiles) :] if isinstance(one, FailedMeasurand)]
+        self.failed = list(dict.fromkeys(self.failed))
+        shape = (height.z_um.shape[0], height.z_um.shape[1])
+        self.doubts = [self._doubts(surface, one, shape) for one in self.measurands]
+        scale = surface.record.height_scale
+        self.pitch_is_known = (scale.pixel_pitch_share or recipe.scale.pixel_pitch_share) is not None
         self._spectrum: RadialSpectrum | None = None
         if recipe.spectrum:
             self._spectrum = RadialSpectrum(self.areal.valid, height.pitch_um)
 
+    def _doubts(self, surface: ResultSurface, one: Measurand, shape: tuple[int, int]) -> tuple[str, ...]:
+        """The result's doubts that concern a measurand, a sentence each."""
+        share = share_at(surface.extrapolated, one.places_px) if len(one.places_px) else None
+        if one is self.areal and share is not None:
+            share = 0.0  # it states its own fraction, and what was done with it
+        return tuple(doubt.sentence for doubt in doubts_at(surface.doubts, one.places_px, shape, share))
+
     @property
     def measurands(self) -> list[Measurand]:
         return [self.areal, *self.others]
+
+    def doubts_of(self, one: Measurand) -> tuple[str, ...]:
+        """The doubts of one of the measurands."""
+        return self.doubts[self.measurands.index(one)]
 
     def rough(self, z_um: Float32Array) -> tuple[Numbers, ...]:
         """The parameters of surface and profiles of a height map of shape (H, W)."""
@@ -104,8 +140,8 @@ class _MeasurementPlan:
             A measurand is not found on it.
         """
         limited = self.areal.surface(z_um)
-        numbers = [self.areal.parameters(limited.z_um), *(one.values(z_um) for one in self.profiles)]
-        numbers += [one.values(smooth_um) for one in self.others[len(self.profiles) :]]
+        numbers = [self.areal.parameters(limited.z_um), *(_numbers(one, z_um) for one in self.profiles)]
+        numbers += [_numbers(one, smooth_um) for one in self.others[len(self.profiles) :]]
         traces = [one.trace(z_um).z_um for one in self.profiles]
         if self._spectrum is not None:
             traces.append(self._spectrum.of(limited.z_um).density_um3)
@@ -116,6 +152,28 @@ class _MeasurementPlan:
         """The spectrum, if the recipe has one."""
         bands = self._spectrum
         return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, found.traces[-1])
+
+
+Made = TypeVar("Made", bound=Measurand)
+TableT = TypeVar("TableT", ProfileTable, StepTable, DistanceTable, AngleTable, RadiusTable, VolumeTable)
+
+
+def _made(
+    table: TableT, label: str, kind: Callable[[TableT, HeightMap], Made], height: HeightMap
+) -> Made | FailedMeasurand:
+    """The measurand of a table, or what says why the result does not show it."""
+    try:
+        return kind(table, height)
+    except MeasurementError as error:
+        return FailedMeasurand(table.name, label, str(error))
+
+
+def _numbers(one: Measurand, z_um: Float32Array) -> Numbers:
+    """Its values; not a number where a sample does not show it."""
+    try:
+        return one.values(z_um)
+    except MeasurementError:
+        return dict.fromkeys(one.kinds(), float("nan"))
 
 
 def measure_result(
@@ -141,19 +199,26 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     """The measurement of a surface; errors as for `measure_result`."""
     smooth = surface.with_detail(recipe.detail or "shrunk")
     surface = surface.with_detail(recipe.detail or "raw")
+    level = Levelling(recipe.level, smooth) if recipe.level else None
+    if level is not None:
+        surface, smooth = (replace(one, height=_levelled(one.height, level)) for one in (surface, smooth))
     plan = _MeasurementPlan(surface, smooth.height, recipe)
     found = plan.evaluate(surface.height.z_um, smooth.height.z_um)
     samples = HeightSamples(surface, recipe.scale)
     raised = _raised(plan, found, samples.noisier())
     drawn: list[Sequence[Numbers]] = []
     squares = [np.zeros_like(trace) for trace in found.traces]
+    spread = _LevelSpread(smooth.height.z_um)
     for number, (allowed, smoother) in enumerate(_drawn(samples, surface, smooth, recipe), start=1):
         tell(f"{surface.folder.name}: sample {number} of {len(samples)}")
         try:
-            sample = plan.evaluate(allowed.z_um, smoother.z_um, allowed.stretch)
+            heights = (allowed.z_um, smoother.z_um)
+            rough_um, smooth_um = heights if level is None else (level.apply(z_um) for z_um in heights)
+            sample = plan.evaluate(rough_um, smooth_um, allowed.stretch)
         except MeasurementError:
             continue  # a sample without the measurand gives no value; each quantity states its number of samples
         drawn.append(sample.numbers)
+        spread.add(smoother.z_um, smooth_um)
         for square, trace, first in zip(squares, sample.traces, found.traces, strict=True):
             square += (trace - first) ** 2
     sigmas = [np.sqrt(square / len(drawn)) if drawn else None for square in squares]
@@ -163,16 +228,61 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
         record=surface.record,
         recipe=recipe,
         quantities=tuple(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised)),
-        notes=(*plan.areal.notes(), *_notes(surface, recipe, len(samples))),
+        notes=(
+            *plan.areal.notes(),
+            *((level.words + spread.words(len(drawn)),) if level else ()),
+            *_notes(surface, recipe, len(samples)),
+        ),
         height=smooth.height,
         surface=found.surface,
         sigma_um=surface.sigma_um,
         profiles=tuple(
-            MeasuredProfile(one.name, one.line, Profile(trace, surface.height.pitch_um), sigma)
+            MeasuredProfile(one.name, one.line, Profile(trace, surface.height.pitch_um), sigma, plan.doubts_of(one))
             for one, trace, sigma in zip(plan.profiles, found.traces, sigmas, strict=False)
         ),
         spectrum=MeasuredSpectrum(spectrum, sigmas[-1]) if spectrum else None,
+        doubts=surface.doubts,
+        steps=tuple(_step(one, plan.doubts_of(one)) for one in plan.others if isinstance(one, StepMeasurand)),
+        failed=tuple(one.name for one in plan.failed),
     )
+
+
+class _LevelSpread:
+    """Spread of heights over the samples at a few pixels, before and after levelling.
+
+    Parameters
+    ----------
+    nominal_um : float32 array of shape (H, W), the levelled height map
+    """
+
+    def __init__(self, nominal_um: Float32Array) -> None:
+        step = max(1, max(nominal_um.shape) // SPREAD_PX)
+        self._here = (slice(None, None, step), slice(None, None, step))
+        self._nominal_um = nominal_um[self._here].astype(np.float64)
+        self._squares = np.zeros((2, *self._nominal_um.shape))
+
+    def add(self, before_um: Float32Array, after_um: Float32Array) -> None:
+        """Take one sample in."""
+        for square, z_um in zip(self._squares, (before_um, after_um), strict=True):
+            square += (z_um[self._here] - self._nominal_um) ** 2
+
+    def words(self, samples: int) -> str:
+        """What levelling does to the ± of heights; nothing without samples."""
+        known = np.isfinite(self._squares[0])
+        if not samples or not known.any():
+            return ""
+        before, after = (float(np.median(np.sqrt(square[known] / samples))) for square in self._squares)
+        return f": the median ± of a height goes from {before:.2g} to {after:.2g} µm (k = 1)"
+
+
+def _levelled(height: HeightMap, level: Levelling) -> HeightMap:
+    return HeightMap(level.apply(height.z_um), height.pitch_um)
+
+
+def _step(one: StepMeasurand, doubts: tuple[str, ...]) -> MeasuredStep:
+    base_um, top_um = lines_um(one.profile, one.edges)
+    used = used_samples(one.profile, one.edges)
+    return MeasuredStep(one.name, one.line, one.profile, one.edges.places_um, base_um, top_um, used, doubts)
 
 
 def _drawn(
@@ -199,15 +309,15 @@ def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float3
 
 def _others(recipe: Recipe, height: HeightMap) -> Iterable[Measurand]:
     for step in recipe.step:
-        yield StepMeasurand(step, height)
+        yield _made(step, "height", StepMeasurand, height)
     for distance in recipe.distance:
-        yield DistanceMeasurand(distance, height)
+        yield _made(distance, "in space", DistanceMeasurand, height)
     for angle in recipe.angle:
-        yield AngleMeasurand(angle, height)
+        yield _made(angle, "angle", AngleMeasurand, height)
     for radius in recipe.radius:
-        yield RadiusMeasurand(radius, height)
+        yield _made(radius, "radius", RadiusMeasurand, height)
     for volume in recipe.volume:
-        yield VolumeMeasurand(volume, height)
+        yield _made(volume, "void volume", VolumeMeasurand, height)
 
 
 def _stretched(numbers: Numbers, kinds: Mapping[str, ParameterKind], stretch: float) -> Numbers:
@@ -222,7 +332,7 @@ def _quantities(
     noise: Sequence[Numbers] = (),
 ) -> Iterable[Quantity]:
     for index, (measurand, numbers) in enumerate(zip(plan.measurands, found, strict=True)):
-        warnings = measurand.warnings()
+        warnings, definition = measurand.warnings(), measurand.definition_sigmas()
         for name, kind in measurand.kinds().items():
             value = numbers[name]
             others = np.array([sample[index][name] for sample in drawn])
@@ -230,6 +340,11 @@ def _quantities(
             if known and known[0] == 0.0:
                 known = None  # the samples do not vary it: a lateral length whose pitch has no uncertainty
             words = (*warnings.get("", ()), *warnings.get(name, ()))
+            if kind.stretch_power and not plan.pitch_is_known and np.isfinite(value):
+                words += (NO_PITCH_SIGMA if known else NO_LENGTH_SIGMA,)
+            words += plan.doubts[index]
+            if known and name in definition:
+                known = float(np.hypot(known[0], definition[name])), *known[1:]
             if known and measurand is plan.areal and name in plan.areal.without_sigma:
                 known, words = None, (*words, NO_SHAPE_SIGMA)
             taken = noise[index].get(name) if index < len(noise) else None
@@ -281,5 +396,3 @@ def _notes(surface: ResultSurface, recipe: Recipe, samples: int) -> Iterable[str
             yield f"scale: ± of the {name} is not known and not included: set scale.{name.replace(' ', '_')}_share"
     if samples and recipe.scale.unlike_balls_share:
         yield f"scale: ± of {recipe.scale.unlike_balls_share:.1%} is included, for surfaces unlike the balls"
-    for warning in surface.record.warnings:
-        yield f"reconstruction: {warning}"

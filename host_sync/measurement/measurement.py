@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap
+from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.iso25178.power_spectrum import PowerSpectrum
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 from host_sync.profile.profile_line import Line, Profile
+from host_sync.results.doubts import Doubt
 from host_sync.results.record import ResultRecord
 
 
@@ -21,6 +22,25 @@ class MeasuredProfile:
     line: Line
     profile: Profile
     sigma_um: Float64Array | None
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredStep:
+    """A step's profile with what was found on it.
+
+    base_um, top_um : float64 arrays of shape (N,), the lines fitted beside and in it (left and right of a step), µm
+    used : bool array of shape (N,), samples that they are fitted to
+    """
+
+    name: str
+    line: Line
+    profile: Profile
+    edges_um: tuple[float, ...]
+    base_um: Float64Array
+    top_um: Float64Array
+    used: MaskArray
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +59,8 @@ class Measurement:
     surface : the scale-limited surface of the region
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height; None if unknown
     notes : sentences that concern all quantities
+    doubts : of the whole result; each quantity and profile states those that concern it
+    failed : names of what the recipe asks for and the result does not show
     """
 
     folder: Path
@@ -51,3 +73,6 @@ class Measurement:
     sigma_um: Float32Array | None
     profiles: tuple[MeasuredProfile, ...]
     spectrum: MeasuredSpectrum | None
+    doubts: tuple[Doubt, ...] = ()
+    steps: tuple[MeasuredStep, ...] = ()
+    failed: tuple[str, ...] = ()

@@ -42,6 +42,8 @@ def operations(recipe: Recipe) -> str:
         else:
             parts.append(f"{name}-filter: nesting index {index_um:g} µm (Gaussian, ISO 16610-61)")
     region = recipe.region_um
+    if recipe.level is not None:
+        parts.insert(0, f"levelled on: {recipe.level.on}")
     place = "whole field" if region is None else "region {:g} {:g} {:g} {:g} µm".format(*region)
     return "; ".join([place, *parts])
 
@@ -50,6 +52,7 @@ def as_text(measurement: Measurement) -> str:
     """A table: operations, one line per quantity with its warnings, and notes."""
     record = measurement.record
     lines = [f"{record.name}  ({measurement.folder})", operations(measurement.recipe)]
+    lines += [f"doubt: {doubt.sentence}" for doubt in measurement.doubts]
     for subject, quantities in groupby(measurement.quantities, key=lambda one: one.subject):
         group = list(quantities)
         factor = f"k = {group[0].coverage_factor}"
@@ -82,14 +85,21 @@ def as_record(measurement: Measurement) -> dict[str, Any]:
         "operations": operations(measurement.recipe),
         "quantities": [msgspec.to_builtins(one) | {"sentence": one.sentence} for one in measurement.quantities],
         "notes": measurement.notes,
+        "doubts": measurement.doubts,
+        "failed": measurement.failed,
         "profiles": [
             {
                 "name": one.name,
                 "step_um": one.profile.step_um,
                 "z_um": _numbers(one.profile.z_um),
                 "sigma_um": None if one.sigma_um is None else _numbers(one.sigma_um),
+                "doubts": one.doubts,
             }
             for one in measurement.profiles
+        ],
+        "steps": [
+            {"name": one.name, "edges_um": one.edges_um, "step_um": one.profile.step_um, "doubts": one.doubts}
+            for one in measurement.steps
         ],
         "spectrum": _spectrum(measurement),
     }

@@ -10,6 +10,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.measurement.footprint import line_places
 from host_sync.measurement.recipe import ProfileTable
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.profile_parameters import profile_parameters
@@ -38,6 +39,7 @@ class ProfileMeasurand:
         self._table = table
         self._pitch_um = height.pitch_um
         self.line = Line(table.from_um, table.to_um, table.width_um)
+        self.places_px = line_places(self.line, height.pitch_um)
         whole = self.trace(height.z_um)
         self.masked_share = whole.masked_share
         self._letter = "P" if table.l_filter_um is None else "R"
@@ -72,6 +74,10 @@ class ProfileMeasurand:
         ends = "" if self._trim else " and includes the ends that the filter distorts"
         words = f"the line has room for {self._sections} of {table.sections} sections of {table.l_filter_um:g} µm{ends}"
         return {"": (words,)}
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """None: the standard defines every parameter."""
+        return {}
 
     def _evaluation(self, whole: Profile) -> tuple[int, int]:
         """Number of sections, and of samples dropped at either end."""

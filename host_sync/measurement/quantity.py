@@ -53,7 +53,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
         factor, name = shown_in(self.unit, self.value)
         unit = f" {name}" if name else ""
         if self.uncertainty is None:
-            return f"{factor * self.value:.4g}{unit}, ± not known"
+            return f"{plain(factor * self.value)}{unit}, ± not known"
         places = decimals(factor * self.uncertainty)
         value, uncertainty = (round(factor * one, places) for one in (self.value, self.uncertainty))
         shown = max(places, 0)
@@ -66,9 +66,24 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.name} {self.number}{known}, {100.0 * self.masked_share:.2g} % masked"
 
 
+LONG_UM: Final = 1e4
+"""Lengths from here on are shown in mm."""
+
+
 def shown_in(unit: str, value: float) -> tuple[float, str]:
-    """Factor and unit for display: volumes of 0.01 mm³ and more in mm³."""
+    """Factor and unit for display: lengths of 10 mm and more in mm, volumes of 0.01 mm³ and more in mm³."""
+    if unit == "µm" and abs(value) >= LONG_UM:
+        return 1e-3, "mm"
     return (1e-9, "mm³") if unit == "µm³" and abs(value) >= 1e7 else (1.0, unit)
+
+
+def plain(value: float) -> str:
+    """The value to four digits without an exponent where a person reads it so: 17500 and not 1.75e+04."""
+    if not 1e-4 <= abs(value) < 1e9:
+        return f"{value:.4g}"
+    places = max(0, 3 - int(np.floor(np.log10(abs(value)))))
+    text = f"{round(value, 3 - int(np.floor(np.log10(abs(value))))):.{places}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def decimals(uncertainty: float) -> int:

@@ -35,6 +35,18 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """A table of the file; unknown keys are refused."""
 
 
+class LevelTable(_Table, frozen=True):
+    """What a height map is levelled on before anything is measured.
+
+    on : untouched skin (found, or `regions_um`), three or more points, a line between two points (the slope across it
+        stays), or the plane through `regions_um`
+    """
+
+    on: Literal["skin", "points", "line", "plane"]
+    points_um: tuple[Place, ...] = ()
+    regions_um: tuple[Rectangle, ...] = ()
+
+
 class ProfileTable(_Table, frozen=True):
     """A profile along a line and its parameters; the L-filter's nesting index is also the section length.
 
@@ -53,7 +65,7 @@ class ProfileTable(_Table, frozen=True):
 
 
 class StepTable(_Table, frozen=True):
-    """A step or a groove (or ridge) across a line; edges are distances along it, detected by default."""
+    """A step, groove or ridge across a line; edges are distances along it, detected by default."""
 
     name: Label
     from_um: Place
@@ -99,6 +111,7 @@ class Recipe(_Table, frozen=True):
 
     coverage_factor : k, the factor on standard uncertainties
     keep_extrapolated : include pixels whose slopes lie beyond the calibration's training samples
+    level : what the height map is levelled on first; as reconstruction left it by default
     form : the form that is removed first, by least squares
     s_filter_um, l_filter_um : nesting indices of the areal Gaussian filters
     parameters : names of parameters or groups
@@ -114,6 +127,7 @@ class Recipe(_Table, frozen=True):
     coverage_factor: Literal[1, 2] = 1
     region_um: Rectangle | None = None
     keep_extrapolated: bool = False
+    level: LevelTable | None = None
     form: str = "plane"
     s_filter_um: Length | None = None
     l_filter_um: Length | None = None
@@ -148,6 +162,7 @@ def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
 _TABLES: Final = {
     "": Recipe,
     "scale": StatedScale,
+    "level": LevelTable,
     "profile": ProfileTable,
     "step": StepTable,
     "distance": DistanceTable,
@@ -155,7 +170,12 @@ _TABLES: Final = {
     "radius": RadiusTable,
     "volume": VolumeTable,
 }
-_ACCEPTED: Final = {"coverage_factor": "1, 2", "detail": "'raw', 'shrunk'", "kind": "'groove', 'step'"}
+_ACCEPTED: Final = {
+    "coverage_factor": "1, 2",
+    "detail": "'raw', 'shrunk'",
+    "kind": "'groove', 'ridge', 'step'",
+    "on": "'skin', 'points', 'line', 'plane'",
+}
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -201,6 +221,7 @@ def checked(recipe: Recipe, source: str) -> Recipe:
                 f"{source}: {where}s_filter_um: {s_um:g} removes all that l_filter_um = {l_um:g} leaves: "
                 "accepted is less than that"
             )
+    _check_level(recipe.level, source)
     _check_names(recipe, source)
     for i, step in enumerate(recipe.step):
         wanted = 1 if step.kind == "step" else 2
@@ -211,6 +232,21 @@ def checked(recipe: Recipe, source: str) -> Recipe:
                 f"{source}: step[{i}].edges_um: a {step.kind} has {wanted}: accepted is a rising list of {wanted}"
             )
     return recipe
+
+
+def _check_level(level: LevelTable | None, source: str) -> None:
+    """Refuse a level whose places do not fit its kind."""
+    if level is None:
+        return
+    points, regions = len(level.points_um), len(level.regions_um)
+    problem = {
+        "skin": "points_um: untouched skin has none: accepted is regions_um, or nothing" if points else "",
+        "points": "points_um: accepted are three points or more, and no regions_um" if points < 3 or regions else "",
+        "line": "points_um: a line has two ends, and no regions_um" if points != 2 or regions else "",
+        "plane": "regions_um: a plane needs one region or more, and no points_um" if points or not regions else "",
+    }[level.on]
+    if problem:
+        raise MeasurementError(f"{source}: level.{problem}")
 
 
 def _check_names(recipe: Recipe, source: str) -> None:

@@ -1,8 +1,12 @@
 """Step height and groove depth by ISO 5436-1, on a profile across the edges.
 
 Groove or ridge (type A): Z = a X + b + h d is fitted over three times its width, with d = +1 beside it and d = -1 in
-its middle third. A third of the width next to each edge is ignored; the depth is 2 h. Step: the same with one edge and
-d = +1 and -1 on its sides.
+its middle third. A third of the width next to each edge is ignored; the depth is 2 h.
+
+Step: the same with one edge and d = +1 and -1 on its sides. A step has no width that would say how much of the profile
+to use, so the flank says it: nothing within `GAP_FLANKS` of its length beside the edge is used, and `REACH_FLANKS`
+beyond.
+The line's length has no part in it, once it holds that much.
 """
 
 from __future__ import annotations
@@ -19,29 +23,90 @@ from host_sync.profile.profile_line import Profile
 IGNORED_SHARE: Final = 1.0 / 3.0
 """Fraction of the groove's width that is ignored at each side of an edge."""
 
+OTHER_SHARES: Final = (0.25, 0.4)
+"""Fractions that might be ignored as well: what they change is an uncertainty of the definition."""
+
+GAP_FLANKS: Final = 2.0
+"""Length beside the edge that a step ignores, in lengths of its flank: a tenth of the step ends there."""
+
+REACH_FLANKS: Final = 3.0
+"""Length of the profile that a step uses at each side, in lengths of its flank."""
+
+OTHER_REACHES: Final = (2.0, 4.0)
+MIN_FLANK_SAMPLES: Final = 3.0
+FLANK_LEVELS: Final = (0.1, 0.9)
+"""A flank runs from a tenth to nine tenths of the step."""
+
 MIN_SAMPLES: Final = 3
 QUANTILES: Final = (0.02, 0.98)
+ROUNDS: Final = 4
 
-StepKind = Literal["groove", "step"]
+StepKind = Literal["groove", "ridge", "step"]
 
 
 @dataclass(frozen=True, slots=True)
 class StepEdges:
-    """Positions of the edges along the profile, µm; a step has one."""
+    """Edges along the profile, µm; a step has one.
+
+    flank_um : length of a step's flank, µm; 0 where edges were given
+    """
 
     kind: StepKind
     places_um: tuple[float, ...]
+    flank_um: float = 0.0
 
 
-def step_height_um(profile: Profile, edges: StepEdges) -> float:
+def step_height_um(
+    profile: Profile, edges: StepEdges, ignored: float = IGNORED_SHARE, reach: float = REACH_FLANKS
+) -> float:
     """Height of the step from left to right, or of the ridge above its surroundings (negative for a groove), µm.
+
+    ignored : fraction of a groove's width that is ignored beside its edges
+    reach : how much of the profile a step uses, flanks
 
     Raises
     ------
     MeasurementError
         There are too few valid samples beside an edge.
     """
-    sides = _sides(profile, edges)
+    return float(_fitted(profile, edges, ignored, reach)[2])
+
+
+def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
+    """Standard uncertainty of what is called the height: its spread over how much of the profile is used, µm."""
+    found = [step_height_um(profile, edges)]
+    for ignored, reach in zip(OTHER_SHARES, OTHER_REACHES, strict=True):
+        try:
+            found.append(step_height_um(profile, edges, ignored, reach))
+        except MeasurementError:
+            continue
+    return float(np.std(found))
+
+
+def lines_um(profile: Profile, edges: StepEdges) -> tuple[Float64Array, Float64Array]:
+    """Both fitted lines at every sample, µm: beside the groove and in it, or right and left of the step."""
+    slope, middle, height = _fitted(profile, edges, IGNORED_SHARE, REACH_FLANKS)
+    base = slope * profile.along_um + middle
+    return base - 0.5 * height, base + 0.5 * height
+
+
+def used_samples(profile: Profile, edges: StepEdges) -> MaskArray:
+    """Samples that the lines are fitted to: bool array of shape (N,)."""
+    return np.asarray((_sides(profile, edges, IGNORED_SHARE, REACH_FLANKS) != 0) & np.isfinite(profile.z_um))
+
+
+def room_share(profile: Profile, edges: StepEdges) -> float:
+    """Which fraction of the profile that a step should use the line holds; 1 for grooves and given edges."""
+    if edges.kind != "step" or not edges.flank_um:
+        return 1.0
+    edge = edges.places_um[0]
+    room = min(edge, float(profile.along_um[-1]) - edge) - GAP_FLANKS * edges.flank_um
+    return min(1.0, max(0.0, room / (REACH_FLANKS * edges.flank_um)))
+
+
+def _fitted(profile: Profile, edges: StepEdges, ignored: float, reach: float) -> tuple[float, float, float]:
+    """Slope, height of the middle at the start, and height between both lines; µm/µm, µm, µm."""
+    sides = _sides(profile, edges, ignored, reach)
     valid = np.isfinite(profile.z_um)
     upper, lower = valid & (sides > 0), valid & (sides < 0)
     for part in (upper, lower):
@@ -52,10 +117,11 @@ def step_height_um(profile: Profile, edges: StepEdges) -> float:
             )
     used = upper | lower
     along = profile.along_um[used]
-    along = along - along.mean()
+    centre = float(along.mean())
     delta = np.where(upper[used], 1.0, -1.0)
-    design = np.stack([along, np.ones_like(along), delta], axis=-1)
-    return 2.0 * float(np.linalg.lstsq(design, profile.z_um[used], rcond=None)[0][2])
+    design = np.stack([along - centre, np.ones_like(along), delta], axis=-1)
+    slope, middle, half = (float(value) for value in np.linalg.lstsq(design, profile.z_um[used], rcond=None)[0])
+    return slope, middle - slope * centre, 2.0 * half
 
 
 def find_edges(profile: Profile, kind: StepKind) -> StepEdges:
@@ -64,37 +130,98 @@ def find_edges(profile: Profile, kind: StepKind) -> StepEdges:
     Raises
     ------
     MeasurementError
-        The profile shows no edge.
+        The profile shows no edge, or a ridge where a groove is asked for.
     """
     along, z_um = profile.along_um, profile.z_um
     valid = np.isfinite(z_um)
     if valid.sum() < 4 * MIN_SAMPLES:
         raise MeasurementError(f"a {kind} needs more than {4 * MIN_SAMPLES} valid samples: lengthen the line")
     if kind == "step":
-        return StepEdges(kind, (_best_edge(along[valid], z_um[valid]),))
+        return _refined_step(profile, _best_edge(along[valid], z_um[valid]))
     ends = valid & ((along < 0.1 * along[-1]) | (along > 0.9 * along[-1]))
     tilt = np.polyfit(along[ends], z_um[ends], 1) if ends.sum() > MIN_SAMPLES else np.zeros(2)
     level = z_um - np.polyval(tilt, along)
     level = np.interp(along, along[valid], level[valid])
     low, high = np.quantile(level, QUANTILES)
-    inside = level < low / 2.0 if -low > high else level > high / 2.0
-    first, last = _longest_run(inside)
-    return StepEdges(kind, (float(along[first]) - profile.step_um / 2.0, float(along[last]) + profile.step_um / 2.0))
+    if kind == "ridge" and high <= 0.0:
+        raise MeasurementError("the profile shows no ridge: draw the line across it, or give its edges")
+    sinks = -low > high and kind == "groove"
+    inside = level < low / 2.0 if sinks else level > high / 2.0
+    first, last = _longest_run(inside, kind)
+    rough = StepEdges(kind, (float(along[first]) - profile.step_um / 2.0, float(along[last]) + profile.step_um / 2.0))
+    return _refined_groove(profile, rough)
 
 
-def _sides(profile: Profile, edges: StepEdges) -> Float64Array:
+def _refined_groove(profile: Profile, rough: StepEdges) -> StepEdges:
+    """Edges where the profile crosses half way between the lines that are fitted beside and in the groove."""
+    edges = rough
+    for _ in range(ROUNDS):
+        try:
+            beside, inner = lines_um(profile, edges)
+        except MeasurementError:
+            return rough
+        height = inner - beside
+        share = (profile.z_um - beside) / np.where(np.abs(height) > 0.0, height, np.inf)
+        places = tuple(_crossing(profile, share, place, 0.5) for place in edges.places_um)
+        if any(place is None for place in places):
+            return rough
+        edges = StepEdges(rough.kind, tuple(place for place in places if place is not None))
+        if edges.places_um[1] - edges.places_um[0] < MIN_SAMPLES * profile.step_um:
+            return rough
+    return edges
+
+
+def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
+    """The edge where the profile crosses half way, and the length of its flank; neither knows the line's length."""
+    flank = 0.1 * float(profile.along_um[-1])
+    for _ in range(2 * ROUNDS):
+        edges = StepEdges("step", (edge_um,), flank)
+        try:
+            low, high = lines_um(profile, edges)
+        except MeasurementError:
+            break
+        share = (profile.z_um - low) / (high - low)
+        found = [_crossing(profile, share, edge_um, level) for level in (FLANK_LEVELS[0], 0.5, FLANK_LEVELS[1])]
+        first, middle, last = found
+        if first is None or middle is None or last is None:
+            break
+        longest = 0.125 * float(profile.along_um[-1])
+        wanted = float(np.clip(abs(last - first), MIN_FLANK_SAMPLES * profile.step_um, longest))
+        settled = abs(middle - edge_um) + abs(wanted - flank) < 0.02 * profile.step_um
+        edge_um, flank = middle, wanted
+        if settled:
+            break
+    return StepEdges("step", (edge_um,), flank)
+
+
+def _crossing(profile: Profile, share: Float64Array, near_um: float, level: float) -> float | None:
+    """Place nearest to `near_um` where `share` crosses a level, µm; None where it does not."""
+    above = share > level
+    known = np.isfinite(share[1:]) & np.isfinite(share[:-1])
+    at = np.flatnonzero((above[1:] != above[:-1]) & known)
+    if not at.size:
+        return None
+    part = (level - share[at]) / (share[at + 1] - share[at])
+    places = (at + part) * profile.step_um
+    return float(places[int(np.abs(places - near_um).argmin())])
+
+
+def _sides(profile: Profile, edges: StepEdges, ignored: float, reach: float) -> Float64Array:
     """1 for samples of the upper side (right of a step), -1 for the other level, 0 for ignored ones."""
     along = profile.along_um
     if edges.kind == "step":
         edge = edges.places_um[0]
-        ignored = IGNORED_SHARE * min(edge - along[0], along[-1] - edge)
-        return np.where(along > edge + ignored, 1.0, np.where(along < edge - ignored, -1.0, 0.0))
+        beyond = along - edge
+        gap, end = ignored * min(edge - along[0], along[-1] - edge), np.inf
+        if edges.flank_um:
+            gap, end = GAP_FLANKS * edges.flank_um, (GAP_FLANKS + reach) * edges.flank_um
+        return np.where((np.abs(beyond) > gap) & (np.abs(beyond) <= end), np.sign(beyond), 0.0)
     left, right = edges.places_um
     width = right - left
     middle = np.abs(along - (left + right) / 2.0)
     # Signs as for a step: heights above the reference are positive.
-    inside = middle < width * (0.5 - IGNORED_SHARE)
-    beside = (middle > width * (0.5 + IGNORED_SHARE)) & (middle < 1.5 * width)
+    inside = middle < width * (0.5 - ignored)
+    beside = (middle > width * (0.5 + ignored)) & (middle < 1.5 * width)
     return np.where(inside, 1.0, np.where(beside, -1.0, 0.0))
 
 
@@ -109,11 +236,11 @@ def _best_edge(along: Float64Array, z_um: Float64Array) -> float:
     return float(candidates[int(np.argmin(residuals))])
 
 
-def _longest_run(inside: MaskArray) -> tuple[int, int]:
+def _longest_run(inside: MaskArray, kind: StepKind) -> tuple[int, int]:
     """First and last index of the longest true run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     if not edges.size:
-        raise MeasurementError("the profile shows no groove: draw the line across it, or give its edges")
+        raise MeasurementError(f"the profile shows no {kind}: draw the line across it, or give its edges")
     starts, ends = edges[::2], edges[1::2]
     longest = int((ends - starts).argmax())
     return int(starts[longest]), int(ends[longest]) - 1

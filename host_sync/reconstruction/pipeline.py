@@ -124,7 +124,9 @@ def reconstruct(
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     datum = find_datum(height, gradients)
-    warnings += check_datum(intensity, datum.skin)
+    unlit = check_datum(intensity, datum.skin)
+    warnings += unlit
+    checks = (*checks, *(FrameCheck("untouched skin", "refused", words=words) for words in unlit))
     raise_on_warnings(warnings, name, force=force)
     if datum.is_relative:
         warnings += [NO_ZERO]

@@ -32,6 +32,7 @@ from host_sync.results.files import (
     SLOPE_P_FILE,
     SLOPE_Q_FILE,
     SLOPE_SIGMA_FILE,
+    UNTOUCHED_FILE,
     other_detail,
 )
 from host_sync.results.record import DetailRecord, HeightScale, IntegrationRecord, ResultRecord, encode_record
@@ -77,6 +78,8 @@ def write_result(
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
             jobs.append(writers.submit(write_mask, folder / EXTRAPOLATED_FILE, reconstruction.extrapolated))
+            if not reconstruction.datum.is_relative:
+                jobs.append(writers.submit(write_mask, folder / UNTOUCHED_FILE, reconstruction.datum.skin))
             jobs.append(writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um))
             for job in jobs:
                 job.result()
@@ -150,6 +153,14 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         frame_checks=tuple(reconstruction.frame_checks),
         calibration_passed=calibration.assessment.passed,
         calibration_notes=tuple(calibration.assessment.notes),
+        calibration_failed_checks=tuple(
+            f"{check.name} {check.value:.3g} ({check.kind} {check.limit:g})"
+            for check in calibration.assessment.checks
+            if not check.passed
+        ),
+        uncovered_sectors=tuple(
+            name for name, covered in calibration.assessment.coverage.sectors.items() if not covered
+        ),
         height_scale=HeightScale(**msgspec.structs.asdict(calibration.assessment.scale)),
         slope_sigma_median=_median(reconstruction.slope_sigma),
         held_out_error_deg=_number(calibration.held_out_deg[reconstruction.method]),

@@ -83,10 +83,7 @@ def _facts(measurement: Measurement, origin: Origin) -> Iterator[tuple[str, str]
 
 
 def _warnings(measurement: Measurement) -> Iterator[str]:
-    record = measurement.record
-    yield from record.warnings
-    if record.calibration_passed is False:
-        yield "the calibration did not pass its checks: " + "; ".join(record.calibration_notes)
+    yield from (doubt.sentence for doubt in measurement.doubts)
 
 
 def _numbers(measurement: Measurement) -> Iterator[Table]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import cv2
@@ -17,7 +17,7 @@ from device.bundles.scan import ScanBundle
 from device.imaging.flat_field import demosaic
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.iso25178.material_ratio import MaterialRatioCurve
-from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, Measurement
+from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.render.figures import draw_relief
 from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import reduced
@@ -42,6 +42,8 @@ def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[P
     yield surface_picture(measurement)
     for one in measurement.profiles:
         yield profile_picture(one, measurement.recipe.coverage_factor)
+    for step in measurement.steps:
+        yield step_picture(step)
     yield ratio_picture(measurement)
     if measurement.spectrum is not None:
         yield spectrum_picture(measurement.spectrum, measurement.recipe.coverage_factor)
@@ -58,10 +60,16 @@ def relief_picture(measurement: Measurement) -> Picture:
     lines = [(one.name, one.line.start_um, one.line.end_um) for one in measurement.profiles]
     lines += [(step.name, step.from_um, step.to_um) for step in recipe.step]
     lines += [(distance.name, distance.from_um, distance.to_um) for distance in recipe.distance]
+    for one in measurement.steps:
+        first, last = (np.array(place) / 1000.0 for place in (one.line.start_um, one.line.end_um))
+        for edge_um in one.edges_um:
+            column, row = first + (last - first) * (edge_um / one.line.length_um)
+            axes.plot([column], [row], "x", color=_RED, markersize=6)
     for name, start, end in lines:
         axes.plot(*([a / 1000.0, b / 1000.0] for a, b in zip(start, end, strict=True)), color=_RED, linewidth=1.2)
         axes.annotate(_plain(name), (end[0] / 1000.0, end[1] / 1000.0), color=_RED, fontsize=8)
-    return _picture(figure, "Height map with the region and the lines that were measured; white is masked")
+    words = "Height map with the region and the lines that were measured; white is masked"
+    return _picture(figure, words + _doubtful([doubt.sentence for doubt in measurement.doubts]))
 
 
 def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
@@ -108,7 +116,29 @@ def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
     axes.set_xlabel("along the line, mm")
     axes.set_ylabel("height, µm")
     band = f"; band: ± at k = {factor}" if one.sigma_um is not None else ""
-    return _picture(figure, f"Profile {one.name}, levelled and filtered along itself{band}")
+    return _picture(figure, f"Profile {one.name}, levelled and filtered along itself{band}{_doubtful(one.doubts)}")
+
+
+def step_picture(one: MeasuredStep) -> Picture:
+    """A step's profile with its edges, and the lines whose distance is its height."""
+    figure, axes = _figure(7.0, 2.6)
+    along_mm = one.profile.along_um / 1000.0
+    axes.plot(along_mm, one.profile.z_um, color=_BLUE, linewidth=0.9)
+    for line_um in (one.base_um, one.top_um):
+        axes.plot(along_mm, line_um, color=_RED, linewidth=0.6, linestyle=":")
+    used_um = np.where(one.used, one.profile.z_um, np.nan)
+    axes.plot(along_mm, used_um, color=_RED, linewidth=1.8, alpha=0.6)
+    for edge_um in one.edges_um:
+        axes.axvline(edge_um / 1000.0, color=_RED, linewidth=0.8, linestyle="--")
+    axes.set_xlabel("along the line, mm")
+    axes.set_ylabel("height, µm")
+    places = ", ".join(f"{edge_um / 1000.0:.3f}" for edge_um in one.edges_um)
+    words = f"{one.name}: edges at {places} mm (dashed); thick red is what both lines are fitted to"
+    return _picture(figure, words + _doubtful(one.doubts))
+
+
+def _doubtful(doubts: Sequence[str]) -> str:
+    return f". Doubt: {'; '.join(doubts)}" if doubts else ""
 
 
 def ratio_picture(measurement: Measurement) -> Picture:

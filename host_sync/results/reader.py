@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
+from host_sync.results.doubts import Doubt, result_doubts
 from host_sync.results.field_file import MAX_TILE_VALUES, read_field, read_mask, read_samples
 from host_sync.results.files import (
     EXTRAPOLATED_FILE,
@@ -19,6 +20,7 @@ from host_sync.results.files import (
     OTHER_HEIGHT_FILES,
     SAMPLES_FILE,
     SLOPE_SIGMA_FILE,
+    UNTOUCHED_FILE,
     DetailName,
     other_detail,
 )
@@ -46,6 +48,7 @@ class ResultSurface:
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training samples
     other : the height map with the other detail
+    untouched : bool array of shape (H, W), True on the untouched skin that the zero was taken from
     """
 
     folder: Path
@@ -56,6 +59,12 @@ class ResultSurface:
     sigma_um: Float32Array | None = None
     extrapolated: MaskArray | None = None
     other: HeightMap | None = None
+    untouched: MaskArray | None = None
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Every reason to distrust the heights."""
+        return result_doubts(self.folder, self.record)
 
     @property
     def detail(self) -> DetailName:
@@ -130,6 +139,7 @@ def read_result(folder: Path, *, samples: bool = True) -> ResultSurface:
         sigma_um=_optional(folder / HEIGHT_SIGMA_FILE, lambda path: read_field(path, shape)),
         extrapolated=_optional(folder / EXTRAPOLATED_FILE, lambda path: read_mask(path, shape)),
         other=None if other is None else HeightMap(other, record.pixel_pitch_um),
+        untouched=_optional(folder / UNTOUCHED_FILE, lambda path: read_mask(path, shape)) if samples else None,
     )
 
 

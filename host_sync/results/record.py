@@ -156,6 +156,8 @@ class ResultRecord(msgspec.Struct, frozen=True, kw_only=True):
     frame_checks: tuple[FrameCheck, ...] = ()
     calibration_passed: bool | None = None
     calibration_notes: tuple[str, ...] = ()
+    calibration_failed_checks: tuple[str, ...] = ()
+    uncovered_sectors: tuple[str, ...] = ()
     height_scale: HeightScale = HeightScale()
     slope_sigma_median: float | None = None
     held_out_error_deg: float | None = None

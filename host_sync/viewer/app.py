@@ -158,7 +158,8 @@ def _level(service: ViewerService, request: Request) -> Response:
 
 def _height(service: ViewerService, request: Request) -> Response:
     row, column = (_number(request.query_params.get(name, ""), int, name) for name in ("row", "column"))
-    return json_answer({"z_um": service.height(_key(request), _page(request), row, column)})
+    doubts = [readable(words) for words in service.catalogue.find(_key(request)).doubts]
+    return json_answer({"z_um": service.height(_key(request), _page(request), row, column), "doubts": doubts})
 
 
 def _profile(service: ViewerService, request: Request) -> Response:

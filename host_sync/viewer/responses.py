@@ -17,7 +17,7 @@ from host_sync.viewer.profile import MeasuredLine
 from host_sync.viewer.pyramid import Level
 
 _FACTS: Final = (
-    "name", "method", "calibration_id", "program", "written_utc", "warnings", "calibration_passed", "masked_share",
+    "name", "method", "calibration_id", "program", "written_utc", "calibration_passed", "masked_share",
     "height_sigma_median_um", "height_min_um", "height_max_um", "clipped_share", "frame_set", "reference",
     "shift_um", "turn_deg", "offset_um", "tilt", "residual_um", "median_um", "overlap_share", "agreement_share",
 )  # fmt: skip
@@ -60,6 +60,7 @@ def entry_info(entry: Entry) -> dict[str, Any]:
         "pages": entry.pages,
         "rate_hz": entry.rate_hz,
         "stamp": entry.stamp(),
+        "doubts": [readable(words) for words in entry.doubts],
         "record": {name: value for name, value in facts.items() if value not in (None, "", ())},
     }
     if hit is not None:
@@ -84,6 +85,7 @@ def profile_info(found: MeasuredLine, entry: Entry) -> dict[str, Any]:
     step = float(found.z_um[last] - found.z_um[first]) if ends.size else None
     return {
         "title": readable(entry.title),
+        "doubts": [readable(words) for words in entry.doubts],
         "distance_um": found.along_um.tolist(),
         "z_um": _listed(found.z_um),
         "sigma_um": None if found.sigma_um is None else _listed(found.sigma_um),
@@ -97,10 +99,12 @@ def profile_csv(found: MeasuredLine, entry: Entry) -> Response:
     """A profile as CSV; sigma is one standard uncertainty."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["row_px", "column_px", "distance_um", "height_um", "height_sigma_um"])
+    table.writerow(["row_px", "column_px", "distance_um", "height_um", "height_sigma_um", "doubts"])
+    doubts = readable("; ".join(entry.doubts))
+    doubts = f"'{doubts}" if doubts.startswith(("=", "+", "-", "@")) else doubts
     sigma = np.full_like(found.z_um, np.nan) if found.sigma_um is None else found.sigma_um
     for row in zip(found.rows, found.columns, found.along_um, found.z_um, sigma, strict=True):
-        table.writerow(["" if not np.isfinite(value) else f"{value:.9g}" for value in row])
+        table.writerow([*("" if not np.isfinite(value) else f"{value:.9g}" for value in row), doubts])
     headers = {"Content-Disposition": f'attachment; filename="profile-{entry.key}.csv"', "Cache-Control": "no-store"}
     return Response(text.getvalue(), media_type="text/csv; charset=utf-8", headers=headers)
 

@@ -184,7 +184,10 @@ class ViewerService:
             median_um=found.median_um,
             overlap_share=found.overlap_share,
             agreement_share=found.agreement,
-            warnings=(found.warning,) if found.warning else (),
+            warnings=(
+                *((found.warning,) if found.warning else ()),
+                *(f"{entry.title}: {doubt}" for entry in (first, second) for doubt in entry.doubts),
+            ),
             height_sigma_median_um=None if sigma_um is None else float(np.nanmedian(sigma_um)),
         )
         try:

@@ -62,7 +62,7 @@ class ComparePage {
       (Number.isFinite(record.height_sigma_median_um)
         ? `where the difference is known to ± ${micrometres(record.height_sigma_median_um)} (k = 1, median; both scans' ± together).`
         : "and no ± is known, as one of them states none.");
-    const warnings = (record.warnings ?? []).map((words) => h("strong", { class: "warning" }, ` Warning: ${words}.`));
+    const warnings = (found.doubts ?? []).map((words) => h("strong", { class: "warning" }, ` Doubt: ${words}.`));
     this.words.append(...warnings);
     this.views[1].disabled = false;
     this.follow(0, this.stages[0].relief.eye);

@@ -84,7 +84,7 @@ class LibraryPage {
   card(entry) {
     const facts = [entry.kind === "result" ? null : entry.kind, moment(entry.taken),
       entry.job && `job ${entry.job}`, `${length(entry.columns * entry.pitch_um)} × ${length(entry.rows * entry.pitch_um)}`];
-    const warned = entry.record.warnings?.length ? "has warnings" : null;
+    const warned = entry.doubts.length ? entry.doubts.map((words) => words.split(":")[0]).join(", ") : null;
     const box = h("input", { type: "checkbox", checked: this.chosen.has(entry.key), "aria-label": `Compare ${entry.title}`,
       onchange: () => this.tick(entry, box) });
     return h("li", { class: "card" },

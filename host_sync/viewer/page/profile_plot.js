@@ -15,10 +15,11 @@ export class ProfilePlot {
     this.drawing = svg("svg", { class: "plot" });
     this.summary = h("p", { class: "plot-summary" }, "Drag across the relief to draw a profile.");
     this.reading = h("p", { class: "plot-reading" });
+    this.doubts = h("p", { class: "warning", hidden: true });
     this.slider = h("input", { type: "range", min: 0, max: 0, step: 1, value: 0, class: "plot-cursor",
       "aria-label": "Place along the profile", oninput: () => this.point(Number(this.slider.value)) });
     this.element = h("div", { class: "profile" }, h("div", { class: "plot-words" }, this.summary, this.reading),
-      this.drawing, this.slider);
+      this.doubts, this.drawing, this.slider);
     this.drawing.addEventListener("pointermove", (event) => this.pointAt(event));
     this.drawing.addEventListener("pointerleave", () => this.point(null));
     this.observer = new ResizeObserver(() => this.draw());
@@ -33,6 +34,8 @@ export class ProfilePlot {
     const known = found.z_um.filter((z) => z !== null);
     const range = known.length ? `, lowest to highest ${withSigma(max(known) - min(known), null)}` : "";
     this.summary.textContent = `Length ${length(total)}, end − beginning ${step}${range}`;
+    this.doubts.hidden = !found.doubts.length;
+    this.doubts.textContent = `Doubt: ${found.doubts.join("; ")}`;
     this.point(null);
     this.draw();
   }

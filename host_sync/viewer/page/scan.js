@@ -171,7 +171,7 @@ function aboutSection(facts) {
     ["Calibration", record.calibration_id && `${record.calibration_id}${record.calibration_passed === false ? ", did not pass" : ""}`],
     ["Frame set", record.frame_set], ["Method", record.method], ["Program", record.program],
   ].filter(([, value]) => value);
-  const warnings = (record.warnings ?? []).map((words) => h("p", { class: "warning" }, String(words)));
+  const warnings = facts.doubts.map((words) => h("p", { class: "warning" }, String(words)));
   return h("details", { open: true }, h("summary", {}, "About this scan"), h("div", { class: "inside" }, ...warnings,
     h("dl", {}, rows.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, String(value))]))));
 }

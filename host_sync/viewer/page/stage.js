@@ -30,13 +30,15 @@ export class Stage {
       `${label}: arrow keys move, plus and minus zoom, Shift with arrow keys moves the light, question mark lists all keys` });
     this.lines = svg("svg", { class: "lines", "aria-hidden": "true" });
     this.reading = h("p", { class: "reading" });
+    this.doubts = h("p", { class: "warning doubts", hidden: !facts.doubts.length },
+      `⚠ Doubt: ${facts.doubts.map((words) => words.split(":")[0]).join(", ")}`);
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.legend = new ColourLegend(palettes);
     this.scale = new ScaleBar();
     this.cross = h("span", { class: "cross", "aria-hidden": "true" });
     this.surface = h("div", { class: "surface" }, this.canvas, this.lines, this.cross);
     this.element = h("div", { class: "stage" }, this.surface, this.toolbar(),
-      h("div", { class: "feet" }, h("div", { class: "foot" }, this.legend.element, this.scale.element), this.reading),
+      h("div", { class: "feet" }, h("div", { class: "foot" }, this.legend.element, this.scale.element), this.doubts, this.reading),
       this.problem);
     this.surface.dataset.tool = this.tool;
   }

@@ -35,7 +35,7 @@ from host_sync.reconstruction.from_library import LibraryReconstructor
 RESULT_FILES = {
     "height_um.tif", "height_raw_um.tif",
     "slope_p.tif", "slope_q.tif", "height_sigma_um.tif", "slope_sigma.tif", "height_draws_um.tif",
-    "extrapolated.png", "relief.png", "result.json",
+    "extrapolated.png", "untouched.png", "relief.png", "result.json",
 }  # fmt: skip
 RADIUS_MM = 3.0
 PITCH_UM = 48.0

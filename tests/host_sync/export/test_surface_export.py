@@ -109,7 +109,7 @@ def test_hostile_names_open_in_gwyddion(
     folder = write_result(z_um, None, name=HOSTILE, warnings=[HOSTILE])
     assert export(folder, out, "gsf", "gwy", "x3p", "sur", "sdf", "al3d", "png", "tiff") == 0
     for path in out.iterdir():
-        if path.suffix != ".json":
+        if path.suffix not in {".json", ".txt"}:
             assert gwyddion(path)[0]["values"].shape == z_um.shape, path.suffix
 
 

@@ -23,7 +23,7 @@ MAGIC = b"Binary TrueMap Data File v2.0\r\n\0"
 def test_the_layout_is_the_documented_one_in_mm(exported: Callable[..., Path], z_um: Float32Array) -> None:
     data = exported("tmd").read_bytes()
     assert len(MAGIC) == 32
-    assert data.startswith(MAGIC + b"part-7; ")
+    assert data.startswith(MAGIC + b"Retrograph".ljust(21) + b"\r\n\0")
     sizes = data.index(b"\0", 32) + 1
     columns, rows, *lengths_mm = struct.unpack_from("<IIffff", data, sizes)
     assert (columns, rows) == (53, 37)
@@ -34,13 +34,12 @@ def test_the_layout_is_the_documented_one_in_mm(exported: Callable[..., Path], z
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_surfalize_reads_it_where_the_comment_has_the_length_that_it_expects(
-    tmp_path: Path, z_um: Float32Array
-) -> None:
+@pytest.mark.parametrize("doubts", [(), ("no zero: heights are relative",)])
+def test_surfalize_reads_it(doubts: tuple[str, ...], tmp_path: Path, z_um: Float32Array) -> None:
     surfalize = pytest.importorskip("surfalize", reason="surfalize is not installed")
     path = tmp_path / "a.tmd"
     with path.open("wb") as file:
-        write_tmd(file, SourceSurface(name="n" * 10, z_um=z_um, pitch_um=12.0, origin="o" * 11))
+        write_tmd(file, SourceSurface(name="any name", z_um=z_um, pitch_um=12.0, origin="origin", doubts=doubts))
     found = surfalize.Surface.load(str(path))  # it takes the file's mm for its own µm
     assert (found.step_x, found.step_y) == pytest.approx((0.012, 0.012))
     assert np.array_equal(np.isnan(found.data), np.isnan(z_um))

@@ -48,10 +48,13 @@ def test_a_sentence_says_it_all(write_result: Write, wave: np.ndarray) -> None:
     ("value", "uncertainty", "words"),
     [
         (1.8349, 0.0612, "1.835 ± 0.061 µm"),
-        (10_276_514.0, 1_279_768.0, "10300000 ± 1300000 µm"),
+        (10_276_514.0, 1_279_768.0, "10300 ± 1300 mm"),
         (-96.4, 12.3, "-96 ± 12 µm"),
         (0.00012, 0.0000034, "0.0001200 ± 0.0000034 µm"),
         (3.0, None, "3 µm, ± not known"),
+        (17_500.0, None, "17.5 mm, ± not known"),
+        (17_500.0, 35.0, "17.500 ± 0.035 mm"),
+        (1_750.0, None, "1750 µm, ± not known"),
         (None, None, "not defined"),
     ],
 )

@@ -67,7 +67,10 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ("spectrum = 1", ("spectrum: is a whole number; accepted is true or false",)),
         ("[[distance]]", ("distance[0]: name is missing",)),
         ('[[distance]]\nname = ""', ("distance[0].name: is too short; accepted is at least 1 characters",)),
-        ('[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nkind = "hole"', ("step", "'groove', 'step'")),
+        (
+            '[[step]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [9, 9]\nkind = "hole"',
+            ("step", "'groove', 'ridge', 'step'"),
+        ),
         ('[[profile]]\nname = "a"\nfrom_um = [0, 0]', ("profile", "to_um")),
         (
             '[[profile]]\nname = "a"\nfrom_um = [0, 0]\nto_um = [1, 1]\nwide = 3',

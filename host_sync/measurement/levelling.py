@@ -1,0 +1,138 @@
+"""Levelling of a height map before anything is measured, on what a person chose, and what it does to the ±.
+
+A level is a plane that least squares puts through the chosen pixels. Each Monte Carlo sample is levelled as the height
+map is, so that every ± contains what levelling takes from the error and what it adds to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
+from host_sync.errors import MeasurementError
+from host_sync.integration.zero_level import find_datum
+from host_sync.measurement.geometry import Region
+from host_sync.measurement.recipe import LevelTable
+from host_sync.profile.profile_line import Line, bilinear
+from host_sync.results.reader import ResultSurface
+
+POINT_REACH_PX: Final = 1.5
+"""Pixels up to here from a chosen point give its height."""
+
+MAX_FITTED: Final = 200_000
+"""Most pixels that the plane is fitted to."""
+
+Subtract = Callable[[Float32Array], Float32Array]
+
+
+class Levelling:
+    """The level of a recipe for the height maps of one result.
+
+    Parameters
+    ----------
+    table : what to level on
+    surface : the result
+
+    Raises
+    ------
+    MeasurementError
+        The chosen places lie outside the field, on masked pixels, or do not determine a level.
+    """
+
+    def __init__(self, table: LevelTable, surface: ResultSurface) -> None:
+        height = surface.height
+        self._shape = height.z_um.shape
+        rows, columns = self._shape
+        self._row, self._column = np.arange(rows) - 0.5 * (rows - 1), np.arange(columns) - 0.5 * (columns - 1)
+        if table.on == "line":
+            start, end = table.points_um
+            self.words = "levelled on a line"
+            self._plane: Callable[[Float32Array], Float64Array] = self._along(Line(start, end), height)
+            return
+        used = _chosen(table, surface)
+        self.words = {
+            "skin": f"levelled on untouched skin, {used.mean():.0%} of the field",
+            "points": f"levelled on {len(table.points_um)} points",
+            "plane": f"levelled on the plane through {used.mean():.0%} of the field",
+        }[table.on]
+        self._plane = self._through(used)
+
+    def apply(self, z_um: Float32Array) -> Float32Array:
+        """A height map of shape (H, W) less its level, float32."""
+        zero, down, across = self._plane(z_um)
+        plane = zero + down * self._row[:, None] + across * self._column
+        return np.asarray(z_um - plane.astype(np.float32), np.float32)
+
+    def _through(self, used: MaskArray) -> Callable[[Float32Array], Float64Array]:
+        """Height at the middle of the field and slopes per row and column (µm/px) of the plane through the pixels."""
+        row, column = np.nonzero(used)
+        step = max(1, row.size // MAX_FITTED)
+        row, column = row[::step], column[::step]
+        design = np.stack([np.ones(row.size), self._row[row], self._column[column]], axis=-1)
+        if row.size < 3 or np.linalg.matrix_rank(design, tol=1e-6 * max(self._shape)) < 3:
+            raise MeasurementError("level: the chosen places do not determine a plane: choose some apart from others")
+        inverse = np.linalg.pinv(design)
+        return lambda z_um: np.asarray(inverse @ z_um[row, column].astype(np.float64), np.float64)
+
+    def _along(self, line: Line, height: HeightMap) -> Callable[[Float32Array], Float64Array]:
+        """As `_through`, with no slope across the line."""
+        start, end = (np.array(place) / height.pitch_um for place in (line.start_um, line.end_um))
+        length = float(np.hypot(*(end - start)))
+        count = int(length) + 1
+        if count < 3:
+            raise MeasurementError("level: the line is shorter than three pixels: move its ends apart")
+        places = np.linspace(start, end, count)
+        _, seen = bilinear(height.z_um, places)
+        if seen.sum() < 3:
+            raise MeasurementError("level: the line holds fewer than three valid pixels: draw it elsewhere")
+        places = places[seen]
+        way = (end - start) / length
+        middle = np.array([0.5 * (self._shape[1] - 1), 0.5 * (self._shape[0] - 1)])
+        along = (places - middle) @ way
+        inverse = np.linalg.pinv(np.stack([np.ones(along.size), along], axis=-1))
+        turn = np.array([[1.0, 0.0], [0.0, way[1]], [0.0, way[0]]])
+        return lambda z_um: np.asarray(turn @ (inverse @ bilinear(z_um, places)[0]), np.float64)
+
+
+def _chosen(table: LevelTable, surface: ResultSurface) -> MaskArray:
+    """The pixels that the level is fitted to: bool array of shape (H, W)."""
+    height = surface.height
+    valid = np.isfinite(height.z_um)
+    used = np.zeros(valid.shape, np.bool_)
+    if table.regions_um:
+        for region in table.regions_um:
+            used[Region(*region).pixels((valid.shape[0], valid.shape[1]), height.pitch_um)] = True
+    elif table.on == "skin":
+        used = untouched_skin(surface)
+    for column_um, row_um in table.points_um if table.on == "points" else ():
+        row, column = (np.arange(size)[:, None] for size in valid.shape)
+        near = np.hypot(row - row_um / height.pitch_um, column.T - column_um / height.pitch_um) <= POINT_REACH_PX
+        if not (near & valid).any():
+            raise MeasurementError(f"level: the point ({column_um:g}, {row_um:g}) µm is masked or outside: move it")
+        used |= near
+    if not (used & valid).any():
+        raise MeasurementError("level: every chosen pixel is masked: choose other places")
+    return np.asarray(used & valid)
+
+
+def untouched_skin(surface: ResultSurface) -> MaskArray:
+    """Untouched skin: the mask that reconstruction wrote, else what is flat, low and far from all else: bool (H, W).
+
+    Raises
+    ------
+    MeasurementError
+        No skin is untouched.
+    """
+    if surface.untouched is not None and surface.untouched.any():
+        return surface.untouched
+    height = surface.height
+    p, q = surface_slopes(height)
+    valid = np.isfinite(p) & np.isfinite(q)
+    p, q = (np.nan_to_num(part).astype(np.float32) for part in (p, q))
+    datum = find_datum(height, GradientField(p, q, valid, valid.astype(np.float32)))
+    if datum.is_relative:
+        raise MeasurementError('level: no skin is untouched: draw regions_um, or level on "points", "line" or "plane"')
+    return datum.skin

@@ -1,0 +1,172 @@
+"""Doubts of a result: each reason to distrust its heights, judged once here and carried by every output.
+
+A doubt holds for the whole field, or for the sectors of it that it names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+
+from device.calibration.coverage import SECTORS, sector_indices
+from device.surface.fields import Float64Array
+from host_sync.results.record import ResultRecord, refusals
+
+DoubtKind = Literal[
+    "failed calibration",
+    "failed check standard",
+    "uncovered sector",
+    "extrapolated slopes",
+    "drifted light",
+    "frame unlike calibration",
+    "no zero",
+    "not converged",
+    "reconstruction",
+]
+
+EXTRAPOLATED_SHARE: Final = 0.005
+"""Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""
+
+DRIFT_CHECKS: Final = frozenset({"light levels", "light position", "untouched skin"})
+"""Frame checks that a light which drifted, moved or failed does not pass."""
+
+CERTIFICATE_FILE: Final = "certificate.json"
+MAX_CERTIFICATE_BYTES: Final = 16_000_000
+_NO_ZERO: Final = "no zero"
+_BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
+
+
+class Doubt(msgspec.Struct, frozen=True):
+    """One reason to distrust heights.
+
+    kind : a few words, for outputs with little room
+    reason : a clause with the facts
+    sectors : names of the sectors of the field that it concerns; all of the field when empty
+    """
+
+    kind: DoubtKind
+    reason: str
+    sectors: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Kind and reason, as every output prints them."""
+        return f"{self.kind}: {self.reason}"
+
+
+def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
+    """The doubts of a result in its folder, with those that a certificate of its calibration raises."""
+    return (*record_doubts(record), *_check_standards(folder, record))
+
+
+def record_doubts(record: ResultRecord) -> tuple[Doubt, ...]:
+    """The doubts that a result's own record states; none is stated twice."""
+    return tuple(_of_record(record))
+
+
+def doubts_at(
+    doubts: Iterable[Doubt], places: Float64Array, shape: tuple[int, int], extrapolated_share: float | None
+) -> tuple[Doubt, ...]:
+    """The doubts that concern a measured place.
+
+    places : float64 array of shape (N, 2), row and column of points that lie all over it, px
+    shape : (H, W) of the field
+    extrapolated_share : fraction of the place with extrapolated slopes; None is unknown, and the field's doubt stays
+    """
+    inside = {SECTORS[number] for number in np.unique(sector_indices(places[:, 0], places[:, 1], shape))}
+    found = []
+    for doubt in doubts:
+        if doubt.kind == "extrapolated slopes" and extrapolated_share is not None:
+            continue
+        if not doubt.sectors:
+            found.append(doubt)
+        elif here := tuple(name for name in doubt.sectors if name in inside):
+            found.append(_uncovered(here))
+    if extrapolated_share is not None and extrapolated_share > EXTRAPOLATED_SHARE:
+        found.append(_extrapolated(extrapolated_share, "the measured place"))
+    return tuple(found)
+
+
+def _of_record(record: ResultRecord) -> Iterator[Doubt]:
+    if record.calibration_passed is False:
+        why = "; ".join(record.calibration_failed_checks or record.calibration_notes)
+        yield Doubt("failed calibration", f"the calibration did not pass its checks{f': {why}' if why else ''}")
+    if record.uncovered_sectors:
+        yield _uncovered(record.uncovered_sectors)
+    if (record.extrapolated_share or 0.0) > EXTRAPOLATED_SHARE:
+        yield _extrapolated(record.extrapolated_share or 0.0, "the field")
+    drifted = set(refusals(check for check in record.frame_checks if check.name in DRIFT_CHECKS))
+    unlike = set(refusals(record.frame_checks)) - drifted
+    for words in record.warnings:
+        if words.startswith(_NO_ZERO):
+            continue
+        kind: DoubtKind = "reconstruction"
+        if words in drifted or words in unlike:
+            kind = "drifted light" if words in drifted else "frame unlike calibration"
+        yield Doubt(kind, words)
+    for words in refusals(record.frame_checks):
+        if words not in record.warnings:
+            yield Doubt("drifted light" if words in drifted else "frame unlike calibration", words)
+    relative = next((words for words in record.warnings if words.startswith(_NO_ZERO)), "")
+    if relative or record.height_zero.startswith("none"):
+        yield Doubt("no zero", relative.removeprefix(f"{_NO_ZERO}: ") or "heights are relative")
+    if record.integration is not None and not record.integration.converged:
+        yield Doubt("not converged", "the integration did not reach its limit")
+
+
+def _uncovered(sectors: tuple[str, ...]) -> Doubt:
+    return Doubt("uncovered sector", f"no ball of the calibration lies in {', '.join(sectors)}", sectors)
+
+
+def _extrapolated(share: float, where: str) -> Doubt:
+    words = f"{share:.1%} of {where} has slopes beyond those of the calibration balls"
+    return Doubt("extrapolated slopes", words)
+
+
+class _Specimen(msgspec.Struct, frozen=True):
+    """What is read of a specimen in a certificate."""
+
+    name: str = ""
+    agrees: bool | None = None
+
+
+class _Certificate(msgspec.Struct, frozen=True):
+    """What is read of a certificate."""
+
+    calibration_id: str
+    verdict: str
+    specimens: tuple[_Specimen, ...] = ()
+
+
+def _check_standards(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
+    """What certificates beside the result or its calibration say of the calibration that it was made with."""
+    for place in _certificate_places(folder, record):
+        found = _read_certificate(place)
+        if found is None or found.calibration_id != record.calibration_id or found.verdict != "does not agree":
+            continue
+        names = ", ".join(one.name for one in found.specimens if one.agrees is False) or "a check standard"
+        yield Doubt("failed check standard", f"the instrument does not agree with {names}")
+        return
+
+
+def _certificate_places(folder: Path, record: ResultRecord) -> Iterator[Path]:
+    beside = folder.absolute().parent
+    yield beside / CERTIFICATE_FILE
+    yield beside / "calibration" / CERTIFICATE_FILE
+    if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
+        bundle = beside.parent.parent.parent / "calibrations" / record.calibration_bundle / "results"
+        yield from sorted(bundle.glob(f"*/{CERTIFICATE_FILE}"))
+
+
+def _read_certificate(place: Path) -> _Certificate | None:
+    try:
+        if not place.is_file() or place.stat().st_size > MAX_CERTIFICATE_BYTES:
+            return None
+        return msgspec.json.decode(place.read_bytes(), type=_Certificate)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None

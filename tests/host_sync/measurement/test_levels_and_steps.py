@@ -1,0 +1,170 @@
+"""Levelling on what a person chose, steps that do not know their line's length, and measurands that are not there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host_sync.cli.main import main
+from host_sync.errors import MeasurementError
+from host_sync.measurement.measure import measure_result
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.recipe import DistanceTable, LevelTable, Recipe, StepTable, checked
+from host_sync.results.field_file import write_mask
+
+Write = Callable[..., Path]
+SHAPE = (180, 240)
+PITCH_UM = 5.0
+
+
+def number(found: Measurement, subject: str, name: str) -> Quantity:
+    return next(one for one in found.quantities if (one.subject, one.name) == (subject, name))
+
+
+def tilted_block() -> np.ndarray:
+    """A block 40 µm high in the middle of a field that is tilted by 0.02 down and -0.01 across."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    block = np.where((abs(row - 90) < 40) & (abs(column - 120) < 50), 40.0, 0.0)
+    return block + PITCH_UM * (0.02 * row - 0.01 * column) + 7.0
+
+
+def edge(flank_px: float, rise_um: float = 200.0) -> np.ndarray:
+    """A step with the flank of a pressed gel, on a surface that sags by a few percent of it far from the edge."""
+    column = np.arange(SHAPE[1]) - 119.5
+    sag = 0.05 * rise_um * np.sign(column) * (1.0 - np.exp(-np.abs(column) / 150.0))
+    profile = 0.5 * rise_um * np.tanh(column / flank_px) - sag
+    return np.broadcast_to(profile, SHAPE).astype(np.float32)
+
+
+LEVELS = {
+    "points": LevelTable(on="points", points_um=((50.0, 50.0), (1100.0, 60.0), (80.0, 800.0))),
+    "plane": LevelTable(on="plane", regions_um=((0.0, 0.0, 1150.0, 150.0), (0.0, 750.0, 1150.0, 890.0))),
+    "skin": LevelTable(on="skin", regions_um=((0.0, 0.0, 300.0, 890.0), (900.0, 0.0, 1190.0, 890.0))),
+}
+
+
+@pytest.mark.parametrize("kind", sorted(LEVELS))
+def test_what_was_chosen_is_level(kind: str, write_result: Write) -> None:
+    folder = write_result(tilted_block(), error_um=0.05)
+    found = measure_result(folder, Recipe(form="none", level=LEVELS[kind], parameters=("height",)))
+    assert abs(float(np.median(found.height.z_um[:30]))) < 0.01
+    assert float(np.median(found.height.z_um[60:120, 80:160])) == pytest.approx(40.0, abs=0.01)
+    (note,) = [one for one in found.notes if one.startswith("levelled on")]
+    assert "median ± of a height goes from" in note
+
+
+def test_a_line_levels_along_itself_alone(write_result: Write) -> None:
+    level = LevelTable(on="line", points_um=((0.0, 50.0), (1190.0, 50.0)))
+    found = measure_result(write_result(tilted_block()), Recipe(form="none", level=level, parameters=("height",)))
+    z_um = found.height.z_um
+    assert abs(float(z_um[10, 20] - z_um[10, 220])) < 0.01
+    assert abs(float(z_um[10, 100])) < 0.01
+    assert float(z_um[20, 20] - z_um[10, 20]) == pytest.approx(0.02 * 10 * PITCH_UM, abs=0.01)
+
+
+def test_the_mask_that_reconstruction_wrote_is_the_untouched_skin(write_result: Write) -> None:
+    folder = write_result(tilted_block())
+    skin = np.zeros(SHAPE, np.bool_)
+    skin[:30] = True
+    write_mask(folder / "untouched.png", skin)
+    found = measure_result(folder, Recipe(form="none", level=LevelTable(on="skin"), parameters=("height",)))
+    assert abs(float(np.median(found.height.z_um[:30]))) < 0.01
+    assert any("untouched skin, 17% of the field" in note for note in found.notes)
+
+
+def test_levelling_takes_a_common_tilt_out_of_the_uncertainty(write_result: Write) -> None:
+    folder = write_result(tilted_block(), error_um=5.0)
+    recipe = Recipe(
+        form="none", parameters=("height",), distance=(DistanceTable(name="a", from_um=(50, 50), to_um=(600, 450)),)
+    )
+    plain = number(measure_result(folder, recipe), "a", "in height")
+    levelled = Recipe(
+        **{name: getattr(recipe, name) for name in ("form", "parameters", "distance")}, level=LEVELS["points"]
+    )
+    other = number(measure_result(folder, levelled), "a", "in height")
+    assert plain.uncertainty is not None
+    assert other.uncertainty is not None
+    assert other.uncertainty != pytest.approx(plain.uncertainty, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [
+        (LevelTable(on="points", points_um=((0, 0), (1, 1))), "three points or more"),
+        (LevelTable(on="line", points_um=((0, 0),)), "two ends"),
+        (LevelTable(on="plane"), "one region or more"),
+        (LevelTable(on="skin", points_um=((0, 0),)), "untouched skin has none"),
+    ],
+)
+def test_a_level_that_does_not_fit_is_refused(level: LevelTable, words: str) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        checked(Recipe(level=level), "recipe.toml")
+
+
+def test_points_on_one_line_are_refused(write_result: Write) -> None:
+    points = ((100.0, 100.0), (200.0, 200.0), (300.0, 300.0))
+    level = LevelTable(on="points", points_um=tuple((x + 400, 450.0) for x, _ in points))
+    tall = LevelTable(on="points", points_um=((-500.0, 0.0), *level.points_um))
+    with pytest.raises(MeasurementError, match="masked or outside"):
+        measure_result(write_result(tilted_block()), Recipe(level=tall))
+
+
+@pytest.mark.parametrize("flank_px", [2.0, 5.0])
+def test_a_step_is_the_same_however_long_its_line_is(flank_px: float, write_result: Write) -> None:
+    folder = write_result(edge(flank_px), error_um=1.0)
+    lengths = [600.0 * share for share in (0.7, 0.85, 1.0, 1.25, 1.5)]
+    steps = tuple(
+        StepTable(
+            name=f"{length:g}", from_um=(597.0 - length / 2, 450.0), to_um=(597.0 + length / 2, 450.0), width_um=100
+        )
+        for length in lengths
+    )
+    found = measure_result(folder, Recipe(parameters=("height",), step=steps))
+    values = [number(found, step.name, "height") for step in steps]
+    heights = [one.value or 0.0 for one in values]
+    assert max(heights) - min(heights) < min(one.uncertainty or 0.0 for one in values)
+    for step, length in zip(steps, lengths, strict=True):
+        assert number(found, step.name, "edge at").value == pytest.approx(length / 2, abs=2.0)
+    assert [one.edges_um[0] for one in found.steps] == pytest.approx([length / 2 for length in lengths], abs=2.0)
+
+
+def test_a_line_without_room_for_the_flank_says_so(write_result: Write) -> None:
+    short = StepTable(name="short", from_um=(497.0, 450.0), to_um=(697.0, 450.0))
+    found = measure_result(write_result(edge(8.0)), Recipe(parameters=("height",), step=(short,)))
+    assert any("lengthen it" in words for words in number(found, "short", "height").warnings)
+
+
+def test_a_ridge_is_a_kind(write_result: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    across = {"from_um": (20.0, 450.0), "to_um": (1150.0, 450.0), "width_um": 50.0}
+    ridge = StepTable(name="bar", kind="ridge", **across)  # type: ignore[arg-type]
+    found = measure_result(write_result(tilted_block()), Recipe(parameters=("height",), step=(ridge,)))
+    assert number(found, "bar", "height").value == pytest.approx(40.0, abs=0.2)
+    assert number(found, "bar", "width").value == pytest.approx(495.0, abs=5.0)
+    folder = write_result(-tilted_block(), "hollow")
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(
+        'parameters = ["height"]\n[[step]]\nname = "bar"\nkind = "ridge"\nfrom_um = [20, 450]\nto_um = [1150, 450]\n'
+        '[[distance]]\nname = "span"\nfrom_um = [100, 100]\nto_um = [1000, 100]\n'
+    )
+    assert main(["measure", str(folder), "--recipe", str(recipe)]) == 1
+    text = capsys.readouterr().out
+    assert "not measured: " in text
+    assert "Sa " in text
+    assert "along the skin" in text
+    assert "± not known, because that of the pixel pitch is not" in text
+
+
+def test_a_length_has_the_pitchs_uncertainty(write_result: Write) -> None:
+    span = DistanceTable(name="span", from_um=(100.0, 100.0), to_um=(1000.0, 100.0))
+    recipe = Recipe(parameters=("height",), distance=(span,))
+    scale = {"pixel_pitch_share": 0.002, "ball_radius_share": None}
+    known = number(measure_result(write_result(tilted_block(), height_scale=scale), recipe), "span", "along the skin")
+    assert known.uncertainty == pytest.approx(0.002 * 900.0, rel=0.01)
+    assert not any("pixel pitch" in words for words in known.warnings)
+    unknown = number(measure_result(write_result(tilted_block(), "other"), recipe), "span", "along the skin")
+    assert unknown.uncertainty is None
+    assert any("pixel pitch" in words for words in unknown.warnings)
