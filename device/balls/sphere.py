@@ -85,7 +85,7 @@ def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]]) ->
     for image, balls in presses:
         for ball in balls:
             row, column = pixels_inside(ball, image.shape)
-            faithful = image.faithful[row, column]
+            faithful = image.faithful_at((row, column))
             row, column = row[faithful], column[faithful]
             slopes = sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32))
             parts.append((image.values[row, column], *slopes, column.astype(np.float32), row.astype(np.float32)))

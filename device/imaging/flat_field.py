@@ -82,6 +82,10 @@ class NormalizedImage:
         """True where the intensity is valid and not clipped, usable for calibration."""
         return self.valid & ~self.clipped
 
+    def faithful_at(self, pixels: Any) -> MaskArray:
+        """The same at some pixels alone: a window, or indices."""
+        return np.asarray(self.valid[pixels] & ~self.clipped[pixels])
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""

@@ -90,7 +90,7 @@ def _fine(image: NormalizedImage, row: NDArray[np.intp], column: NDArray[np.intp
     """By how much pixels differ from their surroundings: float32 array of shape (N, 3), 0 where clipped or invalid."""
     values = np.ascontiguousarray(image.values)
     own = values[row, column] - cv2.GaussianBlur(values, (0, 0), REFERENCE_BLUR_PX)[row, column]
-    return np.where(image.faithful[row, column, None], own, np.float32(0.0))
+    return np.where(image.faithful_at((row, column))[:, None], own, np.float32(0.0))
 
 
 def _typical_noise(noises: Sequence[Float32Array], cell: NDArray[np.intp], count: int) -> Float32Array:

@@ -221,7 +221,7 @@ def _apexes(balls: Sequence[tuple[NormalizedImage, Ball, float]]) -> _Apexes | N
     for image, ball, apex_px in balls:
         row, column = pixels_inside(ball, image.shape)
         p, q = (s.astype(np.float64) for s in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
-        gentle = image.faithful[row, column] & (np.hypot(p, q) < GENTLE)
+        gentle = image.faithful_at((row, column)) & (np.hypot(p, q) < GENTLE)
         if gentle.sum() < MIN_PIXELS:
             continue
         p, q = p[gentle], q[gentle]

@@ -103,12 +103,11 @@ class TransferBench:
         slope : float64 array of shape (TILE_PX + 2 HALO_PX,)
         shrinkage : None reads without noise
         """
-        profile = np.broadcast_to(slope, (len(slope), len(slope)))
-        flat, found = np.zeros_like(profile), []
+        flat, found = np.zeros((1, len(slope))), []
         for number, place in enumerate(PLACES):
             turned = number % 2
-            slopes = (flat, profile.T) if turned else (profile, flat)
-            root = self._colour.root(*slopes, place)
+            across, down = (flat.T, slope[:, None]) if turned else (slope[None], flat)
+            root = np.broadcast_to(self._colour.root(across, down, place), (len(slope), len(slope), 3))
             if shrinkage is not None:
                 root = root_of(self._shrunk(root + self._drawn[number], shrinkage))
             both = (root - self._colour.root(flat[:1, :1], flat[:1, :1], place)) @ self._slope_of_colour(place)

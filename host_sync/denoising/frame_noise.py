@@ -83,18 +83,25 @@ def measure_noise(
     pressed : intensity and balls of each press; the finest detail inside their contacts is noise but for a few pixels
     untouched : intensities of shape (H, W, 3) of frames that show untouched skin on most of their area
     """
-    parts = []
-    for image, balls in pressed:
-        details, _ = detail_planes(root_of(image.values))
-        for ball in balls:
-            row, column = pixels_inside(ball, image.shape)
-            known = image.faithful[row, column]
-            parts.append(details[0][row[known], column[known]])
+    parts = [_finest_details(image, ball) for image, balls in pressed for ball in balls]
     found = np.concatenate(parts) if parts else np.zeros((0, 3), np.float32)
     if len(found) < MIN_PIXELS:
         return None
     covariance = robust_covariance(found[:: max(1, len(found) // MAX_SAMPLES)])
     return FrameNoise(covariance, _level_ratios(untouched[:MAX_FRAMES], covariance))
+
+
+def _finest_details(image: NormalizedImage, ball: Ball) -> Float32Array:
+    """The finest detail (N, 3) at the faithful pixels inside a ball's contact."""
+    row, column = pixels_inside(ball, image.shape)
+    known = image.faithful_at((row, column))
+    if not known.any():
+        return np.zeros((0, 3), np.float32)
+    # The next pixels on either side are all that it depends on.
+    top, left = (max(int(at.min()) - 1, 0) for at in (row, column))
+    window = image.values[top : int(row.max()) + 2, left : int(column.max()) + 2]
+    details, _ = detail_planes(root_of(window), levels=1)
+    return np.asarray(details[0][row[known] - top, column[known] - left])
 
 
 def root_of(values: Float32Array) -> Float32Array:

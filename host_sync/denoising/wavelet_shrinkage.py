@@ -49,13 +49,13 @@ class Shrinkage:
     kept: Float32Array
 
 
-def detail_planes(root: Float32Array) -> tuple[list[Float32Array], Float32Array]:
+def detail_planes(root: Float32Array, levels: int = LEVELS) -> tuple[list[Float32Array], Float32Array]:
     """Detail planes, finest first, and the smooth rest, of an image of shape (H, W, C); all of its shape.
 
     Up to 7 pixels from the border they are not those of a larger image.
     """
     details, smooth = [], root
-    for level in range(LEVELS):
+    for level in range(levels):
         smoother = _smoothed(_smoothed(smooth, 1 << level, 0), 1 << level, 1)
         details.append(smooth - smoother)
         smooth = smoother
@@ -80,9 +80,14 @@ def directional_energy(energy: Float32Array) -> Float32Array:
 
 
 def _smoothed(image: Float32Array, hole: int, axis: int) -> Float32Array:
-    shift = (hole, 0) if axis == 0 else (0, hole)
-    around = _moved(image, *shift) + _moved(image, -shift[0], -shift[1])
-    return np.asarray(np.float32(0.5) * image + np.float32(0.25) * around, np.float32)
+    size = image.shape[axis]
+    before, after = (np.take(image, [edge], axis=axis).repeat(hole, axis=axis) for edge in (0, -1))
+    padded = np.concatenate([before, image, after], axis=axis)
+    ahead, behind = (padded[(slice(None),) * axis + (slice(at, at + size),)] for at in (2 * hole, 0))
+    around = ahead + behind
+    around *= np.float32(0.25)
+    around += np.float32(0.5) * image
+    return np.asarray(around, np.float32)
 
 
 def _moved(image: Any, down: int, across: int) -> Any:

@@ -189,7 +189,7 @@ def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallErr
             window = _window(ball, image.shape)
             row, column = np.mgrid[window].astype(np.float32)
             inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < ball.contact_radius_px**2
-            inside &= image.faithful[window]
+            inside &= image.faithful_at(window)
             if inside.sum() < MIN_PIXELS:
                 continue
             read = inverse_map.predict(image.values[window][inside], column[inside], row[inside])
