@@ -119,7 +119,7 @@ class RegressorFit:
         For a learner that does not read light.
         """
         root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
-        found = Leverage.of(root, self.ridge.features.table(np.flatnonzero(alive[self.ridge.ball])))
+        found = Leverage.of(root, self.ridge.features.powers(np.flatnonzero(alive[self.ridge.ball]), root))
         scaled = found.root * self.form.term_scale()[:, None]
         if self.flat:
             scaled = flat_at_rest(self._bare, scaled, self.reading)

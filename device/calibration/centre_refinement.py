@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.candidates import RegressorFit
 from device.calibration.cross_validation import angle_between_deg, robust_weight
+from device.calibration.parallel_calls import results_of
 from device.surface.fields import Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic
 
@@ -104,8 +106,9 @@ def _typical_error_deg(samples: BallSamples, state: Refined) -> float:
 def held_out_slopes(learners: Learners, state: Refined, fold_of_ball: NDArray[np.intp] | None = None) -> Float64Array:
     """Slopes of shape (N, 2) that the learners together give each ball without having seen it; folds as the ridge's."""
     u = np.zeros_like(state.slope)
-    for learner, share in learners:
-        (own,) = learner.ridge.held_out([learner.penalty], state.slope, state.weight, state.kept, fold_of_ball)
+    arguments = state.slope, state.weight, state.kept, fold_of_ball
+    calls = [partial(learner.ridge.held_out, [learner.penalty], *arguments) for learner, _ in learners]
+    for (_, share), (own,) in zip(learners, results_of(calls), strict=True):
         u += share * own
     return slope_from_stereographic(u)
 

@@ -6,8 +6,9 @@ Centres are then refined (see `centre_refinement`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
@@ -25,6 +26,7 @@ from device.calibration.candidates import (
 from device.calibration.centre_refinement import Learners, Refined, held_out_slopes, refine, true_slopes
 from device.calibration.cross_validation import FOLDS, angle_between_deg
 from device.calibration.held_out_readings import HeldOutReadings
+from device.calibration.parallel_calls import results_of
 from device.calibration.slope_gain import SlopeGain, slope_gains
 from device.errors import CalibrationError
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity
@@ -224,29 +226,34 @@ def _of_another_radius(
 
 def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) -> tuple[RegressorFit, Learners]:
     """The learner of intensity; and the map's: it or near lights', the root's and light's where worth their cost."""
-    plain, error = _flat_or_free(lesson, Lesson.select_best, thorough=thorough)
-    own, others = plain, []
     many = lesson.count >= MIN_FOR_MANY_TERMS
+    choices: dict[str, Callable[[Lesson], tuple[RegressorFit, float]]] = {"plain": Lesson.select_best}
     if thorough and many:
-        others.append(_flat_or_free(lesson, Lesson.root_learner, thorough=True))
+        choices["root"] = Lesson.root_learner
+    if light is not None:
+        choices["light"] = lambda one: one.select_best(light)
+    kinds = {
+        (name, flat): choose for name, choose in choices.items() for flat in ((True, False) if thorough else (True,))
+    }
     if light is not None and many:
-        near, near_error = lesson.fit_near_light()
+        kinds["near", True] = Lesson.fit_near_light
+    calls = [partial(choose, replace(lesson, flat=flat)) for (_, flat), choose in kinds.items()]
+    found = dict(zip(kinds, results_of(calls), strict=True))
+    plain, error = _flat_or_free(found, "plain")
+    own = plain
+    if ("near", True) in found:
+        near, near_error = found["near", True]
         if near_error < NEAR_GAIN * error:
             own, error = near, near_error
-    if light is not None:
-        others.append(_flat_or_free(lesson, lambda one: one.select_best(light), thorough=thorough))
-    return plain, _shared(own, error, others)
+    return plain, _shared(own, error, [_flat_or_free(found, name) for name in choices if name != "plain"])
 
 
 def _flat_or_free(
-    lesson: Lesson, choose: Callable[[Lesson], tuple[RegressorFit, float]], *, thorough: bool
+    found: Mapping[tuple[str, bool], tuple[RegressorFit, float]], name: str
 ) -> tuple[RegressorFit, float]:
     """The learner that reads untouched skin as flat, or the one that is free to miss it where that gains enough."""
-    flat = choose(lesson)
-    if not thorough:
-        return flat
-    free = choose(replace(lesson, flat=False))
-    return free if free[1] < FREE_GAIN * flat[1] else flat
+    flat, free = found[name, True], found.get((name, False))
+    return free if free and free[1] < FREE_GAIN * flat[1] else flat
 
 
 def _shared(own: RegressorFit, error: float, others: Sequence[tuple[RegressorFit, float]]) -> Learners:

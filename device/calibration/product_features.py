@@ -67,9 +67,12 @@ class ProductFeatures:
             found[at] = sum_of_products(self._terms(rows[at]), place, scaled)
         return found
 
-    def table(self, rows: NDArray[np.intp]) -> Float64Array:
-        """The features themselves of pixels `rows`: float64 array of shape (n, F)."""
-        return self._plain(rows) * self.scale
+    def powers(self, rows: NDArray[np.intp], matrix: Float64Array) -> Float64Array:
+        """|φᵀ M|² of a matrix M (F, C) and the features φ of pixels `rows`: float64 array of shape (n,)."""
+        scaled, found = self.scale[:, None] * matrix, np.empty(len(rows))
+        for at in blocks_of(len(rows)):
+            found[at] = ((self._plain(rows[at]) @ scaled) ** 2).sum(axis=1)
+        return found
 
     def _plain(self, rows: NDArray[np.intp]) -> Float64Array:
         """Features before they are scaled, float64 array of shape (n, F)."""

@@ -32,9 +32,9 @@ class Leverage:
     trained: float
 
     @classmethod
-    def of(cls, root: Float64Array, design: Float64Array) -> Leverage:
-        """The leverage whose root over the features of the balls, float64 array (N, M K), is known."""
-        return cls(root.astype(np.float32), float(np.percentile(((design @ root) ** 2).sum(axis=1), TRAINED_PERCENT)))
+    def of(cls, root: Float64Array, balls: Float64Array) -> Leverage:
+        """The leverage whose root over features is known, and its values (N,) at the pixels of balls."""
+        return cls(root.astype(np.float32), float(np.percentile(balls, TRAINED_PERCENT)))
 
     def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
         """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest of the training

@@ -36,10 +36,11 @@ def monomials(variables: NDArray[Any], degree: int) -> NDArray[Any]:
 
 def monomial_rows(variables: NDArray[Any], degree: int) -> NDArray[Any]:
     """The same with every monomial in a row: shape (M, N), from variables of shape (D, N)."""
-    rows = np.empty((len(_steps(degree, len(variables))) + 1, variables.shape[1]), variables.dtype)
+    steps, factors = _steps(degree, len(variables)), np.ascontiguousarray(variables)
+    rows = np.empty((len(steps) + 1, factors.shape[1]), factors.dtype)
     rows[0] = 1.0
-    for row, (lower, axis) in enumerate(_steps(degree, len(variables)), start=1):
-        np.multiply(rows[lower], variables[axis], out=rows[row])
+    for row, (lower, axis) in enumerate(steps, start=1):
+        np.multiply(rows[lower], factors[axis], out=rows[row])
     return rows
 
 

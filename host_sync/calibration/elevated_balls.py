@@ -172,9 +172,10 @@ class _Skin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Relief:
-    """Slopes of a press as a map reads them at every `step`-th pixel."""
+    """Slopes of a press as a map reads them at every `step`-th pixel, and the elevation that they add up to, (h, w)."""
 
     gradients: GradientField
+    z_px: Float32Array
     step: int
     shape: tuple[int, int]
 
@@ -185,12 +186,15 @@ class _Relief:
         valid = np.ascontiguousarray(image.valid[here])
         slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
         p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
-        return cls(GradientField(p, q, valid, valid.astype(np.float32)), step, image.shape)
+        gradients = GradientField(p, q, valid, valid.astype(np.float32))
+        return cls(gradients, elevation_over_datum_px(gradients, float(step)), step, image.shape)
 
     def at(self, trained: ElevationCorrection) -> _Skin:
         """The skin, where slopes are read right at the elevation of the training balls."""
         found = self.gradients
-        share = trained.steeper(elevation_over_datum_px(found, float(self.step)), found.p**2 + found.q**2)
+        if trained.nearness_per_px == 0.0:
+            return _Skin(found.p, found.q, self.z_px, self.step, self.shape)
+        share = trained.steeper(self.z_px, found.p**2 + found.q**2)
         right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
         return _Skin(right.p, right.q, elevation_over_datum_px(right, float(self.step)), self.step, self.shape)
 

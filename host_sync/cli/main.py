@@ -29,6 +29,8 @@ add_commands(app, COMMANDS)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
+    # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value"))
 
 
