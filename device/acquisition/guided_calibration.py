@@ -17,7 +17,8 @@ from device.calibration.acceptance import Check, check_fit, fit_checks
 from device.calibration.coverage import Coverage, measure_coverage
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.calibration.limits import MIN_BALLS
-from device.calibration.measured_radius import measured_radius_shares
+from device.calibration.measured_radius import MeasuredRadii, measure_radii, wrong_by_shadow
+from device.calibration.terminator import shadow_radii_mm
 from device.errors import CalibrationError
 from device.imaging.exposure import Brightness
 from device.imaging.flat_field import LinearFrame, bin_bayer, check_exposed, flat_field_correct, make_flat_field
@@ -35,9 +36,6 @@ MAX_EXTRA: Final = 4
 """Maximum number of presses beyond the planned ones, for parts of the field that are still uncovered."""
 
 MAX_FIT_SAMPLES: Final = 15_000
-
-MAX_RADIUS_OFF: Final = 0.08
-"""Largest relative difference of a ball's radius from the stated one, as the last calibration reads it."""
 
 Phase = Literal["reference", "press", "fitting", "passed", "failed"]
 
@@ -110,7 +108,7 @@ class GuidedCalibration:
         self._is_warned = False
         self._reference: RawFrame | None = None
         self.presses: list[AcceptedPress] = []
-        self._radius_px = ball_radius_mm * 1e3 / profile.sensor.pixel_pitch_um
+        self._profile = profile
         self._flat_field: Float32Array | None = None
         self._places = press_places()
         self._extra = 0
@@ -155,8 +153,10 @@ class GuidedCalibration:
         Raises
         ------
         CalibrationError
-            Too few balls, or they contradict each other; `progress` has failed.
+            Too few balls, or they contradict each other, or it has failed before; `progress` has failed.
         """
+        if self.progress.phase == "failed":
+            raise CalibrationError(self.progress.instruction)
         try:
             fit = self._fit()
         except CalibrationError as error:
@@ -165,11 +165,10 @@ class GuidedCalibration:
         rejected = int((~fit.kept).sum()) + sum(len(press.rejected) for press in self.presses)
         coverage = self.progress.coverage
         checks = fit_checks(int(fit.kept.sum()), rejected, fit.held_out_deg, coverage) if coverage else ()
-        self.progress = replace(self.progress, checks=(*checks, *self._radius_checks()))
+        radii = self._measured_radii()
+        self.progress = replace(self.progress, checks=(*checks, *radii.checks))
         if failed := [check.name for check in self.progress.checks if not check.passed]:
-            sentence = (
-                f"Calibration failed in: {', '.join(failed)}. {self._radius_advice()}The previous one stays active."
-            )
+            sentence = f"Calibration failed in: {', '.join(failed)}. {radii.advice}The previous one stays active."
             self.fail(sentence)
             raise CalibrationError(sentence)
         return fit
@@ -216,34 +215,18 @@ class GuidedCalibration:
     def _frame_shape(binned: LinearFrame) -> tuple[int, int]:
         return BINNING * binned.shape[0], BINNING * binned.shape[1]
 
-    def _radius_checks(self) -> tuple[Check, ...]:
-        """Whether the ball has the stated radius, as the last calibration reads it; nothing without one."""
-        share = self._radius_share()
-        if share is None:
-            return ()
-        return (Check("ball radius off from the stated one, fraction", abs(share - 1.0), MAX_RADIUS_OFF, "at most"),)
-
-    def _radius_advice(self) -> str:
-        share = self._radius_share()
-        if share is None or abs(share - 1.0) <= MAX_RADIUS_OFF:
-            return ""
-        return (
-            f"By the last calibration the ball's radius is {share * self.ball_radius_mm:.2f} mm, not "
-            f"{self.ball_radius_mm:g} mm: choose the right radius, or give the gel a new name if that one was wrong. "
-        )
-
-    def _radius_share(self) -> float | None:
-        """Median over balls of the measured radius over the stated one; None without a last calibration."""
-        if self._last is None or self._last.reference.shape != self.reference.shape:
-            return None
-        shares = measured_radius_shares(joined_samples(self.presses), self._last.inverse_map)
-        shares = shares[np.isfinite(shares)]
-        return float(np.median(shares)) if shares.size else None
+    def _measured_radii(self) -> MeasuredRadii:
+        """The balls' radius as far as it can be measured by now."""
+        by_last = None
+        if self._last is not None and self._last.reference.shape == self.reference.shape:
+            by_last = self._last.inverse_map
+        shadows = [radius for press in self.presses for radius in press.shadow_radii_mm]
+        return measure_radii(self.ball_radius_mm, shadows, joined_samples(self.presses), by_last)
 
     def _add_press(self, frame: RawFrame) -> None:
         if self._flat_field is None:
             raise CalibrationError("a press came before the reference: start the calibration again")
-        read = read_press(frame, self._flat_field, self._radius_px)
+        read = read_press(frame, self._flat_field, self.ball_radius_mm, self._profile)
         self.progress = replace(self.progress, circles=read.circles, rejected=read.rejected, complaint=read.complaint)
         self._tries += 1
         if read.press is None and self._tries < MAX_TRIES:
@@ -252,6 +235,11 @@ class GuidedCalibration:
             return
         if read.press is not None:
             self.presses.append(read.press)
+            if wrong := wrong_by_shadow(
+                self.ball_radius_mm, [radius for press in self.presses for radius in press.shadow_radii_mm]
+            ):
+                self.fail(f"{wrong}The previous calibration stays active.")
+                return
         self._places.pop(0)
         self._ask_next()
 
@@ -310,12 +298,14 @@ class AcceptedPress:
     balls : in full-size pixels
     rejected : in full-size pixels, with the reason
     samples : of the pixels inside the balls, at full-size coordinates
+    shadow_radii_mm : radius of the balls by each terminator that was seen
     """
 
     frame: RawFrame
     balls: tuple[Ball, ...]
     rejected: tuple[RejectedBall, ...]
     samples: BallSamples
+    shadow_radii_mm: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,10 +318,11 @@ class PressReading:
     complaint: str
 
 
-def read_press(frame: RawFrame, flat_field: Float32Array, radius_px: float) -> PressReading:
-    """Detect balls in a frame; `flat_field` is at half size, `radius_px` is the ball's radius in sensor pixels."""
+def read_press(frame: RawFrame, flat_field: Float32Array, radius_mm: float, profile: BoardProfile) -> PressReading:
+    """Detect balls of a stated radius in a frame of the profile's board; `flat_field` is at half size."""
     intensity = flat_field_correct(bin_bayer(frame, BINNING), flat_field)
-    search = find_balls(intensity, radius_px / BINNING)
+    pitch_mm = BINNING * 1e-3 * profile.sensor.pixel_pitch_um
+    search = find_balls(intensity, radius_mm / pitch_mm)
     balls = tuple(ball.enlarged(BINNING) for ball in search.found)
     rejected = tuple(replace(ball, column=BINNING * ball.column, row=BINNING * ball.row) for ball in search.rejected)
     if not search.found:
@@ -339,7 +330,8 @@ def read_press(frame: RawFrame, flat_field: Float32Array, radius_px: float) -> P
         complaint = f"no usable ball found ({reasons})" if reasons else "no ball found"
         return PressReading(None, (), rejected, complaint)
     samples = gather_samples([(intensity, search.found)]).enlarged(BINNING)
-    return PressReading(AcceptedPress(frame, balls, rejected, samples), balls, rejected, "")
+    shadows = shadow_radii_mm(intensity, search.found, [light.position_mm for light in profile.lights], pitch_mm)
+    return PressReading(AcceptedPress(frame, balls, rejected, samples, shadows), balls, rejected, "")
 
 
 def joined_samples(presses: Sequence[AcceptedPress]) -> BallSamples:
