@@ -2,31 +2,71 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+AGAIN_S: Final = 0.05
+"""An interrupt that cannot be raised now is tried again after this."""
+
+_IMPORT: Final = "<frozen importlib._bootstrap>"
 
 
 @contextmanager
 def signals_as_keyboard_interrupt(*signals: signal.Signals) -> Iterator[None]:
     """Context in which these signals raise KeyboardInterrupt.
 
-    Only the first signal counts: a second would interrupt the clean-up that switches the lights off. Outside the main
-    thread, which alone receives signals, the context does nothing.
+    Only the first signal counts: a second would interrupt the clean-up that switches the lights off. It is raised after
+    an import in progress, which may not survive it, and again where Python had to drop it, in a destructor or callback.
+    Outside the main thread, which alone receives signals, the context does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def interrupt(_number: int, _frame: object) -> None:
+    def interrupt(_number: int, frame: FrameType | None) -> None:
         for number in signals:
             signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        if _is_importing(frame):
+            raise_soon()
+        else:
+            raise KeyboardInterrupt
 
+    def raise_soon() -> None:
+        signal.signal(signals[0], interrupt)
+        # A true signal, since the main thread may wait in the system meanwhile.
+        timer = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signals[0]))
+        timer.daemon = True
+        timer.start()
+
+    def unraisable(dropped: UnraisableHookArgs) -> None:
+        if dropped.exc_type is KeyboardInterrupt:
+            raise_soon()
+        else:
+            hook_before(dropped)
+
+    hook_before, sys.unraisablehook = sys.unraisablehook, unraisable
     before = {number: signal.signal(number, interrupt) for number in signals}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        sys.unraisablehook = hook_before
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Whether a frame runs within an import."""
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORT:
+            return True
+        frame = frame.f_back
+    return False

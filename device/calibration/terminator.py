@@ -88,9 +88,11 @@ def _profile_away(image: NormalizedImage, ball: Ball, channel: int, direction_ra
     row = (ball.row + ball.radius_px * DISTANCES[:, None] * np.sin(angle)).astype(np.float32)
     values = np.ascontiguousarray(image.values[..., channel])
     read = cv2.remap(values, column, row, cv2.INTER_LINEAR).astype(np.float64)
-    seen = cv2.remap(image.valid.astype(np.float32), column, row, cv2.INTER_LINEAR, borderValue=(0.0,)) > 0.5
-    read[~seen] = np.nan
-    return np.where(seen.mean(axis=1) > 0.5, np.nanmean(np.where(seen.any(axis=1)[:, None], read, 0.0), axis=1), np.nan)
+    whole = cv2.remap(image.valid.astype(np.float32), column, row, cv2.INTER_LINEAR, borderValue=(0.0,))
+    weight = (np.asarray(whole) > 0.5).astype(np.float64)
+    seen = weight.sum(axis=1)
+    mean = (weight * read).sum(axis=1) / np.maximum(seen, 1.0)
+    return np.where(seen > 0.5 * RAYS, mean, np.nan)
 
 
 def _terminator(profile: Float64Array) -> float | None:

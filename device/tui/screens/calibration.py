@@ -14,6 +14,7 @@ from device.acquisition.guided_calibration import CalibrationProgress
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.instrument.state import LiveView as LivePicture
+from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.frame_picture import Circle
 from device.tui.drawing.text import check_lines, coverage_lines, gauge_text, hanging
@@ -115,7 +116,7 @@ class CalibrationScreen(InstrumentScreen):
             again = "" if self._is_running(state) else " Push the button to calibrate again."
             complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""
             sign = "! " if state.guide.phase == "failed" else ""
-            return f"{sign}{state.guide.instruction}{complaint}{again}"
+            return screen_advice(f"{sign}{state.guide.instruction}{complaint}{again}")
         return f"Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
 
     def _details(self, guide: CalibrationProgress | None) -> list[tuple[str, int]]:

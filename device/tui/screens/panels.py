@@ -10,6 +10,7 @@ from typing import Final
 from device.acquisition.selftest import Finding
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import CalibrationState, HealthState, InstrumentState, PairingState
+from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.text import age_text, hanging, percent_text, shortened
 from hal.interfaces import PowerReading
 
@@ -35,7 +36,10 @@ def instrument_panel(state: InstrumentState, program: ProgramInfo, network: Netw
         *_network_lines(network, columns),
         ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
         ("Skin", skin_text(state.health)),
-        ("Calibration", calibration.fault or f"{calibration_text(calibration)}{_version(calibration)}{error}"),
+        (
+            "Calibration",
+            screen_advice(calibration.fault) or f"{calibration_text(calibration)}{_version(calibration)}{error}",
+        ),
         *_brightness_lines(calibration),
         ("Lights", lights_text(state.health)),
         ("Power", battery_text(state)),
@@ -85,7 +89,10 @@ def pairing_panel(pairing: PairingState, network: NetworkInfo | None, now_ns: in
 
 def selftest_panel(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
     """The findings so far, each with its state."""
-    lines = [hanging(f"{_state(finding):<5}{finding.part}: {finding.sentence}", columns, 5) for finding in findings]
+    lines = [
+        hanging(f"{_state(finding):<5}{finding.part}: {screen_advice(finding.sentence)}", columns, 5)
+        for finding in findings
+    ]
     if is_running:
         return "\n".join([*lines, "..."])
     failed = sum(finding.state == "failed" for finding in findings)
@@ -131,7 +138,7 @@ def state_text(state: InstrumentState, columns: int) -> str:
     if state.processing:
         parts.insert(1, f"{state.processing} processing")
     if state.health.level != "good" and state.health.sentence:
-        parts.insert(0, f"! {state.health.sentence}")
+        parts.insert(0, f"! {screen_advice(state.health.sentence)}")
     parts[:0] = [f"! {alarm}" for alarm in state.alarms]
     return shortened(" · ".join(part for part in parts if part), columns)
 

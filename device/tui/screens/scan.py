@@ -15,6 +15,7 @@ from device.bundles.scan import Annotations
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState, LastScan
+from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
 from device.tui.screens.base import InstrumentScreen
@@ -117,10 +118,10 @@ class ScanScreen(InstrumentScreen):
     def _show_last(self, state: InstrumentState) -> None:
         last = state.last
         if last is None:
-            self._relief.show(None, state.calibration.fault or "The relief of a scan appears here.")
+            self._relief.show(None, screen_advice(state.calibration.fault) or "The relief of a scan appears here.")
             self._verdict.update("")
             return
-        self._relief.show(last.height, last.fault and f"No quick look: {last.fault}")
+        self._relief.show(last.height, last.fault and f"No quick look: {screen_advice(last.fault)}")
         self._verdict.update(verdict_text(last))
 
 
@@ -128,14 +129,16 @@ def verdict_text(last: LastScan) -> Content:
     """Number, level and reason of a scan."""
     level = last.verdict.level
     return Content.assemble(
-        (f"{verdict_word(level)} ", _VERDICT_STYLE[level]), (f"#{last.counter} ", "bold"), last.verdict.reason
+        (f"{verdict_word(level)} ", _VERDICT_STYLE[level]),
+        (f"#{last.counter} ", "bold"),
+        screen_advice(last.verdict.reason),
     )
 
 
 def cue_text(state: InstrumentState) -> str:
     """What to do now, in one sentence."""
     if state.activity == "out of order":
-        return f"Out of order: {state.sentence}"
+        return f"Out of order: {screen_advice(state.sentence)}"
     if state.activity != "ready":
         return f"{state.activity.capitalize()} ..."
     if state.scans_left == 0:
@@ -145,12 +148,12 @@ def cue_text(state: InstrumentState) -> str:
     if state.live is None:
         return "Push the button to switch the lights on."
     sign = "> " if _is_ready(state) else ""
-    return f"{sign}{state.live.reading.sentence}"
+    return f"{sign}{screen_advice(state.live.reading.sentence)}"
 
 
 def idle_sentence(state: InstrumentState) -> str:
     """Why there is no live picture."""
-    return state.sentence or "Lights off: push the button."
+    return screen_advice(state.sentence) or "Lights off: push the button."
 
 
 def _is_ready(state: InstrumentState) -> bool:

@@ -17,6 +17,7 @@ from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.store.marks import Opinion
 from device.surface.fields import HeightMap
+from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import sticky_text
 from device.tui.screens.base import InstrumentScreen
@@ -153,7 +154,7 @@ class ScansScreen(InstrumentScreen):
 
     def _show_quick_look(self, scan_id: str, height: HeightMap | None, sentence: str) -> None:
         if scan_id == self._shown:
-            self._relief.show(height, sentence)
+            self._relief.show(height, screen_advice(sentence))
 
     def _save_note(self, entry: ScanEntry, fields: dict[str, str] | None) -> None:
         if fields is not None:
@@ -183,6 +184,6 @@ def details_of(entry: ScanEntry) -> str:
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
     return (
-        f"{entry.verdict.level}: {entry.verdict.reason}\n{sticky_text(entry.annotations)}\n"
+        f"{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
         f"{entry.wall_time:%Y-%m-%d %H:%M} UTC · {sent}{note}"
     )

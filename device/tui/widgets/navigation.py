@@ -12,6 +12,8 @@ from textual.events import Click
 from textual.screen import Screen
 from textual.widgets import Static
 
+from device.tui.drawing.advice import screen_advice
+
 Place = Literal["scan", "calibrate", "scans", "set-up"]
 
 PLACES: Final[tuple[tuple[Place, str], ...]] = (
@@ -120,5 +122,8 @@ class NoticeLine(Static):
 
     def show(self, notice: Notice | None) -> None:
         """Show a notice, or none."""
-        text = Content.styled(_SIGNS[notice.severity] + notice.sentence, _STYLES[notice.severity]) if notice else ""
-        self.update(text)
+        if notice is None:
+            self.update("")
+            return
+        sentence = _SIGNS[notice.severity] + screen_advice(notice.sentence)
+        self.update(Content.styled(sentence, _STYLES[notice.severity]))
