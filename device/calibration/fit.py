@@ -123,7 +123,34 @@ def fit_inverse_map(
     light: IlluminationMap | None = None,
     thorough: bool = False,
 ) -> InverseFit:
-    """The inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors.
+    """The inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors;
+    arguments and errors as for `begin_fit`.
+    """
+    return begin_fit(samples, balls, shape, max_samples=max_samples, light=light, thorough=thorough).finished()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BegunFit:
+    """A fit that may still lose against another.
+
+    fit : without what judges no fit: the map's leverage and the replicas
+    finished : gives the fit with both
+    """
+
+    fit: InverseFit
+    finished: Callable[[], InverseFit]
+
+
+def begin_fit(
+    samples: BallSamples,
+    balls: Sequence[Ball],
+    shape: tuple[int, int],
+    *,
+    max_samples: int = 40_000,
+    light: IlluminationMap | None = None,
+    thorough: bool = False,
+) -> BegunFit:
+    """The fit of a full-size field of `shape` (H, W) to samples of `balls`.
 
     light : of untouched skin, for curves that want a reference, where held-out balls gain by them
     thorough : try curves that the quick look would not use too: of the root of intensity, and such as need not read
@@ -146,7 +173,8 @@ def fit_inverse_map(
         solution = learner.ridge.solve(learner.penalty, slope, np.ones(len(slope)), everyone)
         domain = TrainingDomain.observed(samples.intensity)
         fitted = InverseMap(shape, domain, learner.curve(solution), balls[0].steepest)
-        return InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
+        lone = InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
+        return BegunFit(lone, lambda: lone)
     few = _thinned(chosen, CHOOSING_SAMPLES)
     learned = _learners(Lesson(few, true_slopes(few, balls), len(balls), shape), light, thorough=thorough)
     plain, learners = learned
@@ -162,7 +190,7 @@ def fit_inverse_map(
     domain = TrainingDomain.observed(samples.intensity[state.kept[samples.ball]])
     error = angle_between_deg(state.held_out[rows], state.slope[rows])
     steepest = max(ball.steepest for ball, follows in zip(balls, state.kept, strict=True) if follows)
-    return InverseFit(
+    fit = InverseFit(
         map=_map(plain, learners, state, domain, shape, steepest),
         balls=state.balls,
         kept=state.kept,
@@ -172,8 +200,14 @@ def fit_inverse_map(
         core_deg=float(error[_in_core(chosen, balls)[rows]].mean()),
         readings=_readings(chosen, state, state.held_out, shape),
         of_another_radius=_of_another_radius(chosen, state, learners, shape),
-        replicas=_replicas(few, state, *learned, domain, shape) if thorough else (),
     )
+
+    def finished() -> InverseFit:
+        known = replace(fit.map, leverage=plain.leverage(state.slope, state.weight, state.kept))
+        replicas = _replicas(few, state, *learned, domain, shape) if thorough else ()
+        return replace(fit, map=known, replicas=replicas)
+
+    return BegunFit(fit, finished)
 
 
 def _in_core(samples: BallSamples, balls: Sequence[Ball]) -> MaskArray:
@@ -201,7 +235,7 @@ def _replicas(
         alive = state.kept.copy()
         alive[kept[number::FOLDS]] = False
         part = replace(state, slope=slope, weight=everything, kept=alive)
-        maps.append(_map(plain, learners, part, domain, shape, 1.0, leverage=False))
+        maps.append(_map(plain, learners, part, domain, shape, 1.0))
     return tuple(maps)
 
 
@@ -288,10 +322,8 @@ def _map(
     domain: TrainingDomain,
     shape: tuple[int, int],
     steepest: float,
-    *,
-    leverage: bool = True,
 ) -> InverseMap:
-    """The map trained on all kept balls."""
+    """The map trained on all kept balls, without its leverage."""
 
     def trained(learner: RegressorFit) -> FeatureRegressor:
         return learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
@@ -306,8 +338,7 @@ def _map(
             near = NearLightBranch(learner.reading, trained(learner))
         elif isinstance(learner.reading, RootIntensity):
             root = RootCurve(trained(learner), share)
-    known = plain.leverage(state.slope, state.weight, state.kept) if leverage else None
-    found = InverseMap(shape, domain, trained(plain), steepest, light, known, near, root)
+    found = InverseMap(shape, domain, trained(plain), steepest, light, near=near, root=root)
     return found if all(learner.flat for learner, _ in learners) else replace(found, rest_bump=rest_nodes(found))
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.fit import InverseFit, fit_inverse_map
+from device.calibration.fit import BegunFit, InverseFit, begin_fit
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct, make_flat_field
@@ -147,13 +147,14 @@ def calibrate(
     shrinkage = _learn_shrinkage(located, reference, flat_field)
     located = _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
-    inverse, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
-    elevated = _elevated(located, inverse, flat_field) if reference else None
+    begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
+    elevated = _elevated(located, begun.fit, flat_field) if reference else None
     response = elevated.response if elevated and elevated.response.is_certain else None
     if elevated and response:
         tell("fitting it again with every ball at the elevation of untouched skin")
         located = _lowered(located, elevated)
-        inverse = _fit_to(located, IlluminationMap.of(flat_field))
+        begun = _fit_to(located, IlluminationMap.of(flat_field))
+    inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
@@ -220,7 +221,7 @@ def _locate_all(
 
 def _fit(
     presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
-) -> tuple[InverseFit, Sequence[UsedPress], Centres]:
+) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
     """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
 
     Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
@@ -242,17 +243,18 @@ def _fit(
         more = name == "found at labels and beyond"
         if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
-        fit = _fit_to(moved, light)
+        begun = _fit_to(moved, light)
         gain = MORE_BALLS_GAIN if more else 1.0
-        if gain * _label_error_deg(fit, moved, located) < _label_error_deg(best, chosen[0], located):
-            best, chosen = fit, (moved, name)
+        if gain * _label_error_deg(begun.fit, moved, located) < _label_error_deg(best.fit, chosen[0], located):
+            best, chosen = begun, (moved, name)
     if chosen[1] != "found at labels and beyond":
         cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
-        fit = _fit_to(cut, light)
-        if fit.held_out_deg is None or best.core_deg is None or fit.kept.sum() < CORE_KEPT * best.kept.sum():
+        begun = _fit_to(cut, light)
+        core, whole = begun.fit, best.fit
+        if core.held_out_deg is None or whole.core_deg is None or core.kept.sum() < CORE_KEPT * whole.kept.sum():
             return best, *chosen
-        if fit.held_out_deg < best.core_deg:
-            return fit, cut, chosen[1]
+        if core.held_out_deg < whole.core_deg:
+            return begun, cut, chosen[1]
     return best, *chosen
 
 
@@ -266,12 +268,10 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
-def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None) -> InverseFit:
+def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None) -> BegunFit:
     samples = gather_samples([(press.intensity, press.balls) for press in presses])
     balls = [ball for press in presses for ball in press.balls]
-    return fit_inverse_map(
-        samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES, light=light, thorough=True
-    )
+    return begin_fit(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES, light=light, thorough=True)
 
 
 def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array) -> ElevatedBalls | None:
