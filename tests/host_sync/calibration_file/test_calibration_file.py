@@ -93,6 +93,19 @@ def test_commands_take_the_file_and_give_the_same_bits(
     assert (found / "calibration" / "report.json").read_bytes() == read_calibration_file(file).report["report.json"]
 
 
+def test_the_second_reconstruction_is_the_first_to_the_last_bit(
+    frame_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    said = []
+    for run in ("first", "second"):
+        assert main(["reconstruct", str(frame_set), "--out", str(tmp_path / run)]) == 0
+        said.append("made now" in capsys.readouterr().out)
+    assert said == [True, False]
+    for name in FIELDS:
+        assert (tmp_path / "first" / "ball" / name).read_bytes() == (tmp_path / "second" / "ball" / name).read_bytes()
+
+
 def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(
     file: Path, frame_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
