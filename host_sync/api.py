@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from host_sync.measurement.quantity import Quantity
     from host_sync.results.reader import ResultSurface
 
-    Image = str | Path | tuple[str | Path, str | Path, str | Path] | NDArray[Any]
-    """An RGB image file; three grey ones in R, G, B order; or an array of shape (H, W, 3): uint8, uint16, or fractions
-    of full scale."""
+    Image = str | Path | tuple[str | Path, ...] | NDArray[Any]
+    """An RGB image file; a grey one a light (three in R, G, B order); or an array of shape (H, W, N): uint8, uint16, or
+    fractions of full scale."""
 
 Encoding = Literal["linear", "srgb"]
 Method = Literal["direct", "paper"]
@@ -358,11 +358,12 @@ def _frame(image: Image, encoding: Encoding) -> LinearFrame:
 
     from host_sync.errors import FrameSetError
     from host_sync.frames.frame_set import FrameSpec
+    from host_sync.frames.frame_set_file import MAX_LIGHTS
     from host_sync.frames.linear_light import frame_of_values, read_frame
 
     if isinstance(image, np.ndarray):
         return frame_of_values(image, encoding)
     paths = (image,) if isinstance(image, str | Path) else image
-    if len(paths) not in (1, 3):
-        raise FrameSetError(f"{len(paths)} images are no frame: name an RGB image, or three grey ones (R, G, B)")
+    if not 1 <= len(paths) <= MAX_LIGHTS:
+        raise FrameSetError(f"{len(paths)} images are no frame: name an RGB image, or a grey one a light")
     return read_frame(FrameSpec(tuple(Path(path) for path in paths), encoding))

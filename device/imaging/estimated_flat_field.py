@@ -13,14 +13,15 @@ def estimate_flat_field(frames: list[LinearFrame], degree: int = 6) -> Float32Ar
     """Robust polynomial of log colour over position, fitted to all frames.
 
     Most of every frame shows untouched skin, so an iteratively reweighted fit finds it.
-    Returns a float32 array of shape (H, W, 3), fraction of full scale.
+    Returns a float32 array of shape (H, W, N), fraction of full scale; N is the frames' number of channels.
     """
     step = max(1, int(np.sqrt(frames[0].rgb[..., 0].size * len(frames) / 60_000)))
     rows, columns = frames[0].shape
     basis_small = _position_polynomials(rows, columns, degree, step)
-    flat_field = np.empty((rows, columns, 3), np.float32)
+    channels = frames[0].rgb.shape[2]
+    flat_field = np.empty((rows, columns, channels), np.float32)
     basis_row, basis_column = _chebyshev(rows, degree, 1), _chebyshev(columns, degree, 1)
-    for channel in range(3):
+    for channel in range(channels):
         samples = np.concatenate([f.rgb[::step, ::step, channel].ravel() for f in frames])
         seen = np.concatenate([~f.clipped[::step, ::step].ravel() for f in frames]) & (samples > DARK_FLOOR)
         design = np.tile(basis_small, (len(frames), 1))[seen]

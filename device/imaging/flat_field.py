@@ -50,7 +50,8 @@ _DEMOSAIC: Final[dict[BayerOrder, int]] = {
 class LinearFrame:
     """One exposure as linear light.
 
-    rgb : float32 array of shape (H, W, 3), fraction of full scale above black, R, G, B
+    rgb : float32 array of shape (H, W, 3), fraction of full scale above black, R, G, B; of other sensors than the
+        handheld (H, W, N), one channel a light
     clipped : bool array of shape (H, W), True where a channel is saturated
     """
 
@@ -196,7 +197,7 @@ def check_exposed_sample(sample: Float32Array, clipped_fraction: float, name: st
 def make_flat_field(reference: LinearFrame) -> Float32Array:
     """The blurred reference: float32 array of shape (H, W, 3), fraction of full scale."""
     blurred = cv2.GaussianBlur(reference.rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, np.float32)
+    return np.asarray(blurred, np.float32).reshape(reference.rgb.shape)
 
 
 def flat_field_correct(frame: LinearFrame, flat_field: Float32Array) -> NormalizedImage:

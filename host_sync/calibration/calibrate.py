@@ -42,6 +42,7 @@ from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
@@ -79,6 +80,8 @@ class Calibration:
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
+    lights : of a sensor with another number of lights than three, whose first group of three all else here reads
+    beside : calibrations of the other groups
     """
 
     calibration_id: str
@@ -97,6 +100,8 @@ class Calibration:
     shrinkage: DetailShrinkage | None = None
     slope_noise: SlopeNoise | None = None
     shading: ShadingModel | None = None
+    lights: LightGroups | None = None
+    beside: tuple[Calibration, ...] = ()
 
     @property
     def pixel_pitch_sigma_um(self) -> float | None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.many_lights import calibrate_lights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,12 +17,14 @@ class CalibrationFrames:
     """Frames of presses, the reference if there is one, and the pixel pitch (µm).
 
     others : frames that help to stand in for a missing reference
+    light_names : of the lights, where they are said
     """
 
     presses: tuple[PressFrame, ...]
     reference: LinearFrame | None
     pixel_pitch_um: float
     others: tuple[LinearFrame, ...] = ()
+    light_names: tuple[str, ...] = ()
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
@@ -35,4 +38,11 @@ class CalibrationFrames:
 
 def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
     """The calibration that the frames carry; errors as for `calibrate`."""
-    return calibrate(frames.presses, frames.reference, frames.pixel_pitch_um, others=frames.others, tell=tell)
+    return calibrate_lights(
+        frames.presses,
+        frames.reference,
+        frames.pixel_pitch_um,
+        others=frames.others,
+        light_names=frames.light_names,
+        tell=tell,
+    )

@@ -28,7 +28,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
     presses = tuple(_press_frame(press, frame_set) for press in frame_set.presses)
     reference = read_frame(frame_set.reference) if frame_set.reference else None
     others = tuple(read_frame(frame) for frame in _others(frame_set))
-    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others)
+    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others, frame_set.lights)
 
 
 def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
@@ -64,7 +64,12 @@ def key_of_set(frame_set: FrameSet) -> str:
     specs = [press.frame for press in frame_set.presses]
     specs += [frame_set.reference] if frame_set.reference else _others(frame_set)
     presses = [_settings(press, frame_set) for press in frame_set.presses]
-    settings = (frame_set.pixel_pitch_um, presses, [(len(spec.images), spec.encoding) for spec in specs])
+    settings: tuple[Any, ...] = (
+        frame_set.pixel_pitch_um,
+        presses,
+        [(len(spec.images), spec.encoding) for spec in specs],
+    )
+    settings = (*settings, frame_set.lights) if frame_set.lights else settings
     try:
         return key_of(settings, [image for spec in specs for image in spec.images])
     except OSError as error:

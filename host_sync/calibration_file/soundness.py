@@ -20,6 +20,8 @@ from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
+from host_sync.lights.light_groups import MAX_LIGHTS
+from host_sync.lights.matt_lights import NUMBERS_OF_TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 
@@ -40,6 +42,8 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
+    "LightGroups": {"flat_field": "H W lights", "typical": "lights"},
+    "MattLights": {"directions": "lights k 2", "tolerance": "lights"},
     "GridPose": {"parameters": "k", "covariance": "k k"},
 }
 """Shape of every array by record and field; one letter or word is one number within a record."""
@@ -65,8 +69,10 @@ def check_sound(calibration: Calibration, name: str) -> None:
             _check_map(record, calibration.flat_field.shape[:2], name)
         else:
             _check_arrays(record)
-    _check_field(calibration)
-    _check_errors(calibration.slope_error, calibration.slope_noise)
+    for one in (calibration, *calibration.beside):
+        _check_field(one)
+        _check_errors(one.slope_error, one.slope_noise)
+    _check_lights(calibration)
 
 
 def _records(value: Any) -> Iterator[Any]:
@@ -152,6 +158,27 @@ def _check_field(calibration: Calibration) -> None:
         and (grid is None or grid == WindowGrid.of((rows, columns)))
     ):
         raise Unsound("its parts are of fields of different sizes")
+
+
+def _check_lights(calibration: Calibration) -> None:
+    """Refuse groups that are not those of the calibrations beside, or name lights that are not there."""
+    lights, beside = calibration.lights, calibration.beside
+    if lights is None:
+        if beside:
+            raise Unsound("calibrations beside one of three lights")
+        return
+    count = lights.flat_field.shape[2]
+    known = {number for group in lights.groups for number in group} == set(range(count))
+    directions = lights.matt.directions.shape
+    if not (
+        known
+        and len(lights.groups) == 1 + len(beside)
+        and len(lights.names) == lights.typical.size == directions[0] == count <= MAX_LIGHTS
+        and directions[1] in NUMBERS_OF_TERMS
+        and all(one.flat_field.shape == calibration.flat_field.shape and not one.beside for one in beside)
+        and lights.flat_field.shape[:2] == calibration.flat_field.shape[:2]
+    ):
+        raise Unsound("groups of lights that do not go with its calibrations")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from device.balls.sphere import Ball
 from host_sync.errors import FrameSetError
-from host_sync.frames.frame_set_file import Encoding, ImageNames, PressTable, read_frame_set_file
+from host_sync.frames.frame_set_file import Encoding, FileTable, ImageNames, PressTable, read_frame_set_file
 from host_sync.frames.image_file import ImageInfo, read_info
 
 
 @dataclass(frozen=True, slots=True)
 class FrameSpec:
-    """One frame: an RGB image, or three grey ones in R, G, B order, and how their values encode light."""
+    """One frame: an RGB image, or a grey one a light (three in R, G, B order), and how their values encode light."""
 
     images: tuple[Path, ...]
     encoding: Encoding
@@ -56,7 +56,10 @@ class ScanSpec:
 
 @dataclass(frozen=True, slots=True)
 class FrameSet:
-    """A checked frame set; every frame has the same (H, W) `shape`."""
+    """A checked frame set; every frame has the same (H, W) `shape` and as many lights.
+
+    lights : their names with their colours, empty where the file does not say
+    """
 
     path: Path
     name: str
@@ -65,6 +68,7 @@ class FrameSet:
     reference: FrameSpec | None
     presses: tuple[PressSpec, ...]
     scans: tuple[ScanSpec, ...]
+    lights: tuple[str, ...] = ()
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
@@ -90,14 +94,15 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     keyed += [(f"press[{i}].image", spec) for i, spec in enumerate(press_frames)]
     keyed += [(f"scan[{i}].image", scan.frame) for i, scan in enumerate(scans)]
     shape = _common_shape(keyed, path)
+    lights = _light_names(file, keyed, path)
     presses = tuple(
         _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
     )
-    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans)
+    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans, lights)
 
 
 def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[int, int]:
-    """(H, W) of all frames, each checked to be RGB or three grey images of one size."""
+    """(H, W) of all frames, each checked to be an RGB image or grey ones of one size."""
     known: dict[Path, ImageInfo] = {}
     first_key, shape = "", (0, 0)
     for key, spec in frames:
@@ -110,11 +115,29 @@ def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[
                     f"{path}: {key}: {image} is {_size(info.shape)} pixels and {first_key} is {_size(shape)}: "
                     "use frames of one camera mode"
                 )
-            if len(spec.images) == 1 and info.channels == 1:
-                raise FrameSetError(f"{path}: {key}: {image} is grey: name an RGB image, or three grey ones (R, G, B)")
-            if len(spec.images) == 3 and info.channels == 3:
-                raise FrameSetError(f"{path}: {key}: {image} is RGB: name it alone, or three grey images (R, G, B)")
+            if len(spec.images) > 1 and info.channels == 3:
+                raise FrameSetError(f"{path}: {key}: {image} is RGB: name it alone, or a grey image a light")
+    counts = {spec: _channels(spec, known) for _, spec in frames}
+    for key, spec in frames:
+        if counts[spec] != counts[frames[0][1]]:
+            raise FrameSetError(
+                f"{path}: {key}: shows {counts[spec]} lights and {first_key} {counts[frames[0][1]]}: "
+                "name the same lights in every frame"
+            )
     return shape
+
+
+def _channels(spec: FrameSpec, known: dict[Path, ImageInfo]) -> int:
+    return len(spec.images) if len(spec.images) > 1 else known[spec.images[0]].channels
+
+
+def _light_names(file: FileTable, frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[str, ...]:
+    """What the lights are called; FrameSetError where they are not as many as the images of a frame."""
+    names = tuple(f"{light.name} ({light.colour})" if light.colour else light.name for light in file.light)
+    count = len(frames[0][1].images)
+    if names and len(names) != (count if count > 1 else 3) and not (count == 1 and len(names) == 1):
+        raise FrameSetError(f"{path}: light: {len(names)} lights are described and a frame has {count} images")
+    return names
 
 
 def _info(image: Path, key: str, path: Path) -> ImageInfo:

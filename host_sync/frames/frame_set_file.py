@@ -15,12 +15,16 @@ Encoding = Literal["linear", "srgb"]
 CALIBRATION_FOLDER: Final = "calibration"
 """Folder of the calibration report beside the scans; no scan may have this name."""
 
+MAX_LIGHTS: Final = 8
+"""No frame shows more."""
+
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 ImagePath = Annotated[str, msgspec.Meta(pattern=r"^[^\0]+$")]
-ImageNames = ImagePath | tuple[ImagePath, ImagePath, ImagePath]
+ImageNames = ImagePath | Annotated[tuple[ImagePath, ...], msgspec.Meta(min_length=1, max_length=MAX_LIGHTS)]
+"""An RGB image, or one grey image a light; three are read as R, G, B."""
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -57,6 +61,13 @@ class PressTable(_Table, frozen=True):
     grid_pitch_tolerance_mm: Tolerance | None = None
 
 
+class LightTable(_Table, frozen=True):
+    """A light, in the order of the images; what is said of it appears in messages."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=40)]
+    colour: Annotated[str, msgspec.Meta(max_length=40)] = ""
+
+
 class ScanTable(_Table, frozen=True):
     """A frame to reconstruct."""
 
@@ -70,6 +81,7 @@ class FileTable(_Table, frozen=True):
     name: str
     pixel_pitch_um: Length
     encoding: Encoding
+    light: Annotated[tuple[LightTable, ...], msgspec.Meta(max_length=MAX_LIGHTS)] = ()
     reference: ReferenceTable | None = None
     press: tuple[PressTable, ...] = ()
     scan: tuple[ScanTable, ...] = ()

@@ -11,7 +11,7 @@ from device.imaging.flat_field import SATURATED, LinearFrame
 from device.surface.fields import Float32Array
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
-from host_sync.frames.frame_set_file import Encoding
+from host_sync.frames.frame_set_file import MAX_LIGHTS, Encoding
 from host_sync.frames.image_file import read_pixels
 
 
@@ -25,23 +25,26 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
     """
     images = [read_pixels(path) for path in spec.images]
     for path, image in zip(spec.images, images, strict=True):
-        if image.ndim != (3 if len(images) == 1 else 2) or image.shape[:2] != images[0].shape[:2]:
+        if (len(images) > 1 and image.ndim != 2) or image.shape[:2] != images[0].shape[:2]:
             raise FrameSetError(f"{path}: changed in size or kind since the frame set was checked: load it again")
     planes = [light_of_values(image.dtype, spec.encoding)[image] for image in images]
-    rgb = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    rgb = planes[0] if planes[0].ndim == 3 else np.stack(planes, axis=-1)
     return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
 
 
 def frame_of_values(values: NDArray[Any], encoding: Encoding) -> LinearFrame:
-    """The frame in an array of shape (H, W, 3): uint8 or uint16, or floats that are fractions of full scale.
+    """The frame in an array of shape (H, W, N), one channel a light: uint8 or uint16, or fractions of full scale.
 
     Raises
     ------
     FrameSetError
         The array has another shape or type, or holds what is no light.
     """
-    if values.ndim != 3 or values.shape[2] != 3 or 0 in values.shape:
-        raise FrameSetError(f"an array of shape {values.shape} is no frame: give one of shape (H, W, 3), R, G, B")
+    if values.ndim != 3 or values.shape[2] > MAX_LIGHTS or 0 in values.shape:
+        raise FrameSetError(
+            f"an array of shape {values.shape} is no frame: give one of shape (H, W, 3), R, G, B, or (H, W, N), a "
+            f"channel a light, up to {MAX_LIGHTS}"
+        )
     if values.dtype in (np.uint8, np.uint16):
         rgb = light_of_values(values.dtype, encoding)[values]
     elif values.dtype.kind == "f" and np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from device.errors import CalibrationMismatch
-from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.imaging.flat_field import LinearFrame
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
-from host_sync.frame_checks.colour_check import check_datum, check_frame
+from host_sync.frame_checks.colour_check import check_datum
 from host_sync.gradients.extrapolation import extrapolated
-from host_sync.gradients.flat_field_kernel import raw_intensity
-from host_sync.gradients.intensity_checks import check_exposure
-from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
-from host_sync.johnson2009.model import estimate_gradients, integrate_forward_difference
-from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
-from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.johnson2009.model import integrate_forward_difference
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
+from host_sync.reconstruction.slope_reading import raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
-from host_sync.results.record import FrameCheck, refusals
+from host_sync.results.record import FrameCheck
 from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     NOISE_KEPT,
@@ -105,22 +99,10 @@ def reconstruct(
     CalibrationMismatch
         Its size is not the calibration's, or it was made with other lights, gel, exposure or focus, shifted or turned.
     """
-    if isinstance(frame, RawFrame):
-        intensity = raw_intensity(frame, calibration.flat_field)
-    else:
-        intensity = flat_field_correct(frame, calibration.flat_field)
     chosen = method or calibration.preferred
-    check_exposure(intensity, calibration.flat_field, name)
-    checks = calibration.frame_model.check(intensity, calibration.flat_field)
-    raw, shrinkage = intensity, calibration.shrinkage
-    if shrinkage is not None:
-        intensity = shrinkage.shrunk(raw)
-    warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
-    raise_on_warnings(warnings, name, force=force)
-    gradients = estimate(intensity, calibration, chosen)
-    shadow = _cast_shadow(gradients, intensity, calibration, chosen)
-    if shadow is not None:
-        shadow.apply(gradients)
+    reading = read_slopes(frame, calibration, name, chosen, force=force)
+    intensity, shadow, warnings = reading.first.intensity, reading.first.shadow, reading.warnings
+    gradients, shrinkage = reading.gradients, calibration.shrinkage
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     datum = find_datum(height, gradients)
@@ -153,9 +135,7 @@ def reconstruct(
     steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
     other = None
     if shrinkage is not None:
-        raw_gradients = estimate(raw, calibration, chosen)
-        if shadow is not None:
-            shadow.apply(raw_gradients)
+        raw_gradients = reading.raw_gradients()
         other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
         if detail == "raw":
             steepness_sigma = raw_slope_sigma(steepness_sigma, p, q, calibration.slope_noise)
@@ -174,7 +154,7 @@ def reconstruct(
         extrapolated=extrapolated(intensity, calibration.inverse.map, p, q),
         clipped_share=float(intensity.clipped.mean()),
         warnings=tuple(warnings),
-        frame_checks=checks,
+        frame_checks=reading.first.checks,
         datum=datum,
         detail="raw" if shrinkage is None else detail,
         other=other,
@@ -200,37 +180,3 @@ def known_scale_share(calibration: Calibration) -> float:
     """Standard uncertainty of the height's scale, as a share, from what of it was measured."""
     scale = calibration.assessment.scale
     return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))
-
-
-def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
-    """Refuse a frame that something speaks against, unless it is forced.
-
-    Raises
-    ------
-    CalibrationMismatch
-        Says what speaks against it.
-    """
-    if warnings and not force:
-        raise CalibrationMismatch(
-            f"{name} was not made as its calibration was: {'; '.join(warnings)}. Use a calibration of these lights and "
-            "this gel, or --force to reconstruct it all the same"
-        )
-
-
-def _cast_shadow(
-    gradients: GradientField, intensity: NormalizedImage, calibration: Calibration, method: Method
-) -> ShadowCorrection | None:
-    """What the default's slopes gain where a light is hidden."""
-    if method == "paper" or calibration.shading is None:
-        return None
-    return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
-
-
-def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
-    """Slopes per pixel by the method."""
-    if method == "paper":
-        return estimate_gradients(calibration.paper, intensity)
-    gradients = evaluate(calibration.inverse.map, intensity)
-    if calibration.elevation is not None:
-        correct_elevation(gradients, calibration.elevation)
-    return gradients

@@ -26,7 +26,7 @@ from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
 from host_sync.reconstruction.elevation_correction import correct_elevation
-from host_sync.reconstruction.pipeline import estimate, raise_on_warnings
+from host_sync.reconstruction.slope_reading import estimate, raise_on_warnings
 from host_sync.results.record import refusals
 
 CHECK_STRIDE_FACTOR: Final = 4
@@ -76,6 +76,10 @@ class FrameSolver:
         weighted: bool = True,
         force: bool = False,
     ) -> None:
+        if calibration.lights is not None:
+            raise SequenceError(
+                f"the calibration is of {calibration.lights.count} lights: a movie shows three channels"
+            )
         self._calibration = calibration
         self.method: Method = method
         self.encoding = encoding

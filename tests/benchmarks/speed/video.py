@@ -26,7 +26,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.frames.sequence import StoredFrame
 from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.integration.integrate import integrate
-from host_sync.reconstruction.pipeline import estimate
+from host_sync.reconstruction.slope_reading import estimate
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.pool import SolverPool
 from tests.benchmarks.speed.plan import Plan, Shape, named

@@ -1,0 +1,1 @@
+"""Sensors of any number of lights: which three are read together, and which are left out where."""

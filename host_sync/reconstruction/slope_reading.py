@@ -1,0 +1,151 @@
+"""From a frame to slopes per pixel: intensity, checks, noise, the calibration's method, and lights that are hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from device.errors import CalibrationMismatch
+from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.surface.fields import GradientField, MaskArray
+from hal.frame import RawFrame
+from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.frame_checks.colour_check import check_frame
+from host_sync.gradients.flat_field_kernel import raw_intensity
+from host_sync.gradients.intensity_checks import check_exposure
+from host_sync.gradients.inverse_map_kernel import evaluate
+from host_sync.johnson2009.model import estimate_gradients
+from host_sync.lights.light_groups import CHANNELS, in_group, joined
+from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
+from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.results.record import FrameCheck, refusals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelReading:
+    """What three channels of a frame say.
+
+    raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
+    """
+
+    calibration: Calibration
+    raw: NormalizedImage
+    intensity: NormalizedImage
+    checks: tuple[FrameCheck, ...]
+    gradients: GradientField
+    shadow: ShadowCorrection | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeReading:
+    """What all lights of a frame say.
+
+    groups : by group of lights; one where there are three lights
+    left_out : for each group, where one of its lights is hidden or mirrored
+    warnings : what speaks against the frame
+    """
+
+    method: Method
+    groups: tuple[ChannelReading, ...]
+    left_out: tuple[MaskArray, ...]
+    warnings: list[str]
+
+    @property
+    def first(self) -> ChannelReading:
+        """The first group's; its calibration's uncertainties are taken for all."""
+        return self.groups[0]
+
+    @property
+    def gradients(self) -> GradientField:
+        """Slopes of all groups together."""
+        return joined([group.gradients for group in self.groups], self.left_out)
+
+    def raw_gradients(self) -> GradientField:
+        """The same with the frame's noise in them."""
+        found = []
+        for group in self.groups:
+            gradients = estimate(group.raw, group.calibration, self.method)
+            if group.shadow is not None:
+                group.shadow.apply(gradients)
+            found.append(gradients)
+        return joined(found, self.left_out)
+
+
+def read_slopes(
+    frame: LinearFrame | RawFrame, calibration: Calibration, name: str, method: Method, *, force: bool
+) -> SlopeReading:
+    """Slopes of a frame with as many lights as its calibration; errors as for `reconstruct`."""
+    lights = calibration.lights
+    count = CHANNELS if isinstance(frame, RawFrame) else frame.rgb.shape[2]
+    if count != (CHANNELS if lights is None else lights.count):
+        wanted = CHANNELS if lights is None else lights.count
+        raise CalibrationMismatch(
+            f"{name} shows {count} lights and its calibration {wanted}: use a calibration of these lights"
+        )
+    if lights is None or isinstance(frame, RawFrame):
+        reading, warnings = _read_channels(frame, calibration, name, method, force=force)
+        return SlopeReading(method, (reading,), (), warnings)
+    warnings = lights.check(frame, name)
+    raise_on_warnings(warnings, name, force=force)
+    groups = []
+    for group, own in zip(lights.groups, (calibration, *calibration.beside), strict=True):
+        reading, against = _read_channels(in_group(frame, group), own, name, method, force=force)
+        groups.append(reading)
+        warnings += [warning for warning in against if warning not in warnings]
+    return SlopeReading(method, tuple(groups), tuple(lights.left_out(frame)), warnings)
+
+
+def _read_channels(
+    frame: LinearFrame | RawFrame, calibration: Calibration, name: str, method: Method, *, force: bool
+) -> tuple[ChannelReading, list[str]]:
+    """What three channels say, and what speaks against them."""
+    if isinstance(frame, RawFrame):
+        intensity = raw_intensity(frame, calibration.flat_field)
+    else:
+        intensity = flat_field_correct(frame, calibration.flat_field)
+    check_exposure(intensity, calibration.flat_field, name)
+    checks = calibration.frame_model.check(intensity, calibration.flat_field)
+    raw, shrinkage = intensity, calibration.shrinkage
+    if shrinkage is not None:
+        intensity = shrinkage.shrunk(raw)
+    warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
+    raise_on_warnings(warnings, name, force=force)
+    gradients = estimate(intensity, calibration, method)
+    shadow = _cast_shadow(gradients, intensity, calibration, method)
+    if shadow is not None:
+        shadow.apply(gradients)
+    return ChannelReading(calibration, raw, intensity, checks, gradients, shadow), warnings
+
+
+def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
+    """Refuse a frame that something speaks against, unless it is forced.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Says what speaks against it.
+    """
+    if warnings and not force:
+        raise CalibrationMismatch(
+            f"{name} was not made as its calibration was: {'; '.join(warnings)}. Use a calibration of these lights and "
+            "this gel, or --force to reconstruct it all the same"
+        )
+
+
+def _cast_shadow(
+    gradients: GradientField, intensity: NormalizedImage, calibration: Calibration, method: Method
+) -> ShadowCorrection | None:
+    """What the default's slopes gain where a light is hidden."""
+    if method == "paper" or calibration.shading is None:
+        return None
+    return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
+
+
+def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
+    """Slopes per pixel by the method."""
+    if method == "paper":
+        return estimate_gradients(calibration.paper, intensity)
+    gradients = evaluate(calibration.inverse.map, intensity)
+    if calibration.elevation is not None:
+        correct_elevation(gradients, calibration.elevation)
+    return gradients

@@ -1,0 +1,154 @@
+"""Frames of other than three lights: groups, hidden lights, contradicted ones, and surfaces of six against three."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from near_lamps import RADIUS_PX, SHAPE, balls, press_px
+
+from device.errors import CalibrationError, CalibrationMismatch
+from device.imaging.flat_field import SATURATED, LinearFrame
+from device.surface.fields import GradientField
+from host_sync.calibration.balls import PressFrame
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.many_lights import calibrate_lights
+from host_sync.calibration_file.typed_members import as_members, from_members
+from host_sync.lights.light_groups import choose_groups, joined
+from host_sync.reconstruction.pipeline import reconstruct
+
+SIX = 6
+PITCH_UM = 20.0
+
+
+def lit(z_px: np.ndarray, lights: int, seed: int, *, noise: float = 0.004) -> LinearFrame:
+    """Matt skin of this elevation under lights around it, each of another strength; noise as of an 8 bit camera."""
+    q, p = np.gradient(z_px)
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] / SHAPE[1] - 0.5
+    planes = []
+    for number in range(lights):
+        angle = 2.0 * np.pi * number / lights + 0.3
+        across = 0.7 * np.cos(angle) - 0.25 * column
+        down = 0.7 * np.sin(angle) - 0.25 * row
+        strength = 0.4 * (1.0 + 0.1 * np.cos(2.0 * angle)) * (1.0 + 0.3 * (across * column + down * row))
+        planes.append(strength * np.maximum(1.0 - across * p - down * q, 0.0) / np.sqrt(1.0 + p * p + q * q))
+    light = np.stack(planes, axis=-1) + noise * np.random.default_rng(seed).standard_normal((*SHAPE, lights))
+    rgb = np.clip(light, 0.0, 1.0).astype(np.float32)
+    return LinearFrame(rgb, np.any(rgb >= SATURATED, axis=-1))
+
+
+def presses(lights: int, *, labelled: bool = False) -> list[PressFrame]:
+    return [
+        PressFrame(
+            f"press-{number:02d}",
+            lit(press_px(ball, apex), lights, number),
+            RADIUS_PX,
+            (ball,) if labelled else None,
+            labelled_by_hand=labelled,
+        )
+        for number, (ball, apex) in enumerate(balls())
+    ]
+
+
+def calibrated(lights: int, *, labelled: bool = False) -> Calibration:
+    return calibrate_lights(presses(lights, labelled=labelled), lit(np.zeros(SHAPE), lights, 99), PITCH_UM)
+
+
+def slope_error(calibration: Calibration, lights: int) -> float:
+    """Mean error of a fresh ball's slopes, of the surface."""
+    ball = replace(balls()[5][0], column=170.0, row=120.0)
+    z_px = press_px(ball, 15.0)
+    result = reconstruct(lit(z_px, lights, 200), calibration, "fresh")
+    q, p = np.gradient(z_px)
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    inside = np.hypot(column - ball.column, row - ball.row) < 0.85 * ball.contact_radius_px
+    return float(np.hypot(result.p - p, result.q - q)[inside].mean())
+
+
+@pytest.fixture(scope="module")
+def six() -> Calibration:
+    return calibrated(SIX)
+
+
+def test_groups_hold_every_light_and_no_two_neighbours_only() -> None:
+    for lights in range(3, 9):
+        groups = choose_groups([press.frame for press in presses(lights)[:6]])
+        assert {number for group in groups for number in group} == set(range(lights))
+        assert all(len(set(group)) == 3 for group in groups)
+    assert sorted(map(sorted, choose_groups([press.frame for press in presses(6)[:6]]))) == [[0, 2, 4], [1, 3, 5]]
+
+
+def test_one_and_two_lights_make_a_group_of_repeated_lights() -> None:
+    assert choose_groups([lit(np.zeros(SHAPE), 1, 0)]) == ((0, 0, 0),)
+    assert choose_groups([lit(np.zeros(SHAPE), 2, 0)]) == ((0, 1, 0),)
+
+
+def test_nine_lights_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="9 lights are more than 8"):
+        choose_groups([lit(np.zeros(SHAPE), 9, 0)])
+
+
+def test_frames_of_different_numbers_of_lights_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="different numbers of lights"):
+        calibrate_lights(presses(4)[:2], lit(np.zeros(SHAPE), 5, 0), PITCH_UM)
+
+
+def test_six_lights_are_nearer_the_truth_than_three(six: Calibration) -> None:
+    ordinary = calibrated(3)
+    assert ordinary.lights is None
+    assert slope_error(six, SIX) < 0.8 * slope_error(ordinary, 3)
+
+
+def test_a_calibration_of_six_lights_is_read_back_as_it_was_written(six: Calibration) -> None:
+    again = from_members(as_members(six), Calibration)
+    assert again.lights is not None
+    assert again.lights.groups == six.lights.groups
+    assert slope_error(again, SIX) == slope_error(six, SIX)
+
+
+def test_a_frame_of_other_lights_is_refused(six: Calibration) -> None:
+    with pytest.raises(CalibrationMismatch, match="shows 3 lights and its calibration 6"):
+        reconstruct(lit(np.zeros(SHAPE), 3, 0), six, "scan")
+
+
+def test_a_dim_light_is_named(six: Calibration) -> None:
+    frame = lit(press_px(*balls()[0]), SIX, 300)
+    frame.rgb[..., 3] *= 0.9
+    with pytest.raises(CalibrationMismatch, match=r"light 4 is .* darker than the others foretell"):
+        reconstruct(frame, six, "scan")
+
+
+def test_images_in_another_order_are_refused(six: Calibration) -> None:
+    frame = lit(press_px(*balls()[0]), SIX, 300)
+    with pytest.raises(CalibrationMismatch, match="not made as its calibration was"):
+        reconstruct(replace(frame, rgb=np.ascontiguousarray(frame.rgb[..., [1, 0, 2, 3, 4, 5]])), six, "scan")
+
+
+def test_a_light_that_is_hidden_somewhere_is_left_out_there(six: Calibration) -> None:
+    frame = lit(np.zeros(SHAPE), SIX, 301)
+    hidden = (slice(100, 140), slice(150, 200))
+    frame.rgb[(*hidden, 2)] *= 0.1
+    masks = six.lights.left_out(frame)
+    for group, mask in zip(six.lights.groups, masks, strict=True):
+        share = mask[104:136, 154:196].mean()
+        assert share > 0.95 if 2 in group else share < 0.05
+        assert mask[:80].mean() < 0.05
+    result = reconstruct(frame, six, "scan", force=True)
+    assert np.hypot(result.gradients.p, result.gradients.q)[104:136, 154:196].mean() < 0.02
+
+
+def test_a_group_with_a_hidden_light_counts_only_where_no_other_is_left() -> None:
+    ones, full = np.ones((2, 2), np.float32), np.ones((2, 2), bool)
+    fields = [GradientField(value * ones, value * ones, full, ones) for value in (0.0, 1.0)]
+    nowhere, everywhere = np.zeros((2, 2), bool), np.ones((2, 2), bool)
+    assert np.allclose(joined(fields, [nowhere, nowhere]).p, 0.5)
+    assert np.all(joined(fields, [everywhere, nowhere]).p > 0.97)
+    assert np.allclose(joined(fields, [everywhere, everywhere]).p, 0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lights", [1, 2, 4, 5, 7, 8])
+def test_any_number_of_lights_gives_a_surface(lights: int) -> None:
+    calibration = calibrated(lights, labelled=lights == 1)
+    assert slope_error(calibration, lights) < (0.4 if lights == 1 else 0.1 if lights == 2 else 0.03)
