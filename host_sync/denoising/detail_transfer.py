@@ -19,6 +19,9 @@ from host_sync.denoising.shrinkage_kernel import shrink
 from host_sync.denoising.slope_colour import SlopeColour
 from host_sync.denoising.wavelet_shrinkage import HALO_PX, Shrinkage
 
+SINGULAR: Final = 1e12
+"""Condition of the equations for slope from which they have no single solution."""
+
 AMPLITUDES_DEG: Final = (2.2, 4.5, 9.0, 18.0)
 WAVELENGTHS_PX: Final = (4.0, 6.0, 8.0, 16.0, 32.0)
 TILE_PX: Final = 64
@@ -120,7 +123,10 @@ class TransferBench:
         squares."""
         change = self._colour.change(place)
         weighed = np.linalg.solve(self._noise.covariance, change)
-        return np.asarray(np.linalg.solve(change.T @ weighed, weighed.T).T)
+        gram = change.T @ weighed
+        if np.linalg.cond(gram) > SINGULAR:  # one light tells slopes in one direction only
+            return np.asarray((np.linalg.pinv(gram, 1.0 / SINGULAR) @ weighed.T).T)
+        return np.asarray(np.linalg.solve(gram, weighed.T).T)
 
     def _shrunk(self, root: Float32Array, shrinkage: Shrinkage) -> Float32Array:
         everywhere = np.ones(root.shape[:2], np.bool_)

@@ -121,10 +121,14 @@ def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[
     for key, spec in frames:
         if counts[spec] != counts[frames[0][1]]:
             raise FrameSetError(
-                f"{path}: {key}: shows {counts[spec]} lights and {first_key} {counts[frames[0][1]]}: "
+                f"{path}: {key}: has {_channels_of(counts[spec])} and {first_key} {counts[frames[0][1]]}: "
                 "name the same lights in every frame"
             )
     return shape
+
+
+def _channels_of(count: int) -> str:
+    return "1 channel" if count == 1 else f"{count} channels"
 
 
 def _channels(spec: FrameSpec, known: dict[Path, ImageInfo]) -> int:

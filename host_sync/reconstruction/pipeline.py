@@ -108,7 +108,8 @@ def reconstruct(
     datum = find_datum(height, gradients)
     unlit = check_datum(intensity, datum.skin)
     warnings += unlit
-    checks = (*checks, *(FrameCheck("untouched skin", "refused", words=words) for words in unlit))
+    told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
+    checks = (*reading.first.checks, *told)
     raise_on_warnings(warnings, name, force=force)
     if datum.is_relative:
         warnings += [NO_ZERO]
@@ -154,7 +155,7 @@ def reconstruct(
         extrapolated=extrapolated(intensity, calibration.inverse.map, p, q),
         clipped_share=float(intensity.clipped.mean()),
         warnings=tuple(warnings),
-        frame_checks=reading.first.checks,
+        frame_checks=checks,
         datum=datum,
         detail="raw" if shrinkage is None else detail,
         other=other,

@@ -114,7 +114,7 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
         ('"coin 1"', '""', "scan[0].name"),
         ('"coin 1"', '"Calibration"', "scan[0].name"),
         ('"scan.png"', '"gone.png"', "scan[0].image: "),
-        ('"scan.png"', '"r.png"', "r.png is grey: name an RGB image"),
+        ('"scan.png"', '"r.png"', "scan[0].image: has 1 channel and reference.image 3: name the same lights"),
         ('"scan.png"', '["r.png", "g.png"]', "scan[0].image: "),
         ('"b.png"', '"scan.png"', "press[0].image: "),
         ('"scan.png"', '"a\\u0000b"', "scan[0].image: "),
