@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
-from host_sync.reconstruction.pipeline import Reconstruction
+from device.surface.fields import Float32Array, HeightMap
 from host_sync.render.figures import draw_relief
 from tests.demo.truth_judge import Judgement
 
@@ -28,7 +27,7 @@ class Chapter:
     title: str
     frame_rgb: Float32Array
     quick_look: NDArray[np.uint8]
-    reconstruction: Reconstruction
+    height: HeightMap
     judgement: Judgement
 
 
@@ -56,7 +55,7 @@ def _draw(chapter: Chapter, axes: list[Axes], *, titles: bool) -> None:
     frame, look, relief, height, angle = axes
     frame.imshow(np.clip(1.3 * chapter.frame_rgb[::REDUCTION, ::REDUCTION], 0.0, 1.0) ** (1 / 2.2))
     look.imshow(chapter.quick_look, cmap="gray", vmin=0, vmax=255)
-    draw_relief(relief, chapter.reconstruction.height, "")
+    draw_relief(relief, chapter.height, "")
     judgement = chapter.judgement
     _draw_height_error(height, judgement)
     _draw_angular_error(angle, judgement)
@@ -73,16 +72,18 @@ def _draw(chapter: Chapter, axes: list[Axes], *, titles: bool) -> None:
 def _draw_height_error(axes: Axes, judgement: Judgement) -> None:
     """Height error in µm, violet low and orange high, with level curves as in the paper's Fig. 5."""
     limit_um = 0.02 * judgement.ball_radius_um
-    shown = axes.imshow(judgement.height_um, cmap="PuOr_r", vmin=-limit_um, vmax=limit_um, interpolation="nearest")
+    error = judgement.height_um[::REDUCTION, ::REDUCTION]
+    shown = axes.imshow(error, cmap="PuOr_r", vmin=-limit_um, vmax=limit_um, interpolation="nearest")
     _scale(axes, shown, "µm")
-    _draw_levels(axes, np.abs(judgement.height_um) / judgement.ball_radius_um * 100.0, judgement.judged)
+    _draw_levels(axes, np.abs(error) / judgement.ball_radius_um * 100.0, judgement.judged)
 
 
 def _draw_angular_error(axes: Axes, judgement: Judgement) -> None:
     """Error of the normal in degrees, dark where correct, with level curves as in the paper's Fig. 5."""
-    shown = axes.imshow(judgement.angle_deg, cmap="cividis", vmin=0.0, vmax=4.0, interpolation="nearest")
+    error = judgement.angle_deg[::REDUCTION, ::REDUCTION]
+    shown = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=4.0, interpolation="nearest")
     _scale(axes, shown, "degrees")
-    _draw_levels(axes, judgement.angle_deg, judgement.judged)
+    _draw_levels(axes, error, judgement.judged)
 
 
 def _scale(axes: Axes, shown: AxesImage, label: str) -> None:
@@ -92,8 +93,9 @@ def _scale(axes: Axes, shown: AxesImage, label: str) -> None:
 
 
 def _draw_levels(axes: Axes, error: Float32Array, judged: NDArray[np.bool_]) -> None:
-    """Curves at 2 (black) and 4 (white) and, dotted, the border of the evaluated area."""
-    smooth = cv2.GaussianBlur(np.asarray(error, np.float32), (0, 0), 2.0)
+    """Curves at 2 (black) and 4 (white) and, dotted, the border of the evaluated area; `error` is reduced already."""
+    judged = judged[::REDUCTION, ::REDUCTION]
+    smooth = cv2.GaussianBlur(np.asarray(error, np.float32), (0, 0), 2.0 / REDUCTION)
     inside = np.where(judged, smooth, 0.0)
     if inside.max() > 2.0:
         axes.contour(inside, levels=[2.0, 4.0], colors=["black", "white"], linewidths=1.1)

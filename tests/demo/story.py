@@ -9,18 +9,22 @@ import argparse
 import shutil
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.queues import SimpleQueue
+from multiprocessing.synchronize import Lock
 from pathlib import Path
 
 import cv2
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from device.acquisition.calibrate import calibrate
-from device.acquisition.guided_calibration import press_places
 from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic
@@ -39,6 +43,7 @@ from tests.demo.pictures import Chapter, write_pictures, write_summary
 from tests.demo.truth_judge import Judgement, judge
 
 BALL_RADIUS_MM = 3.0
+VERDICT = "verdict: "
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,18 @@ class Scanned:
     truth: TwinTruth
 
 
+@dataclass(frozen=True)
+class Stage:
+    """What the processes of the demo share: steps to show, and the one library that one may write at a time."""
+
+    steps: SimpleQueue[tuple[str, str]]
+    library: Lock
+
+
+STAGES: list[Stage] = []
+"""The stage of this process, once it has begun."""
+
+
 def main() -> int:
     """Run the demo; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -73,11 +90,17 @@ def main() -> int:
     console = Console()
     began_s = time.monotonic()
     shutil.rmtree(out, ignore_errors=True)
-    library = Library(out / "library")
-    columns = (TextColumn("{task.description:<44}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        scanned = [scan for act in ACTS for scan in _play(act, out, library, progress)]
-        chapters = _reconstruct(scanned, library, out, progress)
+    context = get_context("spawn")
+    stage = Stage(context.SimpleQueue(), context.Lock())
+    columns = (TextColumn("{task.fields[title]:<12}"), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with (
+        ProcessPoolExecutor(len(ACTS), context, _begin, (stage,)) as pool,
+        Progress(*columns, console=console) as progress,
+    ):
+        acts = [pool.submit(_perform, act, out) for act in ACTS]
+        tasks = {act.title: progress.add_task("", total=None, title=act.title) for act in ACTS}
+        _show(stage, acts, tasks, progress)
+        chapters = [chapter for act in acts for chapter in act.result()]
     write_summary(chapters, out / "summary.png")
     console.print(_table(chapters))
     console.print(f"{time.monotonic() - began_s:.0f} s in all. Scans, height maps and pictures are in {out}/.")
@@ -85,41 +108,71 @@ def main() -> int:
     return 0
 
 
-def _play(act: Act, out: Path, library: Library, progress: Progress) -> list[Scanned]:
-    """Calibrate one instrument, scan its objects, pull everything into the library."""
+def _show(stage: Stage, acts: list[Future[list[Chapter]]], tasks: dict[str, TaskID], progress: Progress) -> None:
+    """Show the steps of every process until all have ended."""
+    while stage.steps.empty() is False or not all(act.done() for act in acts):
+        if stage.steps.empty():
+            wait(acts, timeout=0.1, return_when=FIRST_EXCEPTION)
+            if any(act.done() and act.exception() for act in acts):
+                return
+            continue
+        title, words = stage.steps.get()
+        progress.update(tasks[title], description=words)
+        if words.startswith(VERDICT):
+            progress.console.print(f"{title}: {words.removeprefix(VERDICT)}")
+
+
+def _begin(stage: Stage) -> None:
+    """Begin a process."""
+    STAGES.append(stage)
+
+
+def _perform(act: Act, out: Path) -> list[Chapter]:
+    """One instrument from its calibration to the errors of its scans; runs in a process of its own."""
+    (stage,) = STAGES
+
+    def tell(words: str) -> None:
+        stage.steps.put((act.title, words))
+
+    library = Library(out / "library")
+    scanned, card = _play(act, out / "card" / act.board, tell)
+    tell("pull from the card, every byte verified")
+    with stage.library:
+        report = pull(DirectorySource(card), library)
+    if report.failed:
+        raise SystemExit(f"not pulled: {report.failed}")
+    chapters = _reconstruct(scanned, library, out, tell)
+    tell("done")
+    return chapters
+
+
+def _play(act: Act, card: Path, tell: Callable[[str], None]) -> tuple[list[Scanned], Path]:
+    """Calibrate one instrument and scan its objects onto a card; the scans with their truth, and the card."""
     bench = build(load_board_profile(act.board), VirtualClock(time.monotonic_ns(), time.time()))
     scanned = []
     with twin_hardware(bench) as hardware:
-        store = BundleStore(out / "card" / act.board, hardware.clock)
-        task = progress.add_task(f"calibrate, {act.title}", total=len(press_places()) + 2)
-        calibrate(hardware, store, BALL_RADIUS_MM, lambda _: progress.advance(task))
+        store = BundleStore(card, hardware.clock)
+        calibrate(hardware, store, BALL_RADIUS_MM, lambda words: tell(f"calibrate: {words}"))
         hardware.operator.ask(LiftOff())
         hardware.button.wait_for_press(None)
         scanner = Scanner(hardware, store)
         scanner.measure_lights()
-        task = progress.add_task(f"button scans, {act.title}", total=len(act.objects))
         for name in act.objects:
+            tell(f"button scan: {name}")
             hardware.operator.ask(PressObject(name))
             hardware.button.wait_for_press(None)
             truth = bench.truth()
             outcome = scanner.scan(Annotations(job="demo", part=name), lambda: hardware.operator.ask(MayLift()))
             verdict = outcome.bundle.record.verdict
-            progress.console.print(f"{name}: {verdict.level}, {verdict.reason}")
+            tell(f"{VERDICT}{name}: {verdict.level}, {verdict.reason}")
             scanned.append(Scanned(f"{name}, {act.title}", outcome.bundle.scan_id, truth))
-            progress.advance(task)
-    task = progress.add_task("pull from the card, every byte verified", total=1)
-    report = pull(DirectorySource(store.root), library)
-    if report.failed:
-        raise SystemExit(f"not pulled: {report.failed}")
-    progress.advance(task)
-    return scanned
+    return scanned, card
 
 
-def _reconstruct(scanned: list[Scanned], library: Library, out: Path, progress: Progress) -> list[Chapter]:
+def _reconstruct(scanned: list[Scanned], library: Library, out: Path, tell: Callable[[str], None]) -> list[Chapter]:
     """Full calibration and reconstruction of every scan, compared with the truth."""
     chapters = []
-    task = progress.add_task("reconstruct at full resolution", total=len(scanned))
-    job = LibraryReconstructor(library, tell=lambda words: progress.update(task, description=f"reconstruct: {words}"))
+    job = LibraryReconstructor(library, tell=lambda words: tell(f"reconstruct: {words}"))
     for scan in scanned:
         bundle = library.find(scan.scan_id)
         reconstruction, _ = job.run(bundle)
@@ -127,15 +180,14 @@ def _reconstruct(scanned: list[Scanned], library: Library, out: Path, progress: 
             title=scan.title,
             frame_rgb=demosaic(bundle.raw_frame()).rgb,
             quick_look=np.asarray(cv2.imread(str(bundle.path(PICTURE_FILE)), cv2.IMREAD_GRAYSCALE), np.uint8),
-            reconstruction=reconstruction,
+            height=reconstruction.height,
             judgement=judge(reconstruction, scan.truth, BALL_RADIUS_MM * 1e3),
         )
         folder = out / scan.title.replace(", ", "-").replace(" ", "-")
         folder.mkdir(parents=True)
+        tell(f"draw: {scan.title}")
         write_pictures(chapter, folder)
         chapters.append(chapter)
-        progress.advance(task)
-    progress.update(task, description="reconstruct at full resolution")
     return chapters
 
 
