@@ -271,7 +271,18 @@ class MayLift:
     """Notice: the frame is in memory, the object may be lifted; no push of the button is wanted."""
 
 
-OperatorRequest = LiftOff | PressBall | PressObject | MayLift
+FaultName = Literal["dim", "break", "wobble", "dirt", "tilt", "depth", "battery"]
+
+
+@dataclass(frozen=True, slots=True)
+class SetFault:
+    """Request: the twin shows a fault from now on, or no longer; no push of the button follows."""
+
+    name: FaultName
+    on: bool
+
+
+OperatorRequest = LiftOff | PressBall | PressObject | MayLift | SetFault
 
 
 class Operator(Protocol):

@@ -17,6 +17,12 @@ COMMANDS: Final = (
         ("retroscan --board twin", "retroscan --board twin tui"),
     ),
     Command(
+        "demo",
+        "device.cli.demo:demo",
+        "Show the screens over a simulated handheld; key f switches its faults.",
+        ("retroscan demo",),
+    ),
+    Command(
         "calibrate",
         "device.cli.instrument_commands:calibrate_guided",
         "Calibrate, guided: a reference, then ball presses all over the field.",

@@ -17,6 +17,7 @@ from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrum
 from device.acquisition.sd_notify import SdNotify
 from device.cli.console import Given, open_store, store_folder
 from device.cli.service import ServiceReport
+from device.cli.terminal_output import watched_terminal
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
 from device.tui.drawing.cells import colour_depth
@@ -25,8 +26,10 @@ from hal.board_profile import load_board_profile
 from hal.clock import SystemClock
 from hal.errors import DriverMissing
 from hal.factory import open_hardware
+from hal.hardware import Hardware
 
 if TYPE_CHECKING:
+    from device.instrument.demo_faults import DemoFaults
     from device.tui.screens.app import RetroscanApp
 
 POWER_OFF_FILE: Final = "poweroff"
@@ -87,41 +90,59 @@ def run_screens(*, options: Given) -> int:
         The store or the board profile cannot be used; later failures appear on the screens.
     """
     profile = load_board_profile(options.board)
+    require_terminal()
+    with exclusive_instrument(profile):
+        hardware = open_hardware(profile, SystemClock())
+        instrument = Instrument(hardware, open_store(options, hardware.clock))
+        return show_screens(instrument, hardware, store_folder(options))
+
+
+def require_terminal() -> None:
+    """Check that the screens can be shown. Errors as for `run_screens`."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise TerminalMissing("the screens need a terminal for input and error output: use `retroscan run` instead")
     if find_spec("textual") is None:
         raise DriverMissing("textual is not installed: install retrograph[device], or use `retroscan run`")
+
+
+def show_screens(instrument: Instrument, hardware: Hardware, folder: Path, faults: DemoFaults | None = None) -> int:
+    """Show the screens of an instrument until the operator quits; returns the exit code.
+
+    folder : of its store
+    faults : that the operator may switch in a demonstration
+    """
     from device.tui.screens.app import RetroscanApp
 
-    depth = colour_depth(os.environ)
+    depth, profile = colour_depth(os.environ), hardware.profile
     if depth == "mono":
         os.environ["NO_COLOR"] = "1"
     # libcamera would write its log lines across the screens; "syslog" goes to the journal where there is one.
     os.environ.setdefault("LIBCAMERA_LOG_FILE", "syslog")
-    with exclusive_instrument(profile):
-        hardware = open_hardware(profile, SystemClock())
-        instrument = Instrument(hardware, open_store(options, hardware.clock))
-        report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
-        with InstrumentThread(instrument, report) as thread:
-            is_twin = profile.driver == "twin"
-            program = ProgramInfo(version("retrograph"), store_folder(options))
-            app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended)
-            outcome = asyncio.run(_shown(app))
-    if outcome == "off":
+    report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
+    with InstrumentThread(instrument, report) as thread:
+        is_twin = profile.driver == "twin"
+        program = ProgramInfo(version("retrograph"), folder)
+        app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended, faults=faults)
+        outcome = asyncio.run(_shown(app))
+    if outcome == "off" and faults is None:
         power_off(SERVICE_FOLDER)
     return app.return_code or 0
 
 
 async def _shown(app: RetroscanApp) -> str | None:
-    """Run the app and return its result; termination and hang-up signals make it quit in order."""
+    """Run the app and return its result; a signal that ends it, or a lost terminal, makes it quit in order."""
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in numbers}
+    for number in numbers:
         loop.add_signal_handler(number, app.exit)
     try:
-        return await app.run_async()
+        with watched_terminal(lambda: loop.call_soon_threadsafe(app.exit)):
+            return await app.run_async()
     finally:
-        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        for number in numbers:
             loop.remove_signal_handler(number)
+            signal.signal(number, before[number])  # a second signal must not end the clean-up that follows
 
 
 def power_off(service_folder: Path) -> None:

@@ -29,7 +29,7 @@ from device.surface.fields import HeightMap
 from hal.clock import VirtualClock
 from hal.errors import HalError
 from hal.hardware import Hardware
-from hal.interfaces import LiftOff, PressObject
+from hal.interfaces import FaultName, LiftOff, PressObject, SetFault
 
 """Default radius of the calibration ball."""
 
@@ -92,6 +92,10 @@ class Instrument:
     def lift(self) -> None:
         """Let the twin's operator lift off and push the button; no effect on a real board."""
         self._worker.enqueue(lambda worker: worker.hardware.operator.ask(LiftOff()))
+
+    def set_fault(self, name: FaultName, on: bool) -> None:
+        """Let the twin show a fault, or no longer; no effect on a real board."""
+        self._worker.enqueue(lambda worker: worker.hardware.operator.ask(SetFault(name, on)))
 
     def set_sticky(self, annotations: Annotations) -> None:
         """Set job, part, operator and note of every later scan, also after a restart."""

@@ -22,6 +22,12 @@ from device.surface.fields import Float32Array
 MAX_RESIDUAL: Final = 0.012
 """Largest rms contradiction between the lights alone and the reference, relative; pressed skin contradicts by more."""
 
+DUSTY: Final = 4.0
+MAX_DUSTY: Final = 0.1
+DUST_PASSES: Final = 3
+"""Blocks that contradict by more than DUSTY times that are left out, at most this fraction: dust and scratches darken a
+block under every light alike, so that its shares are right."""
+
 MIN_LEVEL: Final = 0.1
 """A light below this fraction of its calibrated level is out: its shares cannot be measured."""
 
@@ -45,8 +51,12 @@ class LightShares:
         lit = np.stack([light - dark for light in alone], axis=-1)
         design = lit.reshape(-1, lit.shape[-1]).astype(np.float64)
         target = (1.0 - dark).ravel().astype(np.float64)
-        inverse_levels, *_ = np.linalg.lstsq(design, target, rcond=None)
-        residual = float(np.sqrt(np.mean((design @ inverse_levels - target) ** 2)))
+        kept = np.ones(len(lit.reshape(-1, 9)), np.bool_)
+        for _ in range(DUST_PASSES):
+            inverse_levels, *_ = np.linalg.lstsq(design[kept.repeat(3)], target[kept.repeat(3)], rcond=None)
+            off = np.abs(design @ inverse_levels - target).reshape(-1, 3).max(axis=1)
+            kept = off < max(DUSTY * MAX_RESIDUAL, float(np.quantile(off, 1.0 - MAX_DUSTY)))
+        residual = float(np.sqrt(np.mean((design @ inverse_levels - target)[kept.repeat(3)] ** 2)))
         if residual > MAX_RESIDUAL or not (inverse_levels > 0.0).all() or (inverse_levels > 1.0 / MIN_LEVEL).any():
             return None
         calibrated = lit * inverse_levels

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final, Generic, TypeVar
 
@@ -31,6 +31,9 @@ class Faults:
     button_unreadable : the button's line cannot be read
     under_voltage : the supply voltage is too low
     battery_share : charge of the battery, 0 to 1; None: no battery gauge
+    wobble_mm : the hand moves what it presses to and fro by so much, every `WOBBLE_NS`
+    dirty : dust lies on the skin
+    leaning, too_deep : the operator's next presses lean, or go as deep as the gel allows
     """
 
     camera_missing: bool = False
@@ -43,7 +46,17 @@ class Faults:
     button_unreadable: bool = False
     under_voltage: bool = False
     battery_share: float | None = None
+    wobble_mm: float = 0.0
+    dirty: bool = False
+    leaning: bool = False
+    too_deep: bool = False
 
+
+WOBBLE_NS: Final = 40_000_000
+SPECKS: Final = 5
+SPECK_MM: Final = 0.5
+SPECK_LIGHT: Final = 0.4
+"""Dust: so many round specks of that radius, which leave that fraction of the light."""
 
 Value = TypeVar("Value")
 
@@ -131,7 +144,7 @@ class SimulatedScene:
         self.seed = seed
         self.faults = Faults()
         self.twin: TwinConfig = profile.twin
-        self._render = lru_cache(maxsize=2)(lambda press: render(profile, press))
+        self._render = lru_cache(maxsize=4)(lambda press: render(profile, press))
         self._pressed: Timeline[Press | None] = Timeline(clock.monotonic_ns(), None)
         self._driven: Timeline[dict[str, float]] = Timeline(clock.monotonic_ns(), {})
         self._button: list[ButtonPress] = []
@@ -186,17 +199,34 @@ class SimulatedScene:
             dose = self._dose_ma_ms(light.name, began_ns, began_ns + exposure_ns)
             if dose > 0.0 and not (self.faults.lights_broken or light.name in self.faults.open_lights):
                 charge_e += per_ma_ms * np.float32(dose * self.faults.dimmed.get(light.name, 1.0))
+        if self.faults.dirty:
+            charge_e *= dust((sensor.rows, sensor.columns), sensor.pixel_pitch_um, self.seed)
         random = np.random.Generator(np.random.SFC64([self.seed, index]))
         mosaic = expose(charge_e, sensor, settings.analogue_gain, random)
         return RawFrame(mosaic, sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn, settings, began_ns)
 
     def _scene(self, at_ns: int) -> Scene:
-        return self._render(self._pressed.value_at(at_ns))
+        press, wobble_mm = self._pressed.value_at(at_ns), self.faults.wobble_mm
+        if press and wobble_mm and at_ns // WOBBLE_NS % 2:
+            press = replace(press, centre_mm=(press.centre_mm[0] + wobble_mm, press.centre_mm[1]))
+        return self._render(press)
 
     def _dose_ma_ms(self, light: str, began_ns: int, ended_ns: int) -> float:
         """Current times duration (mA ms) of one light within an exposure, including changes during it."""
         spans = self._driven.spans(began_ns, ended_ns)
         return sum(currents.get(light, 0.0) * overlap_ns * 1e-6 for overlap_ns, currents in spans)
+
+
+@lru_cache(maxsize=1)
+def dust(shape: tuple[int, int], pitch_um: float, seed: int) -> Float32Array:
+    """Fraction of the light that dust leaves in every pixel: float32 array of `shape` (H, W)."""
+    random = np.random.default_rng([seed, 0xD0])
+    row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    left = np.ones(shape, np.float32)
+    for at_row, at_column in random.uniform((0.0, 0.0), shape, (SPECKS, 2)):
+        inside = np.hypot(row - np.float32(at_row), column - np.float32(at_column)) < 1e3 * SPECK_MM / pitch_um
+        left[inside] = SPECK_LIGHT
+    return left
 
 
 def build(profile: BoardProfile, clock: Clock, seed: int | None = None) -> SimulatedScene:

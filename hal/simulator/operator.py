@@ -7,15 +7,24 @@ from typing import Final
 import numpy as np
 
 from hal.errors import OperatorError
-from hal.interfaces import ButtonPress, LiftOff, MayLift, OperatorRequest, PressBall, PressObject
+from hal.interfaces import ButtonPress, LiftOff, MayLift, OperatorRequest, PressBall, PressObject, SetFault
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.elastomer import MAX_COMPRESSION, ball_indentation_mm
 from hal.simulator.gallery import gallery_names, specimen
 from hal.simulator.scene import Press
-from hal.simulator.surfaces import Sphere
+from hal.simulator.surfaces import Leaning, Sphere
 
 BALL_SLOPE_DEG: Final = 40.0
 """Slope at the rim of the contact to which the operator presses a ball."""
+
+DIM_LEVEL: Final = 0.9
+WOBBLE_MM: Final = 0.3
+LOW_BATTERY: Final = 0.08
+LEAN: Final = 0.18
+LEAN_REACH_MM: Final = 5.0
+LEAN_DEPTH: Final = 0.8
+"""What the faults of `SetFault` amount to: a light's level, the hand's movement, charge, and slope and depth of a press
+that leans."""
 
 _BUTTON_AFTER_S: Final = 0.8
 _BUTTON_HELD_S: Final = 0.12
@@ -43,6 +52,9 @@ class TwinOperator:
             if self._shown is not None and self._bench.pressed is self._shown:
                 self._bench.place(None)
             return
+        if isinstance(request, SetFault):
+            self._set_fault(request)
+            return
         press = self._press_for(request)
         self._shown = press if isinstance(request, PressObject) else None
         self._bench.place(press)
@@ -69,7 +81,31 @@ class TwinOperator:
             )
         x, y, turn = self._random.normal(0.0, 1.0, 3)
         centre_mm = (float(x) * _PLACEMENT_MM, float(y) * _PLACEMENT_MM)
-        return Press(shown.surface, centre_mm, float(turn) * _TURN_RAD, shown.indentation_mm)
+        faults, depth_mm, surface = self._bench.faults, shown.indentation_mm, shown.surface
+        if faults.leaning:
+            surface, depth_mm = Leaning(surface, LEAN, LEAN_REACH_MM), LEAN_DEPTH * self._max_depth_mm()
+        if faults.too_deep:
+            depth_mm = self._max_depth_mm()
+        return Press(surface, centre_mm, float(turn) * _TURN_RAD, depth_mm)
+
+    def _set_fault(self, request: SetFault) -> None:
+        """Switch one of the world's faults; every light that is affected is the last one."""
+        faults, light = self._bench.faults, self._bench.profile.lights[-1].name
+        match request.name:
+            case "dim":
+                faults.dimmed = {light: DIM_LEVEL} if request.on else {}
+            case "break":
+                faults.open_lights = {light} if request.on else set()
+            case "wobble":
+                faults.wobble_mm = WOBBLE_MM if request.on else 0.0
+            case "dirt":
+                faults.dirty = request.on
+            case "tilt":
+                faults.leaning = request.on
+            case "depth":
+                faults.too_deep = request.on
+            case "battery":
+                faults.battery_share = LOW_BATTERY if request.on else None
 
     def _ball(self, request: PressBall) -> Press:
         """A ball pressed to `BALL_SLOPE_DEG`, less where slab or field are too small, inside the field."""

@@ -34,6 +34,20 @@ class Sphere:
 
 
 @dataclass(frozen=True, slots=True)
+class Leaning:
+    """A surface that leans by `slope_x` (mm/mm), at most 0 within `reach_mm` of the origin."""
+
+    surface: Surface
+    slope_x: float
+    reach_mm: float
+
+    def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Height (mm)."""
+        lean = self.slope_x * x_mm - abs(self.slope_x) * self.reach_mm
+        return np.asarray(self.surface.height_mm(x_mm, y_mm) + np.minimum(lean, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
 class SphereGrid:
     """Balls on a square lattice of (2 reach + 1)² positions, one at the origin."""
 

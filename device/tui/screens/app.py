@@ -13,6 +13,7 @@ from textual.theme import Theme
 
 from device.acquisition.guided_calibration import CalibrationProgress
 from device.acquisition.selftest import Finding
+from device.instrument.demo_faults import DEMO_FAULTS, DemoFaults
 from device.instrument.events import (
     ButtonPushed,
     CalibrationStep,
@@ -37,7 +38,7 @@ from device.tui.screens.picture_viewer import view_picture
 from device.tui.screens.scan import ScanScreen
 from device.tui.screens.scans import ScansScreen
 from device.tui.screens.setup import SetUpScreen
-from device.tui.widgets.dialogs import ConfirmDialog, Dialog
+from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.navigation import Notice, Place, place_after
 from hal.board_profile import SensorConfig
@@ -66,6 +67,7 @@ class RetroscanApp(App[str]):
     is_twin : whether the operator is simulated and can press objects
     is_over : whether the instrument has stopped, so that the app must end
     updates_per_s : how often the state is polled; None if a test calls `show_state` itself
+    faults : of a demonstration; None: no fault menu
     """
 
     CSS_PATH = "screens.tcss"
@@ -76,6 +78,7 @@ class RetroscanApp(App[str]):
         Binding("2", "go('calibrate')", show=False),
         Binding("3", "go('scans')", show=False),
         Binding("4", "go('set-up')", show=False),
+        Binding("f", "faults", "faults"),
         Binding("q,ctrl+c", "quit", "quit"),
     ]
 
@@ -88,6 +91,7 @@ class RetroscanApp(App[str]):
         is_twin: bool,
         is_over: Callable[[], bool] = lambda: False,
         updates_per_s: float | None = UPDATES_PER_S,
+        faults: DemoFaults | None = None,
     ) -> None:
         super().__init__(ansi_color=depth != "full")
         self.instrument = instrument
@@ -96,6 +100,7 @@ class RetroscanApp(App[str]):
         self.field_um = sensor.pixel_pitch_um * sensor.columns
         self.is_twin = is_twin
         self._is_over = is_over
+        self._faults = faults
         self.findings: list[Finding] = []
         self.notice: Notice | None = None
         self._depth: ColourDepth = depth
@@ -142,6 +147,22 @@ class RetroscanApp(App[str]):
             return
         question = "Stop the calibration? The previous one stays active."
         self.push_screen(ConfirmDialog(question, "Stop"), lambda yes: self.exit() if yes else None)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only a demonstration has faults to switch."""
+        return self._faults is not None if action == "faults" else super().check_action(action, parameters)
+
+    def action_faults(self) -> None:
+        """Choose a fault of the twin to switch on or off."""
+        if self._faults is None or isinstance(self.screen, Dialog):
+            return
+        active = self._faults.active
+        lines = [f"[{'x' if name in active else ' '}] {name}: {words}" for name, words in DEMO_FAULTS]
+        self.push_screen(ChoiceDialog("Faults of the twin: Enter switches one on or off", lines), self._toggle_fault)
+
+    def _toggle_fault(self, chosen: int | None) -> None:
+        if self._faults is not None and chosen is not None:
+            self._faults.toggle(DEMO_FAULTS[chosen][0])
 
     def on_height_view_picture_wanted(self, event: HeightView.PictureWanted) -> None:
         """Suspend the screens and draw the relief in pixels, if the terminal can."""

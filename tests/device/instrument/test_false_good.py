@@ -21,8 +21,11 @@ def judged(
 ) -> Tally:
     tally = Tally()
     with Instrument(hardware, store) as instrument:
-        for press in random_presses(count, seed, hardware.lights.names, healthy=healthy):
+        for number, press in enumerate(random_presses(count, seed, hardware.lights.names, healthy=healthy), start=1):
             tally.add(press, judge_press(instrument, bench, press))
+            if number % 50 == 0:
+                sys.stdout.write(f"{number} of {count} presses, {len(tally.wrong)} wrong\n")
+                sys.stdout.flush()
     sys.stdout.write(f"{tally}\n")
     return tally
 

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import pytest
 from textual.pilot import Pilot
 
+from device.instrument.demo_faults import DemoDisk, DemoFaults
 from device.instrument.instrument import Instrument
 from device.pairing_service.service import PairingSetup
 from device.store.store import BundleStore
@@ -152,12 +153,16 @@ def play(bench: SimulatedScene, no_ambient_colour_wishes: None) -> Callable[...,
         size: tuple[int, int] = (80, 24),
         depth: ColourDepth = "full",
         host_key: Path = Path("absent.pub"),
+        is_demo: bool = False,
     ) -> None:
         async def on_stage() -> None:
-            store = BundleStore(root, bench.clock, boot_id="b0075e1f")
+            disk = DemoDisk()
+            store = BundleStore(root, bench.clock, boot_id="b0075e1f", statvfs=disk)
             pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
             with Instrument(twin_hardware(bench), store, pairing=pairing) as instrument:
-                app = RetroscanApp(instrument, PROGRAM, depth, bench.profile.sensor, is_twin=True, updates_per_s=None)
+                faults = DemoFaults(instrument, disk) if is_demo else None
+                sensor = bench.profile.sensor
+                app = RetroscanApp(instrument, PROGRAM, depth, sensor, is_twin=True, updates_per_s=None, faults=faults)
                 async with app.run_test(size=size) as pilot:
                     stage = Stage(app, pilot, instrument, bench, store)
                     await stage.live(5)

@@ -1,0 +1,46 @@
+"""The fault menu of the demonstration, by key presses; on an instrument it does not exist."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from device.cli.demo import prepare
+from device.store.store import BundleStore
+from hal.clock import VirtualClock
+from tests.device.tui.conftest import Stage
+
+
+def test_key_f_switches_a_fault_on_and_off_again(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("f")
+        assert "[ ] dim: the blue light is 10 % weaker" in stage.text()
+        await stage.press("enter")
+        await stage.live(2)
+        assert stage.bench.faults.dimmed == {"blue": 0.9}
+        await stage.press("f")
+        assert "[x] dim" in stage.text()
+        await stage.press("enter")
+        await stage.live(2)
+        assert stage.bench.faults.dimmed == {}
+        await stage.press("f", *["down"] * 7, "enter")
+        await stage.live(350)
+        assert "No room for another scan" in stage.text()
+
+    play(scenario, root, is_demo=True)
+
+
+def test_an_instrument_has_no_fault_menu(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        before = stage.text()
+        await stage.press("f")
+        assert "Faults of the twin" not in stage.text()
+        assert "faults" not in before
+
+    play(scenario, root)
+
+
+def test_the_first_start_calibrates_and_the_second_does_not(small_board: Path, tmp_path: Path) -> None:
+    prepare(tmp_path / "demo", str(small_board))
+    prepare(tmp_path / "demo", str(small_board))
+    store = BundleStore(tmp_path / "demo", VirtualClock(start_ns=5_000))
+    assert len(store.calibrations().bundles) == 1
+    assert store.active_calibration().calibration_id == store.calibrations().bundles[0].calibration_id
