@@ -90,3 +90,14 @@ class RenderError(HostError, ValueError):
 
 class ViewError(HostError, LookupError):
     """The item to view does not exist or cannot be shown. Name a library, a result or another scan."""
+
+
+class RegistrationRefused(ViewError):
+    """No registration of two scans can be trusted. Give the shift by hand, or choose other scans.
+
+    down_px, right_px, turn_rad : the best displacement found, px of the first scan
+    """
+
+    def __init__(self, message: str, down_px: float, right_px: float, turn_rad: float) -> None:
+        super().__init__(message)
+        self.down_px, self.right_px, self.turn_rad = down_px, right_px, turn_rad

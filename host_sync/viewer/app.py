@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import fields
 from datetime import date
@@ -17,7 +18,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from device.errors import DeviceError
-from host_sync.errors import HostError, ViewError
+from host_sync.errors import HostError, RegistrationRefused, ViewError
 from host_sync.library.index import Query
 from host_sync.render.colormap import palettes
 from host_sync.viewer.access import Access, AccessCheck, refused
@@ -31,7 +32,7 @@ from host_sync.viewer.responses import (
     profile_info,
     readable,
 )
-from host_sync.viewer.service import ViewerService
+from host_sync.viewer.service import NearPose, ViewerService
 
 MEDIA: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MAX_TEXT: Final = 200
@@ -174,7 +175,24 @@ def _profile(service: ViewerService, request: Request) -> Response:
 
 def _compare(service: ViewerService, request: Request) -> Response:
     asked = request.query_params
-    return json_answer(entry_info(service.compare(asked.get("first", ""), asked.get("second", ""))))
+    near = None
+    if "down_um" in asked:
+        down, right, turn = (
+            _number(asked.get(name, "0"), _finite, name) for name in ("down_um", "right_um", "turn_deg")
+        )
+        near = NearPose(down, right, turn, asked.get("pinned") == "1")
+    try:
+        found = service.compare(asked.get("first", ""), asked.get("second", ""), near)
+    except RegistrationRefused as refused:
+        return json_answer({"refused": str(refused), "best": service.refused_pose(asked.get("first", ""), refused)})
+    return json_answer(entry_info(found))
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
 
 
 def _key(request: Request) -> str:

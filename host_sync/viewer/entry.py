@@ -36,6 +36,8 @@ class DifferenceRecord(msgspec.Struct, frozen=True, kw_only=True):
     median_um: float
     overlap_share: float
     agreement_share: float
+    registered_by: str = ""
+    shift_sigma_um: float | None = None
     warnings: tuple[str, ...]
     height_sigma_median_um: float | None
 

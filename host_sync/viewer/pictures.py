@@ -74,6 +74,22 @@ def frame_picture(entry: Entry, spec: ScanSpec | None) -> bytes:
     return _encoded(".jpg", _display_rgb(rgb)[..., ::-1], cv2.IMWRITE_JPEG_QUALITY, 92)
 
 
+def grey_frames(first: Entry, second: Entry) -> tuple[Float32Array, Float32Array] | None:
+    """Grey frames of two scans of one gel at the pixels of their height maps; None where they are not both known."""
+    if first.scan is None or second.scan is None or first.shape != second.shape:
+        return None
+    try:
+        scans = [read_scan(scan) for scan in (first.scan, second.scan)]
+        if scans[0].record.gel_id != scans[1].record.gel_id:
+            return None
+        greys = [demosaic(scan.raw_frame()).rgb.mean(axis=-1) for scan in scans]
+    except (DeviceError, HostError):
+        return None  # the texture is one of several starts: a damaged frame costs no more than that
+    size = first.shape[::-1]
+    one, other = (np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32) for grey in greys)
+    return one, other
+
+
 def _display_rgb(rgb: Float32Array) -> NDArray[np.uint8]:
     """sRGB of linear light, scaled to the full range."""
     white = max(float(np.percentile(rgb[::7, ::7], _WHITE_SHARE)), 1e-6)

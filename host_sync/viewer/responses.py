@@ -20,6 +20,7 @@ _FACTS: Final = (
     "name", "method", "calibration_id", "program", "written_utc", "calibration_passed", "masked_share",
     "height_sigma_median_um", "height_min_um", "height_max_um", "clipped_share", "frame_set", "reference",
     "shift_um", "turn_deg", "offset_um", "tilt", "residual_um", "median_um", "overlap_share", "agreement_share",
+    "registered_by", "shift_sigma_um",
 )  # fmt: skip
 """Fields of a record that the page shows."""
 

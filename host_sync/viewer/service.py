@@ -7,7 +7,7 @@ bounds memory.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import BoundedSemaphore
 from typing import Any, Final
@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap
-from host_sync.errors import ViewError
+from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.profile.profile_line import Line
 from host_sync.render.shading import steep_slope
@@ -27,17 +27,30 @@ from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import DifferenceRecord, Entry, Record, key_of
 from host_sync.viewer.heights import Heights
-from host_sync.viewer.pictures import frame_picture, sigma_picture, thumbnail
+from host_sync.viewer.pictures import frame_picture, grey_frames, sigma_picture, thumbnail
 from host_sync.viewer.profile import MeasuredLine, measure_line
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
 
 HEAVY: Final = 2
 SCREEN_SAMPLES: Final = 400
-_DIFFERENCE: Final = 2
+_DIFFERENCE: Final = 3
 """Version of a stored difference: another version in the cache is computed again."""
 
 _DIFFERENCE_FILE: Final = "difference_um.tif"
 _DIFFERENCE_RECORD: Final = "difference.json"
+
+
+@dataclass(frozen=True, slots=True)
+class NearPose:
+    """Where a person says that the second scan lies: displacement of the object, µm, and clockwise rotation, degrees.
+
+    pinned : take it as it is, and do not look for the best place near to it
+    """
+
+    down_um: float
+    right_um: float
+    turn_deg: float = 0.0
+    pinned: bool = False
 
 
 class ViewerService:
@@ -130,23 +143,25 @@ class ViewerService:
             "has_samples": entry.kind == "result" and (entry.folder / SAMPLES_FILE).is_file(),
         }
 
-    def compare(self, first_key: str, second_key: str) -> Entry:
+    def compare(self, first_key: str, second_key: str, near: NearPose | None = None) -> Entry:
         """The difference of two entries, second minus first, as an entry of its own.
+
+        near : the shift that a person gave, if any
 
         Raises
         ------
         ViewError
-            They are the same, or show nothing in common.
+            They are the same, show nothing in common, or their registration cannot be trusted.
         """
         first, second = self.catalogue.find(first_key), self.catalogue.find(second_key)
         if first.key == second.key:
             raise ViewError("a scan cannot be compared with itself: choose another")
-        name = hashlib.sha256(f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}:{near}".encode()).hexdigest()[:32]
         folder = self._cache.folder(name)
         with self._turn:
             record = _stored_difference(folder)
             if record is None:
-                record = self._make_difference(first, second, folder)
+                record = self._make_difference(first, second, folder, near)
         entry = replace(
             first,
             key=key_of(folder),
@@ -162,14 +177,31 @@ class ViewerService:
         self.catalogue.add_derived(entry)
         return entry
 
-    def _make_difference(self, first: Entry, second: Entry, folder: Path) -> DifferenceRecord:
-        # Compiled code is loaded when it is first needed, so that the list appears at once.
-        from host_sync.viewer.registration import difference
+    def refused_pose(self, first_key: str, refused: RegistrationRefused) -> dict[str, float]:
+        """The best pose of a registration that was refused, for a person to start from."""
+        pitch_um = self.catalogue.find(first_key).pitch_um
+        return {
+            "down_um": refused.down_px * pitch_um,
+            "right_um": refused.right_px * pitch_um,
+            "turn_deg": float(np.degrees(refused.turn_rad)),
+        }
 
+    def _make_difference(self, first: Entry, second: Entry, folder: Path, near: NearPose | None) -> DifferenceRecord:
+        # Compiled code is loaded when it is first needed, so that the list appears at once.
+        from host_sync.registration.difference import difference
+        from host_sync.registration.poses import Pose
+
+        pose = None
+        if near is not None:
+            down, right = (um / first.pitch_um for um in (near.down_um, near.right_um))
+            pose = Pose(down, right, float(np.radians(near.turn_deg)))
         found = difference(
             HeightMap(self._heights.read(first, first.pages // 2), first.pitch_um),
             HeightMap(self._heights.read(second, second.pages // 2), second.pitch_um),
             (self._heights.sigma(first), self._heights.sigma(second)),
+            frames=None if pose else grey_frames(first, second),
+            near=pose,
+            pinned=near is not None and near.pinned,
         )
         sigma_um = found.sigma_um
         record = DifferenceRecord(
@@ -183,7 +215,9 @@ class ViewerService:
             residual_um=found.residual_um,
             median_um=found.median_um,
             overlap_share=found.overlap_share,
-            agreement_share=found.agreement,
+            agreement_share=found.registration.agreement,
+            registered_by=found.registration.by,
+            shift_sigma_um=found.shift_sigma_um,
             warnings=(
                 *((found.warning,) if found.warning else ()),
                 *(f"{entry.title}: {doubt}" for entry in (first, second) for doubt in entry.doubts),

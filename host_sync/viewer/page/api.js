@@ -23,8 +23,9 @@ export const palettes = () => json("/api/palettes");
 export const thumbnail = (entry) => `/api/scan/${entry.key}/thumbnail?${entry.stamp}`;
 export const height = (key, page, row, column) =>
   json(`/api/scan/${key}/height?${new URLSearchParams({ page, row, column })}`);
-export const compare = (first, second) =>
-  json(`/api/compare?${new URLSearchParams({ first, second })}`, { method: "POST" });
+/** near: down_um, right_um, turn_deg and pinned ("1") as a person gave them, or nothing. */
+export const compare = (first, second, near = {}) =>
+  json(`/api/compare?${new URLSearchParams({ first, second, ...near })}`, { method: "POST" });
 
 /** Address of a profile; a line is { row_0, column_0, row_1, column_1 }. */
 export const profileAddress = (key, page, line, form = "json") =>

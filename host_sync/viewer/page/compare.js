@@ -1,7 +1,7 @@
 // Two scans side by side under one light, moving together, or their difference after registration.
 
 import * as api from "./api.js";
-import { announce, h } from "./dom.js";
+import { announce, field, h } from "./dom.js";
 import { length, micrometres, percent } from "./format.js";
 import { firstLook, LookPanel } from "./look.js";
 import { Stage } from "./stage.js";
@@ -30,7 +30,7 @@ class ComparePage {
     this.side = h("div", { class: "side" }, this.stages.map((stage, index) => h("figure", {}, h("figcaption", {},
       nameOf(both[index])), stage.element)));
     this.alone = h("div", { class: "alone", hidden: true });
-    this.panelBox = h("aside", { class: "panel", "aria-label": "How it is shown" }, this.panel.element);
+    this.panelBox = h("aside", { class: "panel", "aria-label": "How it is shown" }, this.panel.element, this.hand());
     this.element = h("div", { class: "scan compare" }, h("div", { class: "view" }, h("h1", { class: "unseen" }, this.title),
       h("div", { class: "head" }, h("div", { class: "set", role: "group", "aria-label": "What is shown" }, ...this.views), this.words),
       this.side, this.alone), this.panelBox);
@@ -45,19 +45,59 @@ class ComparePage {
 
   start() {
     for (const stage of this.stages) stage.start(this.palettes);
-    this.register().catch((error) => (this.words.textContent = error.message));
+    this.register();
   }
 
-  async register() {
-    const found = await api.compare(this.both[0].key, this.both[1].key);
-    if (this.gone) return;
+  /** The shift by hand: near it the best place is looked for, or it is taken as it is. */
+  hand() {
+    const number = (step) => h("input", { type: "number", step, value: 0 });
+    this.typed = { down_um: number(1), right_um: number(1), turn_deg: number(0.01) };
+    const button = (words, pinned) => h("button", { type: "button", class: "small", onclick: () => this.register({
+      ...Object.fromEntries(Object.entries(this.typed).map(([name, input]) => [name, input.value || "0"])), pinned }) }, words);
+    return h("details", { class: "hand" }, h("summary", {}, "Shift by hand"), h("div", { class: "inside" },
+      h("p", { class: "hint" }, "Where the object lies in the second scan, relative to the first."),
+      field("Down, µm", this.typed.down_um), field("Right, µm", this.typed.right_um),
+      field("Clockwise, degrees", this.typed.turn_deg),
+      h("div", { class: "row" }, button("Register near it", "0"), button("Take it as it is", "1"))));
+  }
+
+  fill(pose) {
+    for (const [name, input] of Object.entries(this.typed)) input.value = pose[name].toFixed(name === "turn_deg" ? 3 : 1);
+  }
+
+  async register(near = {}) {
+    this.words.textContent = "Looking for the shift …";
+    try {
+      const found = await api.compare(this.both[0].key, this.both[1].key, near);
+      if (this.gone) return;
+      if (found.refused) {
+        this.words.replaceChildren(h("strong", { class: "warning" }, `${found.refused}.`));
+        this.fill(found.best);
+        return;
+      }
+      await this.registered(found);
+    } catch (error) {
+      this.words.textContent = error.message;
+    }
+  }
+
+  async registered(found) {
     this.difference = await api.facts(found.key);
     const { record } = found;
     const [down, right] = record.shift_um;
     const way = (um, more, less) => `${length(Math.abs(um))} ${um >= 0 ? more : less}`;
+    this.fill({ down_um: down, right_um: right, turn_deg: record.turn_deg });
+    if (this.single) {
+      this.single.dispose();
+      this.single = null;
+      this.alone.replaceChildren();
+      if (!this.alone.hidden) this.openDifference();
+    }
     this.shift = { row: down / this.both[1].pitch_um, column: right / this.both[1].pitch_um };
     this.words.textContent = `The second lies ${way(down, "down", "up")}, ${way(right, "right", "left")}, turned by ` +
-      `${record.turn_deg.toFixed(2).replace("-", "−")}°. After levelling ${micrometres(record.residual_um)} rms remain ` +
+      `${record.turn_deg.toFixed(2).replace("-", "−")}° (found by: ${record.registered_by}, shift ` +
+      `${Number.isFinite(record.shift_sigma_um) ? `± ${length(record.shift_sigma_um)}` : "of unknown ±"}, slopes agree by ` +
+      `${percent(record.agreement_share)}). After levelling ${micrometres(record.residual_um)} rms remain ` +
       `(median ${micrometres(record.median_um)}) over ${percent(record.overlap_share)} of the first, ` +
       (Number.isFinite(record.height_sigma_median_um)
         ? `where the difference is known to ± ${micrometres(record.height_sigma_median_um)} (k = 1, median; both scans' ± together).`
@@ -100,7 +140,7 @@ class ComparePage {
     this.side.hidden = index === 1;
     this.alone.hidden = index === 0;
     if (index === 1 && !this.single) this.openDifference();
-    this.panelBox.replaceChildren((index === 1 ? this.singlePanel : this.panel).element);
+    this.panelBox.firstChild.replaceWith((index === 1 ? this.singlePanel : this.panel).element);
     announce(index === 1 ? "The difference, second minus first" : "Side by side");
   }
 

@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 
 from device.surface.fields import HeightMap
-from host_sync.errors import ViewError
-from host_sync.viewer.registration import MIN_AGREEMENT, difference
+from host_sync.errors import RegistrationRefused, ViewError
+from host_sync.registration.difference import difference
+from host_sync.registration.register import MIN_AGREEMENT, register
 
 SHAPE = (300, 400)
 PITCH_UM = 12.0
@@ -80,7 +81,7 @@ def test_another_pitch_is_brought_to_the_first() -> None:
     assert found.median_um < 0.5
 
 
-def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
+def test_one_thing_seen_twice_agrees_and_another_thing_is_refused() -> None:
     assert difference(seen(), seen(13.4, -22.7, 0.5, noise_um=0.3)).warning == ""
     worn = seen(2.0, 3.0, noise_um=0.3)
     worn.z_um[150:230, 60:200] = 0.0
@@ -90,9 +91,11 @@ def test_one_thing_seen_twice_agrees_and_another_thing_is_doubted() -> None:
         rough = [cv2.GaussianBlur(random.standard_normal(SHAPE).astype(np.float32), (0, 0), size_px) for _ in range(2)]
         others = [HeightMap(20.0 * z_um / z_um.std(), PITCH_UM) for z_um in rough]
         for first, second in ((seen(), others[0]), (others[0], others[1])):
-            found = difference(first, second)
+            found = register(first, second)
             assert found.agreement < MIN_AGREEMENT, size_px
-            assert "may show different things" in found.warning
+            with pytest.raises(RegistrationRefused, match="may show different things"):
+                difference(first, second)
+            assert "may show different things" in difference(first, second, near=found.pose, pinned=True).warning
 
 
 def test_the_difference_is_as_uncertain_as_both_together() -> None:

@@ -1,0 +1,1 @@
+"""Registration of two presses of one object, with its own uncertainty, and their difference."""

@@ -1,0 +1,241 @@
+"""Registers the second of two height maps to the first, or says why it cannot: a wrong shift is worse than none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.errors import ViewError
+from host_sync.registration.fit import Fit, Pair, coherence, fit, middle_px
+from host_sync.registration.poses import Pose, at_pitch
+from host_sync.registration.starts import Start, starts, texture_starts
+
+COARSE_PX: Final = 120
+FINE_PX: Final = 1024
+REFINED: Final = 3
+"""Coarse fits that are refined."""
+
+MAX_SIGMA_PX: Final = 1.0 / 6.0
+"""Largest standard uncertainty of an accepted shift, px: half a pixel is three of them."""
+
+MIN_AGREEMENT: Final = 0.6
+"""Least correlation of the slopes of two presses of one object. The same object with 1 µm of noise gives 0.99,
+unrelated textures after registration at most 0.35, unrelated fields of three or four broad hills 0.65."""
+
+APART_PX: Final = 2.0
+"""Fits closer than so many coarse pixels are one answer."""
+
+TURN_GAIN: Final = 0.97
+"""A turn is accepted when the mean squared slope difference falls below this fraction of that without a turn."""
+
+HOPS_DEG: Final = (-8.0, -4.0, 4.0, 8.0)
+HOP_SHARE: Final = 0.05
+"""Turns and shifts (fraction of the field) around the best coarse fit that are tried as well."""
+
+START_PX: Final = 4.0
+"""Starts closer than so many coarse pixels lead to one answer."""
+
+RIVAL: Final = 1.5
+"""Another answer competes unless its residual is larger than the best one's by this factor."""
+
+RIVAL_UNLIKE: Final = 4.0
+"""… and only if its slopes agree about as well: one less the agreement is at most so many times that of the best."""
+
+RIVAL_ENERGY: Final = 0.5
+"""… over at least this fraction of the squared slopes that the best answer has in common."""
+
+UNLIKE_FLOOR: Final = 0.01
+RIVAL_SIGMAS: Final = 3.0
+"""… and by so many standard deviations over the tiles of the field."""
+
+MIN_COHERENCE: Final = 0.5
+"""Least correlation of both maps' change of slope along any direction: noise alone changes along a prism."""
+
+SLIDES: Final = "the shift along one direction is not seen: the object slides along itself there"
+NOTHING_IN_COMMON: Final = "the two scans hardly overlap: choose two of the same place"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where the object of the first map lies in the second.
+
+    pose : shift (px of the first map) and turn (rad) of the object, about the middle of the field
+    covariance : float64 array of shape (3, 3) of down, right and turn, px and rad; infinite where undetermined
+    agreement : correlation of the slopes over the common field, 1 for identical maps
+    overlap_share : common field as a fraction of the first map
+    by : what found it: "relief", "rim", "texture", "as they lie" or "pinned"
+    refused : why it is not to be used, one clause; empty when it is accepted
+    """
+
+    pose: Pose
+    covariance: Float64Array
+    agreement: float
+    overlap_share: float
+    by: str
+    refused: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it may be used."""
+        return not self.refused
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard uncertainty of the shift along the direction that is known least, px."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
+
+
+def register(
+    first: HeightMap,
+    second: HeightMap,
+    *,
+    frames: tuple[Float32Array, Float32Array] | None = None,
+    near: Pose | None = None,
+    pinned: bool = False,
+) -> Registration:
+    """The registration of two height maps.
+
+    frames : grey frames of both on one gel, float32 arrays of shape (H, W), as one more source of starts
+    near : the only start: a person saw that the answer is near to it
+    pinned : take `near` as it is
+
+    Raises
+    ------
+    ViewError
+        They hardly overlap, or a map has no valid pixel.
+    """
+    other = at_pitch(second, first.pitch_um)
+    for z_um in (first.z_um, other):
+        if not np.isfinite(z_um).any():
+            raise ViewError("one of the scans has no valid pixel: choose another")
+    fine = Pair.of(first.z_um, other, FINE_PX)
+    if near is not None:
+        return _from_person(fine, near, pinned=pinned)
+    found = starts(first.z_um, other)
+    if frames is not None:
+        found += texture_starts(frames)
+    coarse = Pair.of(first.z_um, other, COARSE_PX)
+    answers = _answers(fine, coarse, found)
+    if not answers:
+        raise ViewError(NOTHING_IN_COMMON)
+    best, by = answers[0]
+    rivals = [one for one, _ in answers[1:]]
+    straight = _straight(fine, coarse, found)
+    if straight is not None and np.nanmean(best.residual) > TURN_GAIN * np.nanmean(straight.residual):
+        # What is round is not turned: answers that turn it about itself are one.
+        middle = middle_px(coarse)
+        rivals = [
+            one for one in (best, *rivals) if one.pose.distance_at(straight.pose, middle) > APART_PX * coarse.step
+        ]
+        best = straight
+    sure = max(coherence(pair, best.pose) for pair in (coarse, fine))
+    refused = _rivalry(best, rivals)
+    if sure < MIN_COHERENCE:
+        refused = SLIDES
+    return _judged(best, by, refused=refused)
+
+
+def _from_person(pair: Pair, near: Pose, *, pinned: bool) -> Registration:
+    """The registration near to a pose that a person gave, or that pose itself."""
+    found = fit(pair, near)
+    if found is None:
+        raise ViewError(NOTHING_IN_COMMON)
+    if not pinned:
+        return _judged(found, "nudged")
+    return Registration(near, found.covariance, found.agreement, found.share, "pinned")
+
+
+def _judged(found: Fit, by: str, refused: str = "") -> Registration:
+    if found.agreement < MIN_AGREEMENT:
+        refused = (
+            f"their slopes agree by only {100.0 * max(found.agreement, 0.0):.0f} % (the same object: over "
+            f"{100.0 * MIN_AGREEMENT:.0f} %): they may show different things"
+        )
+    elif not found.sigma_px <= MAX_SIGMA_PX:
+        refused = refused or (
+            f"the shift is known to ± {found.sigma_px:.2g} px only (at most {MAX_SIGMA_PX:.2g}): the object slides "
+            "along itself, or too little of it is seen"
+        )
+    return Registration(found.pose, found.covariance, found.agreement, found.share, by, refused)
+
+
+def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[tuple[Fit, str]]:
+    """The different fits that the starts lead to, best first."""
+    rough: list[tuple[Fit, str]] = []
+    for start in _different(given, coarse):
+        found = fit(coarse, start.pose)
+        if found is not None:
+            _add(rough, found, start.by, coarse)
+    rough.sort(key=lambda one: -one[0].agreement)
+    for pose in _around(rough[0][0].pose, coarse) if rough else ():
+        found = fit(coarse, pose)
+        if found is not None:
+            _add(rough, found, rough[0][1], coarse)
+    rough.sort(key=lambda one: -one[0].agreement)
+    found_fine: list[tuple[Fit, str]] = []
+    for one, by in rough[:REFINED]:
+        refined = fit(fine, one.pose)
+        if refined is not None:
+            _add(found_fine, refined, by, coarse)
+    return sorted(found_fine, key=lambda one: -one[0].agreement)
+
+
+def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> Fit | None:
+    """The best fit without a turn; None where no start leads to one."""
+    rough = [found for one in given if one.pose.turn == 0.0 and (found := fit(coarse, one.pose, turning=False))]
+    if not rough:
+        return None
+    return fit(fine, max(rough, key=lambda one: one.agreement).pose, turning=False)
+
+
+def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
+    """Poses around one: turned about the middle of the object, and shifted."""
+    place = middle_px(coarse)
+    for turn_deg in HOPS_DEG:
+        turned = Pose(pose.down, pose.right, pose.turn + float(np.radians(turn_deg)))
+        off = [a - b for a, b in zip(pose.place_of(place), turned.place_of(place), strict=True)]
+        yield Pose(turned.down + off[0], turned.right + off[1], turned.turn)
+    hop = HOP_SHARE * max(coarse.first.shape) * coarse.step
+    for down, right in ((hop, 0.0), (-hop, 0.0), (0.0, hop), (0.0, -hop)):
+        yield Pose(pose.down + down, pose.right + right, pose.turn)
+
+
+def _different(given: list[Start], coarse: Pair) -> list[Start]:
+    """The starts without those that are close to one before them."""
+    kept: list[Start] = []
+    shape = tuple(size * coarse.step for size in coarse.first.shape)
+    for start in given:
+        if all(start.pose.distance_px(one.pose, shape) > START_PX * coarse.step for one in kept):
+            kept.append(start)
+    return kept
+
+
+def _add(answers: list[tuple[Fit, str]], new: Fit, by: str, coarse: Pair) -> None:
+    """Add a fit, unless it is one of those known."""
+    shape = tuple(size * coarse.step for size in coarse.first.shape)
+    for one, _ in answers:
+        if one.pose.distance_px(new.pose, shape) < APART_PX * coarse.step:
+            return
+    answers.append((new, by))
+
+
+def _rivalry(best: Fit, others: list[Fit]) -> str:
+    """Why another answer is as good as the best; empty where none is."""
+    for one in others:
+        unlike = 1.0 - one.agreement > RIVAL_UNLIKE * max(1.0 - best.agreement, UNLIKE_FLOOR)
+        if unlike or one.energy < RIVAL_ENERGY * best.energy:
+            continue
+        ratio = float(np.nanmean(one.residual) / max(float(np.nanmean(best.residual)), 1e-30))
+        more = (one.residual - best.residual)[np.isfinite(one.residual) & np.isfinite(best.residual)]
+        sure = more.size > 2 and more.mean() > RIVAL_SIGMAS * more.std() / np.sqrt(more.size)
+        if ratio < RIVAL or not sure:
+            down, right = one.pose.down - best.pose.down, one.pose.right - best.pose.right
+            return (
+                f"two answers compete: {down:+.1f} px down and {right:+.1f} px right of the best one the maps agree "
+                "about as well"
+            )
+    return ""
