@@ -16,7 +16,7 @@ from device.io.atomic import write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.library.library import Library
-from host_sync.results.files import DetailName
+from host_sync.results.files import RECORD_FILE, DetailName
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
@@ -46,7 +46,8 @@ def measure_command(
     Parameters
     ----------
     results
-        Folders that reconstruct wrote. With --library, scans of it; all by default.
+        Folders that reconstruct wrote, folders of such folders, or surface files of other instruments (TMD; with the
+        extra `formats` X3P, SUR, AL3D, SDF, GWY, OPD, PLUX and more). With --library, scans of it; all by default.
     recipe
         TOML file of the measurement recipe; the options below change it.
     library
@@ -138,7 +139,7 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
     if library is None:
         if not names:
             raise MeasurementError("name folders that retrosync reconstruct wrote, or --library LIB")
-        return list(names)
+        return [found for name in names for found in _results_in(name)]
     held = Library(library)
     listing = held.scans()
     scans = [held.find(str(name)) for name in names] if names else list(listing.bundles)
@@ -153,6 +154,13 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
     if not found:
         raise MeasurementError(f"{library} holds no scans: pull some first")
     return found
+
+
+def _results_in(place: Path) -> list[Path]:
+    """The place itself, or the results in it where it is a folder of results."""
+    if not place.is_dir() or (place / RECORD_FILE).is_file():
+        return [place]
+    return sorted(path.parent for path in place.glob(f"*/{RECORD_FILE}")) or [place]
 
 
 def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:

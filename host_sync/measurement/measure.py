@@ -15,6 +15,7 @@ from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.footprint import share_at
+from host_sync.measurement.foreign_file import METHOD, read_foreign
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.levelling import Levelling
 from host_sync.measurement.measurands import (
@@ -179,7 +180,7 @@ def _numbers(one: Measurand, z_um: Float32Array) -> Numbers:
 def measure_result(
     folder: Path, recipe: Recipe, tell: Callable[[str], None] = lambda _: None, *, samples: bool = True
 ) -> Measurement:
-    """The measurement of a result folder.
+    """The measurement of a result folder, or of another instrument's file.
 
     samples : whether to compute uncertainties; without them a measurement takes a fraction of the time
 
@@ -191,7 +192,7 @@ def measure_result(
         A measurand of the recipe is not found on it.
     """
     tell(f"{folder.name}: reading")
-    surface = read_result(folder)
+    surface = read_foreign(folder) if folder.is_file() else read_result(folder)
     return measure(surface if samples else replace(surface, samples_um=None), recipe, tell)
 
 
@@ -380,7 +381,13 @@ def _notes(surface: ResultSurface, recipe: Recipe, samples: int) -> Iterable[str
             f"the relative uncertainty of each ± is {own:.0%} (k = 1)"
         )
     else:
-        yield f"± not known: the result holds no {SAMPLES_FILE}: reconstruct the scan again"
+        foreign = surface.record.method == METHOD
+        why = (
+            "a foreign file states none"
+            if foreign
+            else f"the result holds no {SAMPLES_FILE}: reconstruct the scan again"
+        )
+        yield f"± not known: {why}"
     if samples and surface.slope_sigma is None:
         yield f"± without pixel noise finer than the samples: the result holds no {SLOPE_SIGMA_FILE}"
     scale = surface.record.height_scale

@@ -42,10 +42,10 @@ START_PX: Final = 4.0
 RIVAL: Final = 1.5
 """Another answer competes unless its residual is larger than the best one's by this factor."""
 
-RIVAL_UNLIKE: Final = 4.0
+RIVAL_UNLIKE: Final = 2.0
 """… and only if its slopes agree about as well: one less the agreement is at most so many times that of the best."""
 
-RIVAL_ENERGY: Final = 0.5
+RIVAL_ENERGY: Final = 0.6
 """… over at least this fraction of the squared slopes that the best answer has in common."""
 
 UNLIKE_FLOOR: Final = 0.01

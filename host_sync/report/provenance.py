@@ -63,7 +63,8 @@ def hashed_files(folder: Path, origin: Origin) -> tuple[tuple[str, str, str], ..
     MeasurementError
         A file cannot be read.
     """
-    files = [(f"result/{path.name}", path) for path in sorted(folder.iterdir()) if path.is_file()]
+    held = sorted(folder.iterdir()) if folder.is_dir() else [folder]
+    files = [(f"result/{path.name}", path) for path in held if path.is_file()]
     if origin.scan is not None:
         record = origin.scan.record
         files += [(f"scan/{name}", origin.scan.directory / name) for name in (SCAN_MANIFEST, record.raw_file)]
