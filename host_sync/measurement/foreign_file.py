@@ -6,7 +6,10 @@ GelSight's TMD is read by this program. All other formats are read by SurfaceTop
 
 from __future__ import annotations
 
+import struct
 import warnings
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +31,12 @@ SQUARE: Final = 1e-3
 NO_ZERO: Final = "no zero: heights are relative, as a foreign file states no untouched surface"
 MIN_FOREIGN_UM: Final = 1e-5
 """Smallest pixel pitch: probe microscopes have nanometres."""
+
+READ_ERRORS: Final = (
+    OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, SyntaxError, AssertionError,
+    RuntimeError, MemoryError, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What readers raise on damaged files, XML errors among them."""
 
 UNITS_UM: Final = {"m": 1e6, "mm": 1e3, "µm": 1.0, "um": 1.0, "nm": 1e-3, "pm": 1e-6, "Å": 1e-4}
 
@@ -94,7 +103,7 @@ def _by_library(path: Path) -> tuple[HeightMap, str, tuple[str, ...]]:
                 heights, sizes, unit = found.heights(), found.physical_sizes, found.unit
     except CannotDetectFileFormat as error:
         raise MeasurementError(f"{path}: is of no known format: name a result's folder or a surface file") from error
-    except Exception as error:  # readers of damaged files raise what they like
+    except READ_ERRORS as error:
         raise MeasurementError(f"{path}: cannot be read as a surface ({one_line(str(error))[:120]})") from error
     if found.dim != 2 or unit not in UNITS_UM or sizes is None:
         raise MeasurementError(f"{path}: holds no map of heights with a scale: export it with its size and unit")

@@ -17,7 +17,7 @@ from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.footprint import share_at
 from host_sync.measurement.foreign_file import METHOD, read_foreign
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
-from host_sync.measurement.levelling import Levelling
+from host_sync.measurement.levelling import Levelling, LevelSpread
 from host_sync.measurement.measurands import (
     AngleMeasurand,
     DistanceMeasurand,
@@ -59,7 +59,6 @@ NO_SHAPE_SIGMA: Final = (
 
 NO_PITCH_SIGMA: Final = "± without that of the pixel pitch, which is not known: set scale.pixel_pitch_share"
 NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: set scale.pixel_pitch_share"
-SPREAD_PX: Final = 128
 
 AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
 PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
@@ -209,7 +208,7 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     raised = _raised(plan, found, samples.noisier())
     drawn: list[Sequence[Numbers]] = []
     squares = [np.zeros_like(trace) for trace in found.traces]
-    spread = _LevelSpread(smooth.height.z_um)
+    spread = LevelSpread(smooth.height.z_um)
     for number, (allowed, smoother) in enumerate(_drawn(samples, surface, smooth, recipe), start=1):
         tell(f"{surface.folder.name}: sample {number} of {len(samples)}")
         try:
@@ -246,34 +245,6 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
         steps=tuple(_step(one, plan.doubts_of(one)) for one in plan.others if isinstance(one, StepMeasurand)),
         failed=tuple(one.name for one in plan.failed),
     )
-
-
-class _LevelSpread:
-    """Spread of heights over the samples at a few pixels, before and after levelling.
-
-    Parameters
-    ----------
-    nominal_um : float32 array of shape (H, W), the levelled height map
-    """
-
-    def __init__(self, nominal_um: Float32Array) -> None:
-        step = max(1, max(nominal_um.shape) // SPREAD_PX)
-        self._here = (slice(None, None, step), slice(None, None, step))
-        self._nominal_um = nominal_um[self._here].astype(np.float64)
-        self._squares = np.zeros((2, *self._nominal_um.shape))
-
-    def add(self, before_um: Float32Array, after_um: Float32Array) -> None:
-        """Take one sample in."""
-        for square, z_um in zip(self._squares, (before_um, after_um), strict=True):
-            square += (z_um[self._here] - self._nominal_um) ** 2
-
-    def words(self, samples: int) -> str:
-        """What levelling does to the ± of heights; nothing without samples."""
-        known = np.isfinite(self._squares[0])
-        if not samples or not known.any():
-            return ""
-        before, after = (float(np.median(np.sqrt(square[known] / samples))) for square in self._squares)
-        return f": the median ± of a height goes from {before:.2g} to {after:.2g} µm (k = 1)"
 
 
 def _levelled(height: HeightMap, level: Levelling) -> HeightMap:

@@ -75,9 +75,10 @@ def step_height_um(
 def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
     """Standard uncertainty of what is called the height: its spread over how much of the profile is used, µm."""
     found = [step_height_um(profile, edges)]
+    room = room_share(profile, edges)  # a line that is too short varies what it has
     for ignored, reach in zip(OTHER_SHARES, OTHER_REACHES, strict=True):
         try:
-            found.append(step_height_um(profile, edges, ignored, reach))
+            found.append(step_height_um(profile, edges, ignored, min(room, 1.0) * reach))
         except MeasurementError:
             continue
     return float(np.std(found))
