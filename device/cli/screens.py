@@ -121,7 +121,7 @@ def show_screens(instrument: Instrument, hardware: Hardware, folder: Path, fault
     report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
     with InstrumentThread(instrument, report) as thread:
         is_twin = profile.driver == "twin"
-        program = ProgramInfo(version("retrograph"), folder)
+        program = ProgramInfo(version("retrograph"), folder, "battery" in profile.capabilities)
         app = RetroscanApp(instrument, program, depth, profile.sensor, is_twin, lambda: thread.has_ended, faults=faults)
         outcome = asyncio.run(_shown(app))
     if outcome == "off" and faults is None:

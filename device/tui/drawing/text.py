@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from datetime import datetime
 from typing import Final
 
 from device.bundles.scan import Annotations, VerdictLevel
@@ -38,6 +39,11 @@ def age_text(age_s: float) -> str:
     if age_s < _HOUR:
         return f"{int(age_s // _MINUTE)} min ago"
     return f"{int(age_s // _HOUR)} h ago" if age_s < 2 * _DAY else f"{int(age_s // _DAY)} days ago"
+
+
+def local_time(at: datetime) -> str:
+    """Date and time in the instrument's time zone."""
+    return f"{at.astimezone():%Y-%m-%d %H:%M}"
 
 
 def percent_text(fraction: float | None) -> str:

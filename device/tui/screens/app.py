@@ -38,7 +38,7 @@ from device.tui.screens.picture_viewer import view_picture
 from device.tui.screens.scan import ScanScreen
 from device.tui.screens.scans import ScansScreen
 from device.tui.screens.setup import SetUpScreen
-from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog
+from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog, KeysDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.navigation import Notice, Place, place_after
 from hal.board_profile import SensorConfig
@@ -47,6 +47,22 @@ UPDATES_PER_S: Final = 10.0
 SHOWN_OBJECTS: Final = ("coin", "texture", "sphere-grid", "sinusoid", "step", "groove")
 """What the twin's operator presses, one after another."""
 
+
+KEYS_IN_WORDS: Final = {
+    "go('scan')": "Scan",
+    "go('calibrate')": "Calibrate",
+    "go('scans')": "Scans",
+    "go('set-up')": "Set-up",
+    "view": "relief in pixels",
+    "choose(10)": "ten lines on",
+    "choose(-10)": "ten lines back",
+    "choose_end(0)": "first line",
+    "choose_end(-1)": "last line",
+}
+"""Keys that the bottom line does not show, by action."""
+
+MIN_COLUMNS: Final = 40
+MIN_ROWS: Final = 16
 
 MAX_INTERVAL_S: Final = 2.0
 
@@ -79,6 +95,7 @@ class RetroscanApp(App[str]):
         Binding("3", "go('scans')", show=False),
         Binding("4", "go('set-up')", show=False),
         Binding("f", "faults", "faults"),
+        Binding("question_mark", "keys", "keys", key_display="?"),
         Binding("q,ctrl+c", "quit", "quit"),
     ]
 
@@ -125,7 +142,13 @@ class RetroscanApp(App[str]):
         for event in self.instrument.take_events():
             await self._handle(event)
         if screen := self._current():
-            screen.show_state(self.instrument.state, self.notice)
+            screen.show_state(self.instrument.state, self._too_small() or self.notice)
+
+    def _too_small(self) -> Notice | None:
+        columns, rows = self.size
+        if columns >= MIN_COLUMNS and rows >= MIN_ROWS:
+            return None
+        return Notice(f"too small, needs {MIN_COLUMNS}x{MIN_ROWS}", "error")
 
     def show_live(self) -> None:
         """Show the live picture."""
@@ -151,6 +174,17 @@ class RetroscanApp(App[str]):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only a demonstration has faults to switch."""
         return self._faults is not None if action == "faults" else super().check_action(action, parameters)
+
+    def action_keys(self) -> None:
+        """Show every key of this screen, also those that the bottom line leaves out."""
+        if isinstance(self.screen, Dialog):
+            return
+        keys: dict[str, str] = {}
+        for active in self.screen.active_bindings.values():
+            binding = active.binding
+            if active.enabled and (what := binding.description or KEYS_IN_WORDS.get(binding.action, "")):
+                keys.setdefault(self.get_key_display(binding), what)
+        self.push_screen(KeysDialog(list(keys.items())))
 
     def action_faults(self) -> None:
         """Choose a fault of the twin to switch on or off."""

@@ -24,6 +24,9 @@ from device.tui.widgets.live_view import LiveView
 RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Radii of commercially available balls; chosen, never typed."""
 
+LAST_PRESSES: Final = 3
+"""What is uncovered is said from so many presses before the end: planned places cover the rest."""
+
 _CONTACT_FRACTION: Final = 0.6
 """Contact radius to aim for, as a fraction of the ball's radius."""
 
@@ -47,6 +50,7 @@ class CalibrationScreen(InstrumentScreen):
     def __init__(self, instrument: Instrument, depth: ColourDepth, radius_mm: float = 3.0) -> None:
         super().__init__(instrument)
         self._radius_mm = radius_mm
+        self._fitting_since_ns: int | None = None
         self._live = LiveView(depth)
         self._instructions = Static(id="instruction", markup=False)
         self._progress = Static(id="progress", markup=False)
@@ -112,6 +116,11 @@ class CalibrationScreen(InstrumentScreen):
         self.action_go_on()
 
     def _instruction(self, state: InstrumentState) -> str:
+        if state.guide and state.guide.phase == "fitting" and self._is_running(state):
+            self._fitting_since_ns = self._fitting_since_ns or self.retroscan.now_ns()
+            spent_s = (self.retroscan.now_ns() - self._fitting_since_ns) * 1e-9
+            return f"{state.guide.instruction} {spent_s:.0f} s, about a minute on a small board. Touch nothing."
+        self._fitting_since_ns = None
         if state.guide and (self._is_running(state) or state.guide.is_over):
             again = "" if self._is_running(state) else " Push the button to calibrate again."
             complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""
@@ -136,7 +145,9 @@ class CalibrationScreen(InstrumentScreen):
         found = [
             f"Ball found, contact diameter {2.0 * ball.contact_radius_px * pitch_mm:.1f} mm." for ball in guide.circles
         ]
-        return found + [f"Not used: {ball.reason}." for ball in guide.rejected]
+        refused = [f"Not used: {ball.reason}." for ball in guide.rejected]
+        is_ending = guide.wanted - guide.accepted <= LAST_PRESSES
+        return [*found, *refused, *(guide.next_presses if is_ending else ())]
 
     def _aimed_radius(self) -> float:
         """Contact radius to aim for, as a fraction of the field's columns."""

@@ -19,10 +19,11 @@ _LABEL: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class ProgramInfo:
-    """Facts that do not change while the program runs: its version, and the folder of scans."""
+    """Facts that do not change while the program runs: version, folder of scans, whether the board has a gauge."""
 
     version: str
     store: Path
+    has_gauge: bool = False
 
 
 def instrument_panel(state: InstrumentState, program: ProgramInfo, network: NetworkInfo | None, columns: int) -> str:
@@ -42,7 +43,7 @@ def instrument_panel(state: InstrumentState, program: ProgramInfo, network: Netw
         ),
         *_brightness_lines(calibration),
         ("Lights", lights_text(state.health)),
-        ("Power", battery_text(state)),
+        ("Power", battery_text(state, has_gauge=program.has_gauge)),
         ("Storage", f"{stored}{left}"),
         ("Folder", str(program.store)),
         ("Version", program.version),
@@ -124,12 +125,14 @@ def _network_lines(network: NetworkInfo | None, columns: int) -> list[tuple[str,
     ]
 
 
-def battery_text(state: InstrumentState) -> str:
-    """Supply and battery in words."""
+def battery_text(state: InstrumentState, *, has_gauge: bool) -> str:
+    """Supply and battery in words; `has_gauge` as the board profile says."""
     power = state.power
     if power.under_voltage:
         return "the supply voltage is too low: use a stronger supply"
-    return "no battery gauge" if power.battery_share is None else percent_text(power.battery_share)
+    if power.battery_share is None:
+        return "the battery gauge does not answer: run the self-test" if has_gauge else "no battery gauge"
+    return percent_text(power.battery_share)
 
 
 def state_text(state: InstrumentState, columns: int) -> str:

@@ -35,7 +35,7 @@ class ScanScreen(InstrumentScreen):
         Binding("j", "sticky", "job"),
         Binding("a", "auto", "auto"),
         Binding("z", "zero", "zero check"),
-        Binding("d", "demonstrate", "press an object"),
+        Binding("d", "demonstrate", "press"),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:

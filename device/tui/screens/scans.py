@@ -19,7 +19,7 @@ from device.store.marks import Opinion
 from device.surface.fields import HeightMap
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.text import sticky_text
+from device.tui.drawing.text import local_time, sticky_text
 from device.tui.screens.base import InstrumentScreen
 from device.tui.widgets.dialogs import FieldsDialog
 from device.tui.widgets.height_view import HeightView
@@ -185,5 +185,5 @@ def details_of(entry: ScanEntry) -> str:
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
     return (
         f"{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
-        f"{entry.wall_time:%Y-%m-%d %H:%M} UTC · {sent}{note}"
+        f"{local_time(entry.wall_time)} · {sent}{note}"
     )

@@ -15,8 +15,10 @@ from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import InstrumentState
+from device.store.gels import make_gel
 from device.store.registry import RegisteredCalibration
 from device.tui.drawing.cells import ColourDepth
+from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.panels import instrument_panel, pairing_panel, selftest_panel
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
@@ -36,6 +38,8 @@ class SetupAction:
     title: str
     meaning: str
 
+
+GEL_HINT: Final = "Lower-case letters, digits and hyphens, for example the number on the gel's frame"
 
 SETUP_ACTIONS: Final = (
     SetupAction("back", "Back to Scan", ""),
@@ -188,18 +192,12 @@ class SetUpScreen(InstrumentScreen):
             return
         thickness = f"{self.instrument.state.gel.slab_thickness_mm:g}"
         fields = {"Name": "", "Slab, mm": thickness}
-        hint = "Any unique name, for example the number on the gel's frame"
-        self.app.push_screen(FieldsDialog("New gel", fields, hint), self._new_gel)
+        self.app.push_screen(FieldsDialog("New gel", fields, GEL_HINT, _gel_complaint), self._new_gel)
 
     def _new_gel(self, fields: dict[str, str] | None) -> None:
         if fields is None:
             return
-        try:
-            slab_thickness_mm = float(fields["Slab, mm"].replace(",", "."))
-        except ValueError:
-            self.retroscan.report_failure(f"{fields['Slab, mm']!r} is not a thickness in mm: change the gel again")
-            return
-        self.instrument.change_gel(fields["Name"], slab_thickness_mm)
+        self.instrument.change_gel(fields["Name"], _thickness_mm(fields))
 
     def _ask_for_calibration(self, calibrations: Sequence[RegisteredCalibration]) -> None:
         if not calibrations:
@@ -219,8 +217,22 @@ class SetUpScreen(InstrumentScreen):
             self.instrument.power_off()
 
 
+def _thickness_mm(fields: dict[str, str]) -> float:
+    return float(fields["Slab, mm"].replace(",", "."))
+
+
+def _gel_complaint(fields: dict[str, str]) -> str:
+    """What is wrong with a new gel's name or thickness; empty if nothing is."""
+    try:
+        make_gel(fields["Name"], _thickness_mm(fields))
+    except ValueError as error:
+        is_number = isinstance(error, DeviceError)
+        return str(error) if is_number else f"{fields['Slab, mm']!r} is not a thickness in mm"
+    return ""
+
+
 def _calibration_line(calibration: RegisteredCalibration) -> str:
     """Gel, slot, version and time of a calibration, and whether it is active."""
     record, entry = calibration.bundle.record, calibration.entry
     mark = " active" if calibration.active else ""
-    return f"{record.gel_id} {entry.slot} v{entry.version} {record.created:%Y-%m-%d %H:%M}{mark}"
+    return f"{record.gel_id} {entry.slot} v{entry.version} {local_time(record.created)}{mark}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, TypeVar
 
 from textual.app import ComposeResult
@@ -36,13 +36,21 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
     title : what is edited
     fields : names and present texts
     hint : one sentence below
+    check : what is wrong with the texts, empty if nothing is; the dialog then stays open with what was typed
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "cancel")]
 
-    def __init__(self, title: str, fields: Mapping[str, str], hint: str) -> None:
+    def __init__(
+        self,
+        title: str,
+        fields: Mapping[str, str],
+        hint: str,
+        check: Callable[[dict[str, str]], str] = lambda _: "",
+    ) -> None:
         super().__init__()
-        self._title, self._fields, self._hint = title, dict(fields), hint
+        self._title, self._fields, self._hint = title, dict(fields), Static(hint, classes="dialog-hint", markup=False)
+        self._check = check
 
     def compose(self) -> ComposeResult:
         """The fields and two buttons."""
@@ -51,8 +59,8 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
             for name, text in self._fields.items():
                 with Horizontal(classes="dialog-field"):
                     yield Static(name, classes="dialog-label", markup=False)
-                    yield Input(text, name=name, compact=True, max_length=80)
-            yield Static(self._hint, classes="dialog-hint", markup=False)
+                    yield Input(text, name=name, compact=True, max_length=80, select_on_focus=False)
+            yield self._hint
             with Horizontal(classes="dialog-buttons"):
                 yield Button(_framed("Save"), id="save", compact=True)
                 yield Button(_framed("Cancel"), id="cancel", compact=True)
@@ -73,7 +81,33 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
             self.dismiss(None)
 
     def _save(self) -> None:
-        self.dismiss({field.name or "": field.value.strip() for field in self.query(Input)})
+        texts = {field.name or "": field.value.strip() for field in self.query(Input)}
+        if complaint := self._check(texts):
+            self._hint.update(f"! {complaint}")
+        else:
+            self.dismiss(texts)
+
+
+class KeysDialog(Dialog[None]):
+    """Every key of a screen with what it does.
+
+    Parameters
+    ----------
+    keys : shown key and description
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,question_mark", "dismiss(None)", "close")]
+
+    def __init__(self, keys: Sequence[tuple[str, str]]) -> None:
+        super().__init__()
+        self._keys = keys
+
+    def compose(self) -> ComposeResult:
+        """One line per key."""
+        with Vertical(classes="dialog"):
+            yield Static("Keys of this screen", classes="dialog-title", markup=False)
+            yield Static("\n".join(f"{key:<10} {what}" for key, what in self._keys), markup=False)
+            yield Static("Escape: close", classes="dialog-hint", markup=False)
 
 
 class ConfirmDialog(Dialog[bool]):

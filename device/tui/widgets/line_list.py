@@ -32,6 +32,8 @@ class LineList(ScrollView, can_focus=True):
         Binding("up", "choose(-1)", show=False),
         Binding("pagedown", "choose(10)", show=False),
         Binding("pageup", "choose(-10)", show=False),
+        Binding("home", "choose_end(0)", show=False),
+        Binding("end", "choose_end(-1)", show=False),
     ]
 
     @dataclass
@@ -71,6 +73,10 @@ class LineList(ScrollView, can_focus=True):
     def action_choose(self, step: int) -> None:
         """Choose the line `step` lines further down."""
         self.choose(self._chosen + step)
+
+    def action_choose_end(self, index: int) -> None:
+        """Choose the first line (0) or the last (-1)."""
+        self.choose(0 if index == 0 else len(self._lines) - 1)
 
     def on_click(self, event: Click) -> None:
         """Choose the touched line."""

@@ -1,0 +1,99 @@
+"""Small promises of the screens, each by key presses."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from textual.widgets import Input
+
+from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
+from device.tui.drawing.text import local_time
+from device.tui.screens.panels import battery_text
+from hal.interfaces import PowerReading
+from tests.device.tui.conftest import Stage
+
+
+def test_a_gels_name_has_its_rule_beside_it_and_what_was_typed_stays(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("4", *["down"] * 5, "enter", "end", "enter")
+        assert "Lower-case letters, digits and hyphens" in stage.text()
+        await stage.press(*"Gel", "enter", "enter")
+        assert "! gel 'Gel': use lower-case letters" in stage.text()
+        assert stage.app.screen.query(Input).first().value == "Gel"
+        await stage.press("tab")
+        stage.app.screen.query(Input).first().value = "gel-9"
+        stage.app.screen.query(Input).last().focus()
+        await stage.press("end", "x", "enter")
+        assert "is not a thickness in mm" in stage.text()
+        await stage.press("backspace", "enter")
+        await stage.live(2)
+        assert stage.instrument.state.gel.gel_id == "gel-9"
+
+    play(scenario, root, size=(100, 30))
+
+
+def test_a_note_is_kept_when_more_is_typed(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        await stage.press("3", "n", *"one", "enter")
+        await stage.press("n", *"two", "enter")
+        assert "onetwo" in stage.text()
+
+    play(scenario, root)
+
+
+def test_every_key_is_listed_under_the_question_mark(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("3", "question_mark")
+        shown = stage.text()
+        for words in ("Set-up", "unmark", "profile", "last line", "quit", "note"):
+            assert words in shown
+        await stage.press("escape")
+        assert "Keys of this screen" not in stage.text()
+
+    play(scenario, root, size=(80, 40))
+
+
+def test_a_small_terminal_is_named(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        assert "too small, needs 40x16" in stage.text()
+        await stage.pilot.resize_terminal(80, 24)
+        await stage.show()
+        assert "too small" not in stage.text()
+
+    play(scenario, root, size=(39, 15))
+
+
+def test_times_are_local() -> None:
+    at = datetime(2026, 7, 1, 12, 0, tzinfo=UTC)
+    assert local_time(at) == f"{datetime.fromtimestamp(at.timestamp()):%Y-%m-%d %H:%M}"
+
+
+def test_a_gauge_that_the_profile_names_does_not_answer_rather_than_not_exist() -> None:
+    state = InstrumentState(
+        activity="ready",
+        board="pi5-imx296",
+        device_id="rg12345678",
+        calibration=CalibrationState(),
+        gel=GelState("gel", 2.5, 3),
+        health=HealthState({}),
+        power=PowerReading(),
+    )
+    assert "does not answer" in battery_text(state, has_gauge=True)
+    assert battery_text(state, has_gauge=False) == "no battery gauge"
+
+
+def test_what_is_uncovered_is_said_while_one_can_still_press(play: Callable[..., None], empty_root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("2", "space")
+        await stage.live(2)
+        seen = []
+        for _ in range(11):
+            await stage.press("space")
+            await stage.live(3)
+            if stage.instrument.state.activity == "calibrating":
+                seen.append("uncovered" in stage.text())
+        assert not any(seen[:6])
+        assert any(seen)
+
+    play(scenario, empty_root, size=(100, 30))
