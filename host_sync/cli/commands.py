@@ -128,6 +128,15 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "import",
+        "host_sync.cli.import_set:import_command",
+        "Describe another program's folder as a frame set; its files stay as they are. What is missing is asked for.",
+        (
+            "retrosync import gelsight OEMData --out oem.toml",
+            "retrosync import gs_sdk calibration --pixel-pitch-um 63.4",
+        ),
+    ),
+    Command(
         "measure",
         "host_sync.cli.measure:measure_command",
         "Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.",

@@ -1,0 +1,1 @@
+"""Folders that other gel sensors' programs wrote, as frame sets beside the untouched originals."""

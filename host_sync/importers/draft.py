@@ -1,0 +1,123 @@
+"""A frame set as an importer finds it: what is known, what the user said, and what is still missing."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.io.atomic import write_output
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set_file import Encoding
+
+Circle = tuple[float, float, float]
+"""Centre (column, row) and radius of the trusted contact, pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What the user said, None where nothing: it goes before what files say."""
+
+    pixel_pitch_um: float | None = None
+    ball_radius_mm: float | None = None
+    encoding: Encoding | None = None
+    reference: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DraftPress:
+    """A calibration press; its balls are found where there are no circles."""
+
+    images: tuple[Path, ...]
+    ball_radius_mm: float | None
+    circles: tuple[Circle, ...] = ()
+    grid_pitch_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DraftScan:
+    """A frame, and the maker's own height map of it where there is one."""
+
+    name: str
+    images: tuple[Path, ...]
+    height_map: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A frame set.
+
+    encoding : None where it is not known
+    lights : of each grey image of a frame; empty for RGB images
+    """
+
+    name: str
+    pixel_pitch_um: float | None
+    encoding: Encoding | None
+    reference: tuple[Path, ...]
+    presses: tuple[DraftPress, ...]
+    scans: tuple[DraftScan, ...]
+    lights: tuple[str, ...] = ()
+
+    def missing(self) -> list[str]:
+        """Options that must be given, for what neither the files nor the user said."""
+        needs = []
+        if self.pixel_pitch_um is None:
+            needs.append("--pixel-pitch-um (distance of neighbouring pixels on the skin)")
+        if any(press.ball_radius_mm is None for press in self.presses):
+            needs.append("--ball-radius-mm (of the calibration ball)")
+        if self.encoding is None:
+            needs.append("--encoding (linear or srgb: how pixel values encode light)")
+        return needs
+
+    def write(self, path: Path) -> None:
+        """Write the frame set's file, which names images relative to its folder.
+
+        Raises
+        ------
+        FrameSetError
+            Something is missing, or there is no frame.
+        OutputError
+            The file cannot be written.
+        """
+        if needs := self.missing():
+            raise FrameSetError(f"{self.name}: not said by its files: give {', '.join(needs)}")
+        if not self.presses and not self.scans:
+            raise FrameSetError(f"{self.name}: holds no frames: name another folder")
+        write_output(path, "\n".join(self._lines(path.resolve().parent)).encode() + b"\n")
+
+    def _lines(self, folder: Path) -> list[str]:
+        lines = [f"name = {_text(self.name)}", f"pixel_pitch_um = {self.pixel_pitch_um:.6g}"]
+        lines.append(f"encoding = {_text(self.encoding or '')}")
+        for light in self.lights:
+            lines += ["", "[[light]]", f"name = {_text(light)}"]
+        if self.reference:
+            lines += ["", "[reference]", _image(self.reference, folder)]
+        for press in self.presses:
+            lines += ["", "[[press]]", _image(press.images, folder), f"ball_radius_mm = {press.ball_radius_mm:.6g}"]
+            if press.grid_pitch_mm:
+                lines.append(f"grid_pitch_mm = {press.grid_pitch_mm:.6g}")
+            if press.circles:
+                balls = ", ".join(f"{{ x = {x:.2f}, y = {y:.2f}, r = {r:.2f} }}" for x, y, r in press.circles)
+                lines.append(f"balls = [{balls}]")
+        for scan in self.scans:
+            lines += ["", "[[scan]]", f"name = {_text(scan.name)}", _image(scan.images, folder)]
+            if scan.height_map is not None:
+                lines.append(f"# the maker's height map: {_relative(scan.height_map, folder)}")
+        return lines
+
+
+def _image(images: Sequence[Path], folder: Path) -> str:
+    names = [_text(_relative(image, folder)) for image in images]
+    return f"image = {names[0]}" if len(names) == 1 else f"image = [{', '.join(names)}]"
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder)).as_posix()
+
+
+def _text(value: str) -> str:
+    """A basic string of TOML; JSON's escapes are the same for what file names hold."""
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,107 @@
+"""Scan folders of GelSight's SDK and Mobile: `scan.yaml`, images, the maker's height map (TMD).
+
+A folder with annotated circles and a ball's radius is a calibration press. Its circles are drawn at the ball's equator,
+so that the trusted contact is at most 0.8 of the radius. A folder called flat... is untouched skin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from device.balls.detector import MAX_CONTACT
+from host_sync.errors import FrameSetError
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said
+from host_sync.importers.plain_yaml import read_plain_yaml
+
+SCAN_FILE: Final = "scan.yaml"
+MM_TO_UM: Final = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class _Scan:
+    folder: Path
+    images: tuple[Path, ...]
+    pitch_um: float | None
+    radius_mm: float | None
+    spacing_mm: float | None
+    circles: tuple[Circle, ...]
+    height_map: Path | None
+
+
+def import_gelsight(source: Path, said: Said) -> Draft:
+    """A scan's folder, or one that holds scans' folders.
+
+    Raises
+    ------
+    FrameSetError
+        There is no scan, or scans of different numbers of images are mixed.
+    """
+    files = [source / SCAN_FILE] if (source / SCAN_FILE).is_file() else sorted(source.glob(f"*/{SCAN_FILE}"))
+    scans = [scan for scan in (_read(file) for file in files) if scan.images]
+    if not scans:
+        raise FrameSetError(f"{source}: holds no {SCAN_FILE} with images beside it: name a scan's folder or its parent")
+    if len({len(scan.images) for scan in scans}) > 1:
+        counts = ", ".join(f"{scan.folder.name} {len(scan.images)}" for scan in scans)
+        raise FrameSetError(f"{source}: scans have different numbers of images ({counts}): import them apart")
+    rest = said.reference.resolve() if said.reference else None
+    reference = next((s for s in scans if s.folder.resolve() == rest or (not rest and _is_flat(s))), None)
+    if rest is not None and reference is None:
+        raise FrameSetError(f"{said.reference}: is no scan in {source}: name the folder of the untouched skin's scan")
+    others = [scan for scan in scans if scan is not reference]
+    pressed = [scan for scan in others if scan.circles]
+    pitches = [scan.pitch_um for scan in [*pressed, *others] if scan.pitch_um]
+    pitch_um = said.pixel_pitch_um or (pitches[0] if pitches else None)
+    count = len(scans[0].images)
+    return Draft(
+        name=source.resolve().name,
+        pixel_pitch_um=pitch_um,
+        encoding=said.encoding or "linear",
+        reference=reference.images if reference else (),
+        presses=tuple(_press(scan, said.ball_radius_mm, pitch_um) for scan in pressed),
+        scans=tuple(DraftScan(scan.folder.resolve().name, scan.images, scan.height_map) for scan in others),
+        lights=tuple(image.stem for image in scans[0].images) if count > 1 else (),
+    )
+
+
+def _press(scan: _Scan, radius_mm: float | None, pitch_um: float | None) -> DraftPress:
+    radius = radius_mm or scan.radius_mm
+    most = MAX_CONTACT * radius * MM_TO_UM / pitch_um if radius and pitch_um else None
+    circles = tuple((x, y, min(r, most) if most else r) for x, y, r in scan.circles)
+    return DraftPress(scan.images, radius, circles, scan.spacing_mm)
+
+
+def _is_flat(scan: _Scan) -> bool:
+    return scan.folder.resolve().name.casefold().startswith("flat")
+
+
+def _read(file: Path) -> _Scan:
+    """What a scan's file says; images that are not there are left out."""
+    keys = read_plain_yaml(file)
+    names = keys.get("images", [])
+    listed = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+    images = [file.parent / name for name in listed if "/" not in name and "\\" not in name]
+    marks = keys.get("annotations", [])
+    tables = [mark for mark in marks if isinstance(mark, dict)] if isinstance(marks, list) else []
+    circles = [
+        (_number(t.get("x")), _number(t.get("y")), _number(t.get("r"))) for t in tables if "Circle" in t.get("type", "")
+    ]
+    heights = keys.get("activeheightmap")
+    maps = [file.parent / heights] if isinstance(heights, str) and heights else sorted(file.parent.glob("*.tmd"))
+    return _Scan(
+        file.parent,
+        tuple(images) if all(image.is_file() for image in images) else (),
+        (_number(keys.get("mmperpixel")) or 0.0) * MM_TO_UM or None,
+        _number(keys.get("calibradius")) or None,
+        _number(keys.get("calibspacing")) or None,
+        tuple((x, y, r) for x, y, r in circles if x is not None and y is not None and r),
+        next((one for one in maps if one.is_file()), None),
+    )
+
+
+def _number(value: object) -> float | None:
+    try:
+        return float(value) if isinstance(value, str) else None
+    except ValueError:
+        return None
