@@ -6,8 +6,8 @@ on untouched skin, by the response that the balls themselves tell (`elevation_re
 
 Centres: under near lights the apex does not read 1, and a centre that is sought where it does is off by up to seven
 hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness, but where the frame's
-border cuts the slope around a ball it is off by as much as eight. Of the two, those centres are taken under which the
-balls agree better on what elevation does.
+border cuts the slope around a ball it is off by as much as eight: where balls agree clearly better on what elevation
+does under their own centres, those are taken.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ PIXELS_ALONG_RADIUS: Final = 25.0
 
 ROUNDS: Final = 3
 """Elevations and centres need the response, and the response them; the last round moves them by a per cent."""
+
+OWN_AGREE: Final = 0.7
+"""The balls' own centres are taken where they leave the response so much less uncertain than those of symmetry."""
 
 NEAR_CENTRE: Final = 0.2
 """A centre of symmetry farther from a ball's own, as a share of its radius, is another thing's."""
@@ -100,8 +103,11 @@ def find_elevated_balls(
             for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
         )
 
-    both = (_elevated(presses, reliefs, flat_field, centres) for centres in (own, symmetric))
-    return min((found for found in both if found), key=lambda found: found.response.relative_sigma, default=None)
+    as_they_are, as_symmetry_says = (_elevated(presses, reliefs, flat_field, centres) for centres in (own, symmetric))
+    if as_they_are is None or as_symmetry_says is None:
+        return as_they_are or as_symmetry_says
+    agree_better = as_they_are.response.relative_sigma < OWN_AGREE * as_symmetry_says.response.relative_sigma
+    return as_they_are if agree_better else as_symmetry_says
 
 
 Centred = tuple[tuple[Ball, ...], ...]
@@ -128,7 +134,7 @@ def _elevated(
         heights = [apex_px for of_press in apexes for apex_px in of_press]
         response = measure_elevation_response(list(zip(images, centred, heights, strict=True)), flat_field)
         found = ElevatedBalls(response, balls, apexes) if response else None
-        if response is None or not response.is_certain:
+        if response is None or not response.is_likely:
             break
         trained = ElevationCorrection(float(np.median(heights)), radius_px, response.nearness_per_px)
     return found
@@ -207,7 +213,7 @@ def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, response: Eleva
     if response is not None:
         size = reduced.weight.shape[::-1]
         change = cv2.resize(skin.as_lit_at(ball, response), size, interpolation=cv2.INTER_LINEAR)
-        reduced = replace(reduced, deviation=reduced.deviation + change)
+        reduced = replace(reduced, deviation=reduced.deviation + np.float32(response.followed) * change)
     radius = ball.radius_px / reduced.columns_per_pixel
     column, row = reduced.to_full(*find_circle(reduced, *reduced.from_full(ball.column, ball.row), radius))
     if np.hypot(column - ball.column, row - ball.row) > NEAR_CENTRE * ball.radius_px:
