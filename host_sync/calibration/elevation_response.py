@@ -65,11 +65,11 @@ MIN_BALLS_BENT: Final = 12
 LIGHT_DEGREE: Final = 4
 """Degrees in position of both parts of b, and of ln R; directions have that of `device.inverse_map.near_light`."""
 
-CHANGE_DOUBT: Final = 3.0
+CHANGE_DOUBT: Final = 4.0
 """Doubt of how directions change over the field, over doubt of directions themselves.
 
-On rendered benches balls that are left out differ by 0.24 and 0.31 of the spread, and what the directions' changes do
-to a centre is up to twice what is right: followed to the end, it moves corner balls farther off than nothing does.
+On four rendered benches balls that are left out differ by 0.14 to 0.31 of the spread, and what the directions' changes
+do to a centre is up to twice what is right: followed to the end, it moves corner balls farther off than nothing does.
 Point lamps over a matt skin differ by 0.02 and are followed.
 """
 
