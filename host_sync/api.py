@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from device.shutdown import keep_types_at_exit
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     Image = str | Path | tuple[str | Path, ...] | NDArray[Any]
     """An RGB image file; a grey one a light (three in R, G, B order); or an array of shape (H, W, N): uint8, uint16, or
     fractions of full scale."""
+
+keep_types_at_exit()
 
 Encoding = Literal["linear", "srgb"]
 Method = Literal["direct", "paper"]

@@ -18,7 +18,7 @@ from device.cli.commands import CALIBRATIONS, COMMANDS, OLD_COMMANDS
 from device.cli.console import Given, Options, print_error
 from device.command_line import BAD_ARGUMENTS, Folder, add_commands, examples_text, make_app, sentence, unknown_command
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
-from device.shutdown import signals_as_keyboard_interrupt
+from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.profile_files import profile_names
 
@@ -89,6 +89,7 @@ def launch(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    keep_types_at_exit()
     try:
         with signals_as_keyboard_interrupt(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             code = app.meta(arguments, exit_on_error=False, print_error=False, result_action="return_value")

@@ -14,7 +14,7 @@ from cyclopts import CycloptsError
 
 from device.command_line import add_commands, make_app, sentence
 from device.errors import DeviceError
-from device.shutdown import signals_as_keyboard_interrupt
+from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error
 from host_sync.errors import HostError, SourceError
@@ -29,6 +29,7 @@ add_commands(app, COMMANDS)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
+    keep_types_at_exit()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value"))
