@@ -14,7 +14,7 @@ from device.calibration.fit import InverseFit
 from host_sync.calibration.balls import PressFrame, UsedPress
 from host_sync.calibration.calibration_verdict import check_count, checks
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.radii import check_radii, radius_shares
+from host_sync.calibration.radii import check_radii, radius_shares, radius_spread
 from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
 
 
@@ -65,7 +65,7 @@ def assess(
         pitch=pitch,
         scale=scale_uncertainty(pitch, presses, shares, radii_px),
         coverage=coverage,
-        checks=checks(used, inverse.held_out_deg, float(np.nanstd(shares)), coverage),
+        checks=checks(used, inverse.held_out_deg, radius_spread(shares), coverage),
         notes=_notes(presses, used, pitch),
     )
 

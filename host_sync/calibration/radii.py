@@ -35,6 +35,11 @@ def radius_shares(samples: BallSamples, inverse_map: InverseMap) -> Float64Array
     return np.where(square > 0.0, square / np.maximum(agreement, 1e-9), np.nan)
 
 
+def radius_spread(shares: Float64Array) -> float:
+    """Relative spread of radii: one or two lights show all slopes too flat, which is no contradiction among balls."""
+    return float(np.nanstd(shares) / np.nanmedian(shares))
+
+
 def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     """Refuse balls whose radii contradict one another.
 
@@ -46,7 +51,7 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     CalibrationError
         Names the presses at both ends and what they read.
     """
-    spread = float(np.nanstd(shares))
+    spread = radius_spread(shares)
     if spread <= MAX_RADIUS_SPREAD:
         return
     small, large = owners[int(np.nanargmin(shares))], owners[int(np.nanargmax(shares))]

@@ -13,9 +13,9 @@ SKINS: Final = ("diffuse", "flake", "sharp-flake")
 BANDS_DEG: Final = ((0, 10), (10, 20), (20, 30), (30, 40))
 
 _REAL: Final = {
-    "oem-bga": (1.4, 1.0, 1.84, 1.35),
-    "taxim-small": (2.3, 1.7, 3.09, 2.29),
-    "finger": (3.2, 3.0, 3.91, 3.69),
+    "oem-bga": (1.15, 0.9, 1.84, 1.35),
+    "taxim-small": (2.4, 1.95, 3.09, 2.29),
+    "finger": (3.05, 2.9, 3.91, 3.69),
 }
 """Limits of `surface` and `surface_smooth2`, degrees, and what the peer network reaches."""
 
