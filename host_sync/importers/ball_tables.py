@@ -5,18 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside
 
 CATALOGUE: Final = "catalog.csv"
 ANNOTATIONS: Final = "annotations/annotations.csv"
 METADATA: Final = "annotations/metadata.json"
-HELD_EVERY: Final = 5
+SHOWN_EVERY: Final = 5
 """Every so many presses are listed as scans too: a calibration without a scan shows nothing."""
 
 
@@ -30,7 +31,7 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
     """
     presses = []
     for row in _rows(source / CATALOGUE):
-        folder, diameter = source / row.get("experiment_reldir", ""), row.get("diameter(mm)", "")
+        folder, diameter = inside(source, row.get("experiment_reldir", "")), row.get("diameter(mm)", "")
         image = folder / "gelsight.png"
         if image.is_file():
             radius = said.ball_radius_mm or _positive(diameter, source / CATALOGUE) / 2.0
@@ -52,12 +53,14 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
             facts = json.loads((source / METADATA).read_text())
         except (OSError, ValueError) as error:
             raise FrameSetError(f"{source / METADATA}: is no JSON ({error}): annotate again") from error
+        if not isinstance(facts, dict):
+            raise FrameSetError(f"{source / METADATA}: is no table of facts: annotate again")
     scale, radius_mm = facts.get("px_per_mm"), facts.get("probe_radius_mm")
     pitch_um = said.pixel_pitch_um or (1e3 / scale if isinstance(scale, int | float) and scale > 0 else None)
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)
     presses = []
     for row in _rows(source / ANNOTATIONS):
-        image = source / "probe_images" / next(iter(row.values()), "")
+        image = inside(source, f"probe_images/{next(iter(row.values()), '')}")
         if image.is_file():
             presses.append(DraftPress((image,), known))  # places are the probe's, not seen; the balls are found
     return _draft(source, said, presses, source / "blank_images" / "blank.png", pitch_um)
@@ -67,8 +70,8 @@ def _draft(source: Path, said: Said, presses: list[DraftPress], rest: Path, pitc
     if not presses:
         raise FrameSetError(f"{source}: none of the listed images is there: fetch the folder whole")
     reference = said.reference or (rest if rest.is_file() else None)
-    shown = presses[::HELD_EVERY]
-    scans = [DraftScan(f"press-{HELD_EVERY * number:02d}", press.images) for number, press in enumerate(shown)]
+    shown = presses[::SHOWN_EVERY]
+    scans = [DraftScan(f"press-{SHOWN_EVERY * number:02d}", press.images) for number, press in enumerate(shown)]
     return Draft(
         name=source.resolve().name,
         pixel_pitch_um=pitch_um,
@@ -82,9 +85,9 @@ def _draft(source: Path, said: Said, presses: list[DraftPress], rest: Path, pitc
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            return list(csv.DictReader(stream))
+            return list(csv.DictReader(stream, restkey="more", restval=""))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FrameSetError(f"{path}: cannot be read as a table: name the calibration's folder") from error
+        raise FrameSetError(f"{path}: is no table: correct it, or name the calibration's folder") from error
 
 
 def _positive(value: str | None, path: Path) -> float:
@@ -92,7 +95,7 @@ def _positive(value: str | None, path: Path) -> float:
         number = float(value or "")
     except ValueError:
         number = float("nan")
-    if not number > 0.0:
+    if not 0.0 < number < float("inf"):
         raise FrameSetError(f"{path}: {value!r} is no length: correct the table")
     return number
 
@@ -105,5 +108,5 @@ def _label(path: Path) -> tuple[Circle, ...]:
         with np.load(path, allow_pickle=False) as label:
             column, row = (float(value) for value in label["center"])
             return ((column, row, float(label["radius"])),)
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
         raise FrameSetError(f"{path}: is no label of gs_sdk: label that press again") from error

@@ -78,7 +78,7 @@ class Draft:
         Raises
         ------
         FrameSetError
-            Something is missing, or there is no frame.
+            Something is missing, there is no frame, or the file exists.
         OutputError
             The file cannot be written.
         """
@@ -86,7 +86,13 @@ class Draft:
             raise FrameSetError(f"{self.name}: not said by its files: give {', '.join(needs)}")
         if not self.presses and not self.scans:
             raise FrameSetError(f"{self.name}: holds no frames: name another folder")
-        write_output(path, "\n".join(self._lines(path.resolve().parent)).encode() + b"\n")
+        if path.exists() or path.is_symlink():
+            raise FrameSetError(f"{path}: exists already: name another file with --out")
+        try:
+            text = "\n".join(self._lines(path.resolve().parent)).encode()
+        except UnicodeEncodeError as error:
+            raise FrameSetError(f"{self.name}: a file's name is not UTF-8: rename it") from error
+        write_output(path, text + b"\n")
 
     def _lines(self, folder: Path) -> list[str]:
         lines = [f"name = {_text(self.name)}", f"pixel_pitch_um = {self.pixel_pitch_um:.6g}"]
@@ -105,8 +111,22 @@ class Draft:
         for scan in self.scans:
             lines += ["", "[[scan]]", f"name = {_text(scan.name)}", _image(scan.images, folder)]
             if scan.height_map is not None:
-                lines.append(f"# the maker's height map: {_relative(scan.height_map, folder)}")
+                lines.append(f"# the maker's height map: {_text(_relative(scan.height_map, folder))}")
         return lines
+
+
+def inside(source: Path, name: str) -> Path:
+    """The file of this name in a folder.
+
+    Raises
+    ------
+    FrameSetError
+        The name leads out of the folder.
+    """
+    path = source / name
+    if not path.resolve().is_relative_to(source.resolve()):
+        raise FrameSetError(f"{source}: {name!r} is outside of the folder: fetch the folder whole")
+    return path
 
 
 def _image(images: Sequence[Path], folder: Path) -> str:
@@ -120,4 +140,4 @@ def _relative(path: Path, folder: Path) -> str:
 
 def _text(value: str) -> str:
     """A basic string of TOML; JSON's escapes are the same for what file names hold."""
-    return json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -6,13 +6,14 @@ so that the trusted contact is at most 0.8 of the radius. A folder called flat..
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from device.balls.detector import MAX_CONTACT
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside
 from host_sync.importers.plain_yaml import read_plain_yaml
 
 SCAN_FILE: Final = "scan.yaml"
@@ -52,6 +53,9 @@ def import_gelsight(source: Path, said: Said) -> Draft:
     others = [scan for scan in scans if scan is not reference]
     pressed = [scan for scan in others if scan.circles]
     pitches = [scan.pitch_um for scan in [*pressed, *others] if scan.pitch_um]
+    if not said.pixel_pitch_um and pitches and max(pitches) > 1.01 * min(pitches):
+        span = f"{min(pitches):g} to {max(pitches):g} µm"
+        raise FrameSetError(f"{source}: scans have pixel pitches of {span}: import them apart")
     pitch_um = said.pixel_pitch_um or (pitches[0] if pitches else None)
     count = len(scans[0].images)
     return Draft(
@@ -77,24 +81,26 @@ def _is_flat(scan: _Scan) -> bool:
 
 
 def _read(file: Path) -> _Scan:
-    """What a scan's file says; images that are not there are left out."""
+    """What a scan's file says."""
     keys = read_plain_yaml(file)
     names = keys.get("images", [])
     listed = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
-    images = [file.parent / name for name in listed if "/" not in name and "\\" not in name]
+    images = [inside(file.parent, name) for name in listed]
+    if missing := [image.name for image in images if not image.is_file()]:
+        raise FrameSetError(f"{file}: its image {missing[0]!r} is not there: fetch the folder whole")
     marks = keys.get("annotations", [])
     tables = [mark for mark in marks if isinstance(mark, dict)] if isinstance(marks, list) else []
     circles = [
         (_number(t.get("x")), _number(t.get("y")), _number(t.get("r"))) for t in tables if "Circle" in t.get("type", "")
     ]
     heights = keys.get("activeheightmap")
-    maps = [file.parent / heights] if isinstance(heights, str) and heights else sorted(file.parent.glob("*.tmd"))
+    maps = [inside(file.parent, heights)] if isinstance(heights, str) and heights else sorted(file.parent.glob("*.tmd"))
     return _Scan(
         file.parent,
-        tuple(images) if all(image.is_file() for image in images) else (),
-        (_number(keys.get("mmperpixel")) or 0.0) * MM_TO_UM or None,
-        _number(keys.get("calibradius")) or None,
-        _number(keys.get("calibspacing")) or None,
+        tuple(images),
+        _length(keys.get("mmperpixel"), MM_TO_UM),
+        _length(keys.get("calibradius")),
+        _length(keys.get("calibspacing")),
         tuple((x, y, r) for x, y, r in circles if x is not None and y is not None and r),
         next((one for one in maps if one.is_file()), None),
     )
@@ -102,6 +108,12 @@ def _read(file: Path) -> _Scan:
 
 def _number(value: object) -> float | None:
     try:
-        return float(value) if isinstance(value, str) else None
+        number = float(value) if isinstance(value, str) else math.nan
     except ValueError:
         return None
+    return number if math.isfinite(number) else None
+
+
+def _length(value: object, factor: float = 1.0) -> float | None:
+    number = _number(value)
+    return number * factor if number is not None and number > 0.0 else None

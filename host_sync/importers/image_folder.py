@@ -26,7 +26,9 @@ def import_images(source: Path, said: Said) -> Draft:
     FrameSetError
         It holds no images.
     """
-    files = sorted((one for one in source.iterdir() if one.suffix.lower() in SUFFIXES), key=natural_order)
+    files = sorted(
+        (one for one in source.iterdir() if one.suffix.lower() in SUFFIXES and one.name[0] != "."), key=natural_order
+    )
     if not files:
         raise FrameSetError(f"{source}: holds no PNG, TIFF or JPEG images: name the folder of the frames")
     rest = said.reference or next((one for one in files if AT_REST.fullmatch(one.stem)), None)

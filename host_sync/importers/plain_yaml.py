@@ -23,7 +23,8 @@ def read_plain_yaml(path: Path) -> dict[str, str | list[str] | list[Table]]:
         The file cannot be read, is too large or no text.
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name another folder") from error
     if len(data) > MAX_BYTES:

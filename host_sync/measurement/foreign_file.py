@@ -105,7 +105,7 @@ def _by_library(path: Path) -> tuple[HeightMap, str, tuple[str, ...]]:
         raise MeasurementError(f"{path}: is of no known format: name a result's folder or a surface file") from error
     except READ_ERRORS as error:
         raise MeasurementError(f"{path}: cannot be read as a surface ({one_line(str(error))[:120]})") from error
-    if found.dim != 2 or unit not in UNITS_UM or sizes is None:
+    if found.dim != 2 or unit not in UNITS_UM or sizes is None or not all(0.0 < float(s) < np.inf for s in sizes):
         raise MeasurementError(f"{path}: holds no map of heights with a scale: export it with its size and unit")
     return _squared(_from_top(heights, UNITS_UM[unit]), [float(size) * UNITS_UM[unit] for size in sizes], form)
 

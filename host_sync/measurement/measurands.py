@@ -182,6 +182,7 @@ class AngleMeasurand(_Plain):
         self._pitch_um = height.pitch_um
         self.masked_share = _masked(height, *self._regions)
         self.places_px = region_places(self._regions, height.pitch_um)
+        self.values(height.z_um)  # what cannot be measured is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """One angle."""
@@ -224,6 +225,7 @@ class VolumeMeasurand(_Plain):
         self._border_px = max(round(table.border_um / height.pitch_um), 1)
         self.masked_share = _masked(height, self._region)
         self.places_px = region_places([self._region], height.pitch_um)
+        self.values(height.z_um)  # what cannot be measured is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Two volumes, a depth and a height."""

@@ -174,7 +174,8 @@ def _refined_groove(profile: Profile, rough: StepEdges) -> StepEdges:
 
 def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
     """The edge where the profile crosses half way, and the length of its flank; neither knows the line's length."""
-    flank = 0.1 * float(profile.along_um[-1])
+    length = float(profile.along_um[-1])
+    flank = min(0.1 * length, min(edge_um, length - edge_um) / (2.0 * GAP_FLANKS))
     for _ in range(2 * ROUNDS):
         edges = StepEdges("step", (edge_um,), flank)
         try:
@@ -186,7 +187,7 @@ def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
         first, middle, last = found
         if first is None or middle is None or last is None:
             break
-        longest = 0.125 * float(profile.along_um[-1])
+        longest = 0.125 * length
         wanted = float(np.clip(abs(last - first), MIN_FLANK_SAMPLES * profile.step_um, longest))
         settled = abs(middle - edge_um) + abs(wanted - flank) < 0.02 * profile.step_um
         edge_um, flank = middle, wanted

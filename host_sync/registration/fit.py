@@ -143,6 +143,12 @@ def fit(pair: Pair, start: Pose, *, turning: bool = True) -> Fit | None:
     return None if last is None else last.fit(pose)
 
 
+def judged_at(pair: Pair, pose: Pose) -> Fit | None:
+    """How well the maps agree at a pose, which is not moved; None when they hardly overlap there."""
+    there = _Equations.of(pair, pose, turning=True)
+    return None if there is None else there.fit(pose)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Equations:
     """Weighted equations of the slopes at a pose.

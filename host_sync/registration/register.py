@@ -10,7 +10,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
-from host_sync.registration.fit import Fit, Pair, coherence, fit, middle_px
+from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
 from host_sync.registration.poses import Pose, at_pitch
 from host_sync.registration.starts import Start, starts, texture_starts
 
@@ -141,12 +141,12 @@ def register(
 
 def _from_person(pair: Pair, near: Pose, *, pinned: bool) -> Registration:
     """The registration near to a pose that a person gave, or that pose itself."""
-    found = fit(pair, near)
+    found = judged_at(pair, near) if pinned else fit(pair, near)
     if found is None:
         raise ViewError(NOTHING_IN_COMMON)
     if not pinned:
-        return _judged(found, "nudged")
-    return Registration(near, found.covariance, found.agreement, found.share, "pinned")
+        return _judged(found, "nudged", SLIDES if coherence(pair, found.pose) < MIN_COHERENCE else "")
+    return Registration(near, np.diag([np.inf] * 3), found.agreement, found.share, "pinned")
 
 
 def _judged(found: Fit, by: str, refused: str = "") -> Registration:

@@ -33,7 +33,7 @@ from host_sync.viewer.pyramid import Level, level_count, padded_shape
 
 HEAVY: Final = 2
 SCREEN_SAMPLES: Final = 400
-_DIFFERENCE: Final = 3
+_DIFFERENCE: Final = 4
 """Version of a stored difference: another version in the cache is computed again."""
 
 _DIFFERENCE_FILE: Final = "difference_um.tif"
@@ -156,7 +156,9 @@ class ViewerService:
         first, second = self.catalogue.find(first_key), self.catalogue.find(second_key)
         if first.key == second.key:
             raise ViewError("a scan cannot be compared with itself: choose another")
-        name = hashlib.sha256(f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}:{near}".encode()).hexdigest()[:32]
+        said = f"{first.title}{first.doubts}:{second.title}{second.doubts}"
+        words = f"{_DIFFERENCE}:{first.stamp()}:{second.stamp()}:{near}:{said}"
+        name = hashlib.sha256(words.encode(errors="surrogateescape")).hexdigest()[:32]
         folder = self._cache.folder(name)
         with self._turn:
             record = _stored_difference(folder)

@@ -91,7 +91,7 @@ class ComparePage {
       this.single.dispose();
       this.single = null;
       this.alone.replaceChildren();
-      if (!this.alone.hidden) this.openDifference();
+      if (!this.alone.hidden) this.choose(1);
     }
     this.shift = { row: down / this.both[1].pitch_um, column: right / this.both[1].pitch_um };
     this.words.textContent = `The second lies ${way(down, "down", "up")}, ${way(right, "right", "left")}, turned by ` +

@@ -39,7 +39,7 @@ STAGES = {
         "colour_check.check_datum",
     ),
     "shrinkage": ("bounded_shrinkage.shrunk",),
-    "slopes": ("pipeline.estimate",),
+    "slopes": ("slope_reading.estimate",),
     "raw detail": ("raw_detail.with_raw_detail",),
     "integration": ("integrate.integrate",),
     "level": ("zero_level.find_datum", "zero_level.level"),

@@ -49,6 +49,7 @@ def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
         inverse=SimpleNamespace(map=model),
         calibration_id="c0ffee",
         preferred="direct",
+        lights=None,
     )
     return SimpleNamespace(calibration=calibration, facts=SimpleNamespace(encoding=None))
 

@@ -25,7 +25,7 @@ from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.record import ResultRecord
 from host_sync.viewer.catalogue import Catalogue, ListFilter
 from host_sync.viewer.responses import entry_info, profile_csv, profile_info
-from host_sync.viewer.service import ViewerService
+from host_sync.viewer.service import NearPose, ViewerService
 
 SHAPE = (90, 120)
 PITCH_UM = 10.0
@@ -192,7 +192,7 @@ def test_the_viewer_shows_it(doubtful: Doubtful, tmp_path: Path) -> None:
         assert profile_info(line, entry)["doubts"] == doubts
         rows = bytes(profile_csv(line, entry).body).decode().splitlines()[1:]
         assert [row for row in rows if f"{kind}: " not in row] == []
-    difference = service.compare(entries[0].key, entries[1].key)
+    difference = service.compare(entries[0].key, entries[1].key, NearPose(0.0, 0.0, 0.0, pinned=True))
     assert sum(f": {kind}: " in words for words in entry_info(difference)["doubts"]) == 2
 
 

@@ -53,6 +53,7 @@ def calibration() -> SimpleNamespace:
         inverse=SimpleNamespace(map=inverse),
         calibration_id="c0ffee",
         preferred="direct",
+        lights=None,
     )
 
 

@@ -277,7 +277,9 @@ def test_names_from_an_enemy_stay_words(
     page = visit(served)
     page.wait_for_selector(".card")
     open_scan(page, world.HOSTILE)
-    assert page.locator(".warning").text_content() == f"a warning {world.HOSTILE}"
+    assert page.locator(".warning.doubts").text_content() == "⚠ Doubt: reconstruction"
+    (words,) = page.locator(".warning:not(.doubts):not([hidden])").all_text_contents()
+    assert words == f"reconstruction: a warning {world.HOSTILE}"
     assert page.locator("#where").text_content() == world.HOSTILE
     page.get_by_role("button", name="Through the middle").click()
     page.wait_for_selector(".drawer:not([hidden])")
