@@ -26,7 +26,7 @@ def calibrate_lights(
     light_names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
-    """The calibration of frames of one to eight lights; arguments and errors as of `calibrate`, which does three.
+    """The calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does three.
 
     light_names : of the lights, for messages; numbers where there are none
     """
@@ -34,6 +34,9 @@ def calibrate_lights(
     shown = {frame.rgb.shape[2] for frame in [*frames, *others, *([reference] if reference else [])]}
     if len(shown) > 1:
         raise CalibrationError("frames show different numbers of lights: name the same lights in every frame")
+    (count,) = shown or {CHANNELS}
+    if count < CHANNELS:
+        raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
     if shown <= {CHANNELS}:
         return calibrate(presses, reference, pitch_um, others=others, tell=tell)
     groups = choose_groups(frames)
@@ -49,7 +52,7 @@ def calibrate_lights(
             )
         )
     first = found[0]
-    flat_field = _flat_field(groups, found, frames[0].rgb.shape[2])
+    flat_field = _flat_field(groups, found, count)
     balls: list[tuple[Ball, ...]] = [press.balls for press in first.presses]
     lights = find_light_groups(groups, list(zip(frames, balls, strict=True)), flat_field, light_names)
     digest = hashlib.sha256("".join(one.calibration_id for one in found).encode()).hexdigest()[:12]

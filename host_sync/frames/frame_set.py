@@ -139,7 +139,7 @@ def _light_names(file: FileTable, frames: Sequence[tuple[str, FrameSpec]], path:
     """What the lights are called; FrameSetError where they are not as many as the images of a frame."""
     names = tuple(f"{light.name} ({light.colour})" if light.colour else light.name for light in file.light)
     count = len(frames[0][1].images)
-    if names and len(names) != (count if count > 1 else 3) and not (count == 1 and len(names) == 1):
+    if names and len(names) != (count if count > 1 else 3):
         raise FrameSetError(f"{path}: light: {len(names)} lights are described and a frame has {count} images")
     return names
 

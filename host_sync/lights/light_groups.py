@@ -106,8 +106,6 @@ def in_group(frame: LinearFrame, group: Group) -> LinearFrame:
 def choose_groups(frames: Sequence[LinearFrame]) -> tuple[Group, ...]:
     """Groups of three of the lights that frames show: those whose answers to slopes differ most.
 
-    Of one or two lights the group repeats a light.
-
     Raises
     ------
     CalibrationError
@@ -116,8 +114,6 @@ def choose_groups(frames: Sequence[LinearFrame]) -> tuple[Group, ...]:
     count = frames[0].rgb.shape[2]
     if count > MAX_LIGHTS:
         raise CalibrationError(f"{count} lights are more than {MAX_LIGHTS}: leave some out")
-    if count < CHANNELS:
-        return ((0, count - 1, 0),)
     answers = _answers(frames)
     volume = {group: abs(float(np.linalg.det(answers[list(group)]))) for group in combinations(range(count), CHANNELS)}
     number = -(-count // CHANNELS)
