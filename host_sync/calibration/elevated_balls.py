@@ -55,7 +55,7 @@ class ElevatedBalls:
     """Balls of a calibration, where they stand, and what that changes.
 
     response : what elevation changes
-    balls : by press, with centres of symmetry
+    balls : by press, with centres of symmetry or their own
     apexes_px : by press, elevation of each ball's apex over untouched skin, pixels
     """
 

@@ -58,12 +58,15 @@ MODEL_DOUBT: Final = 0.15
 """Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
 
 BRIGHTENING_DEGREE: Final = 2
-TILT_DEGREES: Final = (1, 2)
+"""Degree in position of the common part of b."""
+
+TILT_DEGREE: Final = 1
+BENT_TILT_DEGREE: Final = 2
 MIN_BALLS_BENT: Final = 12
-"""What is like a tilt follows a plane in place, from so many balls on a bent one: a plane leaves a third of it."""
+"""Degrees of the part of b that is like a tilt; the second from so many balls on, as a plane leaves a third of it."""
 
 LIGHT_DEGREE: Final = 4
-"""Degrees in position of both parts of b, and of ln R; directions have that of `device.inverse_map.near_light`."""
+"""Degree in position of ln R; directions have that of `device.inverse_map.near_light`."""
 
 CHANGE_DOUBT: Final = 4.0
 """Doubt of how directions change over the field, over doubt of directions themselves.
@@ -219,16 +222,16 @@ def _response(
     left = seen[:, 0] - share * foretold[:, 0]
     sigma = float(np.sqrt((left**2).sum() / (len(left) - 1) / power))
     common = _fitted(seen[:, :1], apexes.place, BRIGHTENING_DEGREE)
-    degree = TILT_DEGREES[len(seen) >= MIN_BALLS_BENT]
+    degree = BENT_TILT_DEGREE if len(seen) >= MIN_BALLS_BENT else TILT_DEGREE
     tilt = _fitted(seen[:, 1:], apexes.place, degree)
-    vignetting = _fitted(seen[:, 1:] - share * foretold[:, 1:], apexes.place, TILT_DEGREES[0])
+    vignetting = _fitted(seen[:, 1:] - share * foretold[:, 1:], apexes.place, TILT_DEGREE)
     side = np.linspace(-1.0, 1.0, NODES)
     nodes = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     there = _foretold(directions, light, nodes, shape)
     parts = np.concatenate([monomials(nodes, BRIGHTENING_DEGREE) @ common, monomials(nodes, degree) @ tilt], 1)
     brightening = np.einsum("nkc,nc->nk", _system(there.directions), parts)
     # A skin that is not matt brightens more than was foretold; its slants follow the light all the same.
-    vignetted = (monomials(nodes, TILT_DEGREES[0]) @ vignetting)[:, :, None]
+    vignetted = (monomials(nodes, TILT_DEGREE) @ vignetting)[:, :, None]
     slanting = min(share, 1.0) * (there.slanting - vignetted / share) if share > 0.0 else 0.0 * there.slanting
     return ElevationResponse(
         there.directions.reshape(NODES, NODES, 2, 3).astype(np.float32),
@@ -242,15 +245,13 @@ def _response(
 
 def _fitted(values: Float64Array, place: Float64Array, degree: int) -> Float64Array:
     """Coefficients (terms, C) of the polynomial in place through values (N, C)."""
-    design = _design(place, degree)
-    wanted = np.concatenate([values, np.zeros((len(design) - len(values), values.shape[1]))])
+    design, wanted = _equations(values, place, degree)
     return np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0])
 
 
 def _left_out_error(values: Float64Array, place: Float64Array, degree: int) -> float:
     """Root mean square error of the same polynomial at a place left out of it, over the spread of the values."""
-    design = _design(place, degree)
-    wanted = np.concatenate([values, np.zeros((len(design) - len(values), values.shape[1]))])
+    design, wanted = _equations(values, place, degree)
     inverse = np.linalg.pinv(design)
     leverage = np.einsum("nk,kn->n", design, inverse)[: len(values), None]
     left = (values - (design @ (inverse @ wanted))[: len(values)]) / np.maximum(1.0 - leverage, 1e-3)
@@ -258,10 +259,11 @@ def _left_out_error(values: Float64Array, place: Float64Array, degree: int) -> f
     return float(np.sqrt((left**2).sum() / max(float((spread**2).sum()), 1e-30)))
 
 
-def _design(place: Float64Array, degree: int) -> Float64Array:
-    """Monomials at places, and below them what holds back those of high degree."""
+def _equations(values: Float64Array, place: Float64Array, degree: int) -> tuple[Float64Array, Float64Array]:
+    """Monomials at places and the values, and below both what holds back terms of high degree."""
     dear = np.array([CUBIC_DOUBT * (i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(degree)])
-    return np.concatenate([monomials(place, degree), np.diag(dear)])
+    design = np.concatenate([monomials(place, degree), np.diag(dear)])
+    return design, np.concatenate([values, np.zeros((len(dear), values.shape[1]))])
 
 
 def _apexes(balls: Sequence[tuple[NormalizedImage, Ball, float]]) -> _Apexes | None:

@@ -37,7 +37,7 @@ def calibrate_lights(
     (count,) = shown or {CHANNELS}
     if count < CHANNELS:
         raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
-    if shown <= {CHANNELS}:
+    if count == CHANNELS:
         return calibrate(presses, reference, pitch_um, others=others, tell=tell)
     groups = choose_groups(frames)
     found = []

@@ -18,9 +18,9 @@ from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
+from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
-from host_sync.lights.light_groups import MAX_LIGHTS
 from host_sync.lights.matt_lights import NUMBERS_OF_TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError

@@ -19,15 +19,15 @@ from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.flat_field import DARK_FLOOR, SATURATED, LinearFrame, flat_field_correct
 from device.inverse_map.polynomial_features import field_position
 from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
+from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.lights.matt_lights import MattLights
 
 CHANNELS: Final = 3
-MAX_LIGHTS: Final = 8
 SEEN_PLACES: Final = 20_000
 CELL_PX: Final = 4
 """Lights are held against each other in cells of so many pixels: shadows and mirrors are larger, and noise is less."""
 
-LEAST_ALLOWED: Final = 0.03
+MIN_ALLOWED: Final = 0.03
 SAFETY: Final = 3.0
 """A scan's lights may contradict each other by so many times what the presses' do, at least by the first."""
 
@@ -156,7 +156,7 @@ def find_light_groups(
         [np.median(_contradiction(matt, frame, flat_field).reshape(-1, count), axis=0) for frame, _ in presses]
     )
     typical = np.median(seen, axis=0)
-    allowed = max(LEAST_ALLOWED, SAFETY * float(np.abs(seen - typical).max()))
+    allowed = max(MIN_ALLOWED, SAFETY * float(np.abs(seen - typical).max()))
     called = tuple(names) or tuple(str(number) for number in range(1, count + 1))
     return LightGroups(flat_field, groups, matt, typical, allowed, called)
 

@@ -27,7 +27,7 @@ MIN_BALLS: Final = 6
 """Of fewer balls the lights' directions are taken to be the same all over the field."""
 
 RARE_PERCENT: Final = 99.5
-LEAST_TOLERANCE: Final = 0.1
+MIN_TOLERANCE: Final = 0.1
 MARGIN: Final = 1.25
 """A light is left out where it is off by more than that percentile of ball pixels is, times the margin."""
 
@@ -61,7 +61,7 @@ class MattLights:
         directions = found[: 2 * there.shape[1]].reshape(there.shape[1], 2, -1).transpose(2, 0, 1).astype(np.float32)
         lights = cls(np.ascontiguousarray(directions), np.full(len(directions), np.inf, np.float32))
         off = np.percentile(np.abs(lights.contradiction(samples.intensity, place)), RARE_PERCENT, axis=0)
-        return cls(lights.directions, np.maximum(MARGIN * off, LEAST_TOLERANCE).astype(np.float32))
+        return cls(lights.directions, np.maximum(MARGIN * off, MIN_TOLERANCE).astype(np.float32))
 
     @property
     def degree(self) -> int:

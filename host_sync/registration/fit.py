@@ -53,9 +53,9 @@ class Pair:
     step: int
 
     @classmethod
-    def of(cls, first: Float32Array, second: Float32Array, most_px: int) -> Pair:
+    def of(cls, first: Float32Array, second: Float32Array, max_px: int) -> Pair:
         """The pair with at most so many rows and columns of the first, smoothed by little."""
-        step = max(1, int(np.ceil(max(first.shape) / most_px)))
+        step = max(1, int(np.ceil(max(first.shape) / max_px)))
         small = (cv2.GaussianBlur(reduced(z_um, step), (0, 0), SMOOTHED_PX) for z_um in (first, second))
         one, other = (np.asarray(z_um, np.float32) for z_um in small)
         return cls(one, other, step)

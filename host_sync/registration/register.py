@@ -67,7 +67,7 @@ class Registration:
     covariance : float64 array of shape (3, 3) of down, right and turn, px and rad; infinite where undetermined
     agreement : correlation of the slopes over the common field, 1 for identical maps
     overlap_share : common field as a fraction of the first map
-    by : what found it: "relief", "rim", "texture", "as they lie" or "pinned"
+    by : what found it: "relief", "rim", "texture", "as they lie", "nudged" or "pinned"
     refused : why it is not to be used, one clause; empty when it is accepted
     """
 
@@ -86,6 +86,8 @@ class Registration:
     @property
     def sigma_px(self) -> float:
         """Standard uncertainty of the shift along the direction that is known least, px."""
+        if not np.isfinite(self.covariance[:2, :2]).all():
+            return float("inf")
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
 
 
