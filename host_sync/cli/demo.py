@@ -103,6 +103,7 @@ def _reconstruct(library: Library, tell: Callable[[str], None]) -> list[StoryRow
     from device.quick_look.files import PICTURE_FILE as QUICK_LOOK
     from host_sync.reconstruction.from_library import LibraryReconstructor
     from host_sync.render.story import StoryRow
+    from host_sync.results.doubts import stated_doubts
 
     job = LibraryReconstructor(library, tell=tell, calibrator=calibrator_for(None, tell))
     rows = []
@@ -112,6 +113,8 @@ def _reconstruct(library: Library, tell: Callable[[str], None]) -> list[StoryRow
         at = np.unravel_index(int(np.nanargmax(found.height.z_um)), found.height.z_um.shape)
         part = scan.record.annotations.part or scan.scan_id
         print_line(f"{part}: highest point {highest_um:.0f} ± {float(found.sigma_um[at]):.0f} µm (k = 1), in {folder}")
+        for words in stated_doubts(folder):
+            print_line(f"  doubt: {words}")
         rows.append(
             StoryRow(
                 title=part,

@@ -37,7 +37,7 @@ MethodName = Literal["direct", "paper"]
 
 
 class ScanOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What became of a scan: a folder of results and warnings, or the reason why there is none."""
+    """What became of a scan: a folder of results and its doubts, or the reason why there is none."""
 
     scan: str
     folder: Path | None = None
@@ -137,7 +137,7 @@ def _reconstruct_frame_set(
         detail=order.detail,
         calibrator=calibrator,
     )
-    outcomes = [ScanOutcome(name, out / name, warnings) for name, warnings in done.items()]
+    outcomes = [ScanOutcome(name, out / name, doubts) for name, doubts in done.items()]
     outcomes += [ScanOutcome(failure.name, reason=failure.reason) for failure in failures]
     for outcome in sorted(outcomes, key=lambda one: one.reason is None):
         _print_errors(outcome)
@@ -162,6 +162,7 @@ def _reconstruct_library(
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.results.doubts import stated_doubts
 
     calibrator = calibrator_for(calibration, tell, order.facts)
     job = LibraryReconstructor(
@@ -170,11 +171,11 @@ def _reconstruct_library(
     done = []
     for scan in scans:
         try:
-            found, folder = job.run(scan)
+            _, folder = job.run(scan)
         except (DeviceError, HostError) as error:
             failed.append(ScanOutcome(scan.scan_id, reason=str(error)))
         else:
-            done.append(ScanOutcome(scan.scan_id, folder, found.warnings))
+            done.append(ScanOutcome(scan.scan_id, folder, stated_doubts(folder)))
             _print_errors(done[-1])
             if order.facts is None:
                 print_line(str(folder))
@@ -184,8 +185,10 @@ def _reconstruct_library(
 
 
 def _print_errors(outcome: ScanOutcome) -> None:
-    for words in outcome.warnings if outcome.reason is None else (outcome.reason,):
-        print_error(f"{outcome.scan}: {words}", PARTLY)
+    if outcome.reason is not None:
+        print_error(f"{outcome.scan}: {outcome.reason}", PARTLY)
+    for words in outcome.warnings:
+        print_error(f"{outcome.scan}: doubt: {words}", PARTLY)
 
 
 def paper_figures(

@@ -198,6 +198,7 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
     from host_sync.render.contact_sheet import CELL_PX, contact_sheet
     from host_sync.render.picture_file import write_any_picture
     from host_sync.render.still import render
+    from host_sync.results.doubt import doubtful
 
     small = replace(still, columns=CELL_PX)
     cells = []
@@ -209,9 +210,8 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
             continue
         rows, columns = entry.shape
         size_mm = f"{columns * entry.pitch_um / 1e3:.3g} × {rows * entry.pitch_um / 1e3:.3g} mm"
-        doubtful = ", ".join(doubt.partition(":")[0] for doubt in entry.doubts)
         taken = entry.hit.taken[:16].replace("T", " ") if entry.hit else None
-        facts = [f"DOUBTFUL ({doubtful})" if doubtful else None, taken, size_mm]
+        facts = [doubtful(entry.doubts), taken, size_mm]
         cells.append((entry.title, ", ".join(fact for fact in facts if fact), picture))
     if not cells:
         return BAD_INPUT

@@ -92,6 +92,8 @@ def video(
 def _tell_report(report: SequenceReport, out: Path) -> int:
     for failure in report.failures:
         print_error(failure.reason, PARTLY)
+    for doubt in report.doubts:
+        print_line(f"doubt: {doubt.sentence}")
     total = len(report.outcomes)
     drawn = f", {report.pictures_per_s:.1f} pictures/s" if report.pictures_per_s else ""
     done = total - len(report.failures)

@@ -45,3 +45,17 @@ def publish(path: Path, write: Writer) -> None:
         # numpy reports a full disk by byte counts, without an error number.
         reason = explain_os_error(error) if error.errno else "(the disk is full): free space on it"
         raise ExportError(f"{path}: cannot be written {reason}") from error
+
+
+def withdraw(path: Path) -> None:
+    """Remove a file of an earlier export, if there is one.
+
+    Raises
+    ------
+    ExportError
+        It cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise ExportError(f"{path}: cannot be removed {explain_os_error(error)}") from error

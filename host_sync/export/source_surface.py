@@ -11,6 +11,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import ExportError
+from host_sync.results.doubt import doubtful
 from host_sync.results.reader import read_result
 
 MAX_PITCH_UM: Final = 1e6
@@ -42,7 +43,7 @@ class SourceSurface:
     @property
     def doubtful(self) -> str:
         """The doubts in a few words, for a line that has little room; empty without doubts."""
-        return f"DOUBTFUL ({', '.join(self.short_doubts)})" if self.short_doubts else ""
+        return doubtful(self.short_doubts)
 
     @property
     def rows(self) -> int:
@@ -102,6 +103,11 @@ def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
     if surface.sigma_um is not None:
         surface.sigma_um[~(finite & np.isfinite(surface.sigma_um))] = np.nan
     return surface
+
+
+def doubts_path(path: Path) -> Path:
+    """The text file beside a surface's file whose format has no room for the doubts."""
+    return path.with_name(f"{path.name}.doubts.txt")
 
 
 def one_line(text: str) -> str:

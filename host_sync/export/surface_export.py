@@ -12,8 +12,8 @@ from host_sync.export.csv_profile import LineUm, pixels_on_line, write_csv_profi
 from host_sync.export.gwy import write_gwy
 from host_sync.export.mesh import Mesh, grid_mesh
 from host_sync.export.mesh_formats import write_glb, write_obj, write_ply, write_stl
-from host_sync.export.publishing import Writer, check_free, publish
-from host_sync.export.source_surface import SourceSurface
+from host_sync.export.publishing import Writer, check_free, publish, withdraw
+from host_sync.export.source_surface import SourceSurface, doubts_path
 from host_sync.export.surface_formats import write_al3d, write_gsf, write_sdf, write_sur
 from host_sync.export.tmd import write_tmd
 from host_sync.export.x3p import write_x3p
@@ -77,10 +77,13 @@ def export_surface(
     """
     stem = file_stem(surface.name)
     files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
+    stale = set() if surface.doubts else {doubts_path(path) for path in files}
     if not choices.overwrite:
-        check_free(files)
+        check_free([*files, *sorted(stale)])
     for path, write in files.items():
         publish(path, write)
+    for path in stale:  # of a surface that was replaced
+        withdraw(path)
     return tuple(files)
 
 
@@ -106,7 +109,7 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
         if form == "png":
             writers[".png.json"] = _bound(write_png_scale, surface)
         if form in LITTLE_ROOM and surface.doubts:
-            writers[f".{form}.doubts.txt"] = _bound(_write_doubts, surface)
+            writers[doubts_path(Path(f".{form}")).name] = _bound(_write_doubts, surface)
     return writers
 
 

@@ -15,15 +15,20 @@ import numpy as np
 from device.io.os_errors import explain_os_error
 from host_sync.errors import ExportError
 from host_sync.export.row_blocks import row_blocks
-from host_sync.export.source_surface import SourceSurface, ascii_line, checked_surface, one_line
+from host_sync.export.source_surface import SourceSurface, ascii_line, checked_surface, doubts_path, one_line
 
 MAGIC: Final = b"Binary TrueMap Data File v2.0\r\n\0"
 ANY_VERSION: Final = b"Binary TrueMap Data File"
 UM_TO_MM: Final = 1e-3
 SIZES: Final = "<IIffff"
+MARKED: Final = "Retrograph, DOUBTFUL"
+"""Comment of a surface that has doubts; their reasons lie in a text file beside it."""
+
 COMMENT_BYTES: Final = 21
 """Of the comment that GelSight's own program writes; surfalize reads files with this length only."""
 
+UNNAMED: Final = "doubtful"
+MAX_DOUBTS_BYTES: Final = 65_536
 MAX_COMMENT_BYTES: Final = 4096
 MAX_PIXELS: Final = 2**31
 SQUARE: Final = 1e-3
@@ -32,7 +37,7 @@ SQUARE: Final = 1e-3
 
 def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
     """Write the height map; neither uncertainty nor name nor the doubts' reasons are written."""
-    comment = ascii_line("Retrograph, DOUBTFUL" if surface.doubts else "Retrograph")
+    comment = ascii_line(MARKED if surface.doubts else "Retrograph")
     file.write(MAGIC + comment.ljust(COMMENT_BYTES) + b"\r\n\0")
     lengths_mm = (surface.columns * surface.pitch_um * UM_TO_MM, surface.rows * surface.pitch_um * UM_TO_MM)
     file.write(struct.pack(SIZES, surface.columns, surface.rows, *lengths_mm, 0.0, 0.0))
@@ -40,7 +45,7 @@ def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def read_tmd(path: Path) -> SourceSurface:
-    """The height map of a TMD file of version 2, with the name of the file.
+    """The height map of a TMD file of version 2, with the name of the file and the doubts that it was written with.
 
     Raises
     ------
@@ -69,10 +74,23 @@ def read_tmd(path: Path) -> SourceSurface:
     z_um = np.fromfile(path, "<f4", columns * rows, offset=start).reshape(rows, columns)
     z_um /= np.float32(UM_TO_MM)
     comment = head[len(MAGIC) : end].decode("ascii", "replace").strip()
+    doubts = _doubts_beside(path) if comment == MARKED else ()
     surface = SourceSurface(
         name=path.stem,
         z_um=z_um.astype(np.float32, copy=False),
         pitch_um=pitch_um,
-        origin=one_line(f"TMD file; {comment}"),
+        origin=one_line("; ".join(("TMD file", comment, *doubts))),
+        doubts=doubts,
+        short_doubts=tuple(dict.fromkeys(doubt.partition(":")[0] for doubt in doubts)),
     )
     return checked_surface(surface, path)
+
+
+def _doubts_beside(path: Path) -> tuple[str, ...]:
+    """The doubts in the text file beside a marked file; one that names the mark where there is none."""
+    try:
+        text = doubts_path(path).read_bytes()[:MAX_DOUBTS_BYTES].decode(errors="replace")
+    except OSError:
+        text = ""
+    found = tuple(one_line(line) for line in text.splitlines()[1:] if line.strip())
+    return found or (f"{UNNAMED}: the file is marked, and {doubts_path(path).name} with the reasons is not beside it",)

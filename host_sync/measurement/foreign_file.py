@@ -20,11 +20,11 @@ from device.surface.fields import Float32Array, HeightMap
 from host_sync.errors import ExportError, MeasurementError
 from host_sync.export.source_surface import one_line
 from host_sync.export.tmd import ANY_VERSION, read_tmd
+from host_sync.results.doubts import FOREIGN_METHOD
 from host_sync.results.field_file import MAX_PIXELS
 from host_sync.results.reader import ResultSurface
 from host_sync.results.record import MAX_PITCH_UM, ResultRecord
 
-METHOD: Final = "foreign file"
 SQUARE: Final = 1e-3
 """Relative difference of row and column pitch up to which pixels are square."""
 
@@ -59,7 +59,7 @@ def read_foreign(path: Path) -> ResultSurface:
             found = read_tmd(path)
         except ExportError as error:
             raise MeasurementError(str(error)) from error
-        return _surface(path, HeightMap(found.z_um, found.pitch_um), found.origin, ())
+        return _surface(path, HeightMap(found.z_um, found.pitch_um), found.origin, found.doubts)
     height, form, notes = _by_library(path)
     return _surface(path, height, f"{form} file", notes)
 
@@ -74,7 +74,7 @@ def _surface(path: Path, height: HeightMap, origin: str, notes: tuple[str, ...])
     record = ResultRecord(
         name=one_line(path.stem) or "surface",
         program=one_line(origin)[:200],
-        method=METHOD,
+        method=FOREIGN_METHOD,
         rows=rows,
         columns=columns,
         pixel_pitch_um=height.pitch_um,

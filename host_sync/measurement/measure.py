@@ -15,7 +15,7 @@ from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.footprint import share_at
-from host_sync.measurement.foreign_file import METHOD, read_foreign
+from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.levelling import Levelling, LevelSpread
 from host_sync.measurement.measurands import (
@@ -48,7 +48,7 @@ from host_sync.measurement.recipe import (
 )
 from host_sync.profile.profile_line import Profile
 from host_sync.profile.step_height import lines_um, used_samples
-from host_sync.results.doubts import doubts_at
+from host_sync.results.doubts import FOREIGN_METHOD, doubts_at
 from host_sync.results.files import SAMPLES_FILE, SLOPE_SIGMA_FILE
 from host_sync.results.reader import ResultSurface, read_result
 
@@ -352,7 +352,7 @@ def _notes(surface: ResultSurface, recipe: Recipe, samples: int) -> Iterable[str
             f"the relative uncertainty of each ± is {own:.0%} (k = 1)"
         )
     else:
-        foreign = surface.record.method == METHOD
+        foreign = surface.record.method == FOREIGN_METHOD
         why = (
             "a foreign file states none"
             if foreign

@@ -18,6 +18,7 @@ from host_sync.frames.frame_set import FrameSet, ScanSpec
 from host_sync.frames.linear_light import read_frame
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.results.doubts import stated_doubts
 from host_sync.results.files import DetailName
 
 CALIBRATION_FOLDER = "calibration"
@@ -60,7 +61,7 @@ def reconstruct_frame_set(
     detail: DetailName = "shrunk",
     calibrator: Calibrator | None = None,
 ) -> tuple[dict[str, tuple[str, ...]], list[ScanFailure]]:
-    """Reconstruct the named scans (all when none is named) and write every result: warnings by scan, and failures.
+    """Reconstruct the named scans (all when none is named) and write every result: doubts by scan, and failures.
 
     band : of the detail that is written beside each height map, if any
     force : reconstruct frames too that the calibration cannot explain
@@ -92,7 +93,7 @@ def reconstruct_frame_set(
         except (DeviceError, HostError) as error:
             failures.append(ScanFailure(scan.name, str(error)))
         else:
-            done[scan.name] = reconstruction.warnings
+            done[scan.name] = stated_doubts(out / scan.name)
     return done, failures
 
 

@@ -151,16 +151,7 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         extrapolated_share=float(reconstruction.extrapolated.mean()),
         warnings=tuple(reconstruction.warnings),
         frame_checks=tuple(reconstruction.frame_checks),
-        calibration_passed=calibration.assessment.passed,
-        calibration_notes=tuple(calibration.assessment.notes),
-        calibration_failed_checks=tuple(
-            f"{check.name} {check.value:.3g} ({check.kind} {check.limit:g})"
-            for check in calibration.assessment.checks
-            if not check.passed
-        ),
-        uncovered_sectors=tuple(
-            name for name, covered in calibration.assessment.coverage.sectors.items() if not covered
-        ),
+        **calibration_facts(calibration),
         height_scale=HeightScale(**msgspec.structs.asdict(calibration.assessment.scale)),
         slope_sigma_median=_median(reconstruction.slope_sigma),
         held_out_error_deg=_number(calibration.held_out_deg[reconstruction.method]),
@@ -171,6 +162,18 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
             converged=reconstruction.integration.converged,
         ),
     )
+
+
+def calibration_facts(calibration: Calibration) -> dict[str, Any]:
+    """What a record states of its calibration's checks and coverage."""
+    assessment = calibration.assessment
+    failed = [check for check in assessment.checks if not check.passed]
+    return {
+        "calibration_passed": assessment.passed,
+        "calibration_notes": tuple(assessment.notes),
+        "calibration_failed_checks": tuple(f"{one.name} {one.value:.3g} ({one.kind} {one.limit:g})" for one in failed),
+        "uncovered_sectors": tuple(name for name, covered in assessment.coverage.sectors.items() if not covered),
+    }
 
 
 def _median(values: Float32Array) -> float | None:

@@ -36,6 +36,9 @@ HOPS_DEG: Final = (-8.0, -4.0, 4.0, 8.0)
 HOP_SHARE: Final = 0.05
 """Turns and shifts (fraction of the field) around the best coarse fit that are tried as well."""
 
+SEEN_TURN_DEG: Final = 0.05
+"""Turn between two answers from which it is stated."""
+
 START_PX: Final = 4.0
 """Starts closer than so many coarse pixels lead to one answer."""
 
@@ -126,14 +129,14 @@ def register(
         raise ViewError(NOTHING_IN_COMMON)
     best, by = answers[0]
     rivals = [one for one, _ in answers[1:]]
-    straight = _straight(fine, coarse, found)
-    if straight is not None and np.nanmean(best.residual) > TURN_GAIN * np.nanmean(straight.residual):
+    straight, straight_by = _straight(fine, coarse, found)
+    if straight is not None and not _turn_is_seen(best, straight):
         # What is round is not turned: answers that turn it about itself are one.
         middle = middle_px(coarse)
         rivals = [
             one for one in (best, *rivals) if one.pose.distance_at(straight.pose, middle) > APART_PX * coarse.step
         ]
-        best = straight
+        best, by = straight, straight_by
     sure = max(coherence(pair, best.pose) for pair in (coarse, fine))
     refused = _rivalry(best, rivals)
     if sure < MIN_COHERENCE:
@@ -147,8 +150,16 @@ def _from_person(pair: Pair, near: Pose, *, pinned: bool) -> Registration:
     if found is None:
         raise ViewError(NOTHING_IN_COMMON)
     if not pinned:
+        straight = fit(pair, near, turning=False)
+        if straight is not None and not _turn_is_seen(found, straight):
+            found = straight
         return _judged(found, "nudged", SLIDES if coherence(pair, found.pose) < MIN_COHERENCE else "")
     return Registration(near, np.diag([np.inf] * 3), found.agreement, found.share, "pinned")
+
+
+def _turn_is_seen(turned: Fit, straight: Fit) -> bool:
+    """Whether a fit with a turn of its own is enough better than one that keeps the turn it started from."""
+    return bool(np.nanmean(turned.residual) <= TURN_GAIN * np.nanmean(straight.residual))
 
 
 def _judged(found: Fit, by: str, refused: str = "") -> Registration:
@@ -186,12 +197,17 @@ def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[tuple[Fit, st
     return sorted(found_fine, key=lambda one: -one[0].agreement)
 
 
-def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> Fit | None:
-    """The best fit without a turn; None where no start leads to one."""
-    rough = [found for one in given if one.pose.turn == 0.0 and (found := fit(coarse, one.pose, turning=False))]
+def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> tuple[Fit | None, str]:
+    """The best fit without a turn, and what found it; None where no start leads to one."""
+    rough = [
+        (found, one.by)
+        for one in given
+        if one.pose.turn == 0.0 and (found := fit(coarse, one.pose, turning=False)) is not None
+    ]
     if not rough:
-        return None
-    return fit(fine, max(rough, key=lambda one: one.agreement).pose, turning=False)
+        return None, ""
+    best, by = max(rough, key=lambda one: one[0].agreement)
+    return fit(fine, best.pose, turning=False), by
 
 
 def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
@@ -235,9 +251,14 @@ def _rivalry(best: Fit, others: list[Fit]) -> str:
         more = (one.residual - best.residual)[np.isfinite(one.residual) & np.isfinite(best.residual)]
         sure = more.size > 2 and more.mean() > RIVAL_SIGMAS * more.std() / np.sqrt(more.size)
         if ratio < RIVAL or not sure:
-            down, right = one.pose.down - best.pose.down, one.pose.right - best.pose.right
-            return (
-                f"two answers compete: {down:+.1f} px down and {right:+.1f} px right of the best one the maps agree "
-                "about as well"
-            )
+            return f"two answers compete: the maps agree about as well {_apart(one.pose, best.pose)} from the best one"
     return ""
+
+
+def _apart(one: Pose, best: Pose) -> str:
+    """Where one pose lies from another, in words: "3.1 px up and 2.0 px right, turned by 0.40°"."""
+    down, right = one.down - best.down, one.right - best.right
+    words = f"{abs(down):.1f} px {'down' if down >= 0.0 else 'up'} and {abs(right):.1f} px "
+    words += "right" if right >= 0.0 else "left"
+    turn_deg = float(np.degrees(one.turn - best.turn))
+    return words if abs(turn_deg) < SEEN_TURN_DEG else f"{words}, turned by {abs(turn_deg):.2f}°,"

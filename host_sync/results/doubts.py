@@ -8,29 +8,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 import numpy as np
 
 from device.calibration.coverage import SECTORS, sector_indices
 from device.surface.fields import Float64Array
-from host_sync.results.record import ResultRecord, refusals
-
-DoubtKind = Literal[
-    "failed calibration",
-    "failed check standard",
-    "uncovered sector",
-    "extrapolated slopes",
-    "drifted light",
-    "frame unlike calibration",
-    "no zero",
-    "not converged",
-    "reconstruction",
-]
+from host_sync.results.doubt import Doubt, DoubtKind
+from host_sync.results.record import ResultRecord, SequenceRecord, read_record, refusals
 
 EXTRAPOLATED_SHARE: Final = 0.005
 """Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""
+
+FOREIGN_METHOD: Final = "foreign file"
+"""Method in the record of a surface from another instrument's file."""
 
 DRIFT_CHECKS: Final = frozenset({"light levels", "light position", "untouched skin"})
 """Frame checks that a light which drifted, moved or failed does not pass."""
@@ -41,27 +33,19 @@ _NO_ZERO: Final = "no zero"
 _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 
 
-class Doubt(msgspec.Struct, frozen=True):
-    """One reason to distrust heights.
-
-    kind : a few words, for outputs with little room
-    reason : a clause with the facts
-    sectors : names of the sectors of the field that it concerns; all of the field when empty
-    """
-
-    kind: DoubtKind
-    reason: str
-    sectors: tuple[str, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """Kind and reason, as every output prints them."""
-        return f"{self.kind}: {self.reason}"
-
-
 def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
     """The doubts of a result in its folder, with those that a certificate of its calibration raises."""
-    return (*record_doubts(record), *_check_standards(folder, record))
+    return (*record_doubts(record), *_check_standards(folder, record.calibration_id, record.calibration_bundle))
+
+
+def video_doubts(folder: Path, record: SequenceRecord) -> tuple[Doubt, ...]:
+    """The doubts of a video's result in its folder."""
+    return (*record.doubts, *_check_standards(folder, record.calibration_id, None))
+
+
+def stated_doubts(folder: Path) -> tuple[str, ...]:
+    """The doubts of the result in a folder, a sentence each; errors as for `read_record`."""
+    return tuple(doubt.sentence for doubt in result_doubts(folder, read_record(folder)))
 
 
 def record_doubts(record: ResultRecord) -> tuple[Doubt, ...]:
@@ -105,7 +89,7 @@ def _of_record(record: ResultRecord) -> Iterator[Doubt]:
     for words in record.warnings:
         if words.startswith(_NO_ZERO):
             continue
-        kind: DoubtKind = "reconstruction"
+        kind: DoubtKind = "foreign file" if record.method == FOREIGN_METHOD else "reconstruction"
         if words in drifted or words in unlike:
             kind = "drifted light" if words in drifted else "frame unlike calibration"
         yield Doubt(kind, words)
@@ -143,23 +127,23 @@ class _Certificate(msgspec.Struct, frozen=True):
     specimens: tuple[_Specimen, ...] = ()
 
 
-def _check_standards(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
+def _check_standards(folder: Path, calibration_id: str, bundle: str | None) -> Iterator[Doubt]:
     """What certificates beside the result or its calibration say of the calibration that it was made with."""
-    for place in _certificate_places(folder, record):
+    for place in _certificate_places(folder, bundle):
         found = _read_certificate(place)
-        if found is None or found.calibration_id != record.calibration_id or found.verdict != "does not agree":
+        if found is None or found.calibration_id != calibration_id or found.verdict != "does not agree":
             continue
         names = ", ".join(one.name for one in found.specimens if one.agrees is False) or "a check standard"
         yield Doubt("failed check standard", f"the instrument does not agree with {names}")
         return
 
 
-def _certificate_places(folder: Path, record: ResultRecord) -> Iterator[Path]:
+def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterator[Path]:
     beside = folder.absolute().parent
     yield beside / CERTIFICATE_FILE
     yield beside / "calibration" / CERTIFICATE_FILE
-    if record.calibration_bundle and re.fullmatch(_BUNDLE, record.calibration_bundle):
-        bundle = beside.parent.parent.parent / "calibrations" / record.calibration_bundle / "results"
+    if calibration_bundle and re.fullmatch(_BUNDLE, calibration_bundle):
+        bundle = beside.parent.parent.parent / "calibrations" / calibration_bundle / "results"
         yield from sorted(bundle.glob(f"*/{CERTIFICATE_FILE}"))
 
 

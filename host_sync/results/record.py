@@ -12,6 +12,7 @@ import numpy as np
 from device.surface.fields import Float32Array
 from hal.validation import explain_validation
 from host_sync.errors import UnreadableResult
+from host_sync.results.doubt import Doubt
 from host_sync.results.field_file import MAX_PIXELS
 from host_sync.results.files import RECORD_FILE, RESULT_SCHEMA, SEQUENCE_SCHEMA, DetailName
 
@@ -192,6 +193,7 @@ class SequenceRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     heights, height_zero : what the file of heights holds, in words
     colour_range_um : lowest and highest height of all frames, µm
+    doubts : reasons to distrust the heights of all frames
     heights_per_s, pictures_per_s : frames per second from file to height on disk, and from there to the movie
     """
 
@@ -215,6 +217,7 @@ class SequenceRecord(msgspec.Struct, frozen=True, kw_only=True):
     forced: bool = False
     sequence: str = ""
     calibration: str = ""
+    doubts: tuple[Doubt, ...] = ()
     frames: Annotated[tuple[SequenceFrame, ...], msgspec.Meta(min_length=1)]
 
 

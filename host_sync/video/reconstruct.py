@@ -20,8 +20,11 @@ from device.surface.fields import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
+from host_sync.reconstruction.result_writer import calibration_facts
+from host_sync.results.doubt import Doubt, doubtful
+from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
-from host_sync.results.record import SequenceFrame, SequenceRecord, encode_record
+from host_sync.results.record import ResultRecord, SequenceFrame, SequenceRecord, encode_record
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.movie import MovieFiles, Progress, RenderedRelief, write_movie
@@ -37,12 +40,14 @@ class SequenceReport:
     """Outcome of a sequence.
 
     heights_per_s, pictures_per_s : frames per second from file to height on disk, and from there to the movie
+    doubts : reasons to distrust all heights
     """
 
     outcomes: tuple[FrameOutcome, ...]
     rate_hz: float
     heights_per_s: float
     pictures_per_s: float | None
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def failures(self) -> tuple[FrameOutcome, ...]:
@@ -68,6 +73,18 @@ class SequenceOptions:
     calibration: str = ""
 
 
+def sequence_doubts(calibration: Calibration, solver: FrameSolver) -> tuple[Doubt, ...]:
+    """The doubts of every frame."""
+    rows, columns = solver.shape
+    record = ResultRecord(
+        name="", rows=rows, columns=columns, pixel_pitch_um=calibration.pitch_um, **calibration_facts(calibration)
+    )
+    found = record_doubts(record)
+    if not solver.force:
+        return found
+    return (*found, Doubt("frame unlike calibration", "frames that do not fit the calibration were solved too"))
+
+
 def reconstruct_sequence(
     sequence: FrameSequence,
     calibration: Calibration,
@@ -90,6 +107,7 @@ def reconstruct_sequence(
     rate_hz = options.rate_hz or sequence.rate_hz or DEFAULT_RATE_HZ
     with atomic_directory(out, RECORD_FILE) as folder:
         relief = RenderedRelief()
+        doubts = sequence_doubts(calibration, solver)
         began = time.perf_counter()
         with HeightStack(folder / HEIGHTS_FILE, solver.shape, sequence.count, calibration.pitch_um, rate_hz) as stack:
             outcomes = _solve_all(sequence, solver, stack, relief, calibration.pitch_um, progress)
@@ -100,10 +118,11 @@ def reconstruct_sequence(
         movies = MovieFiles(mp4, folder / "relief.gif" if options.gif else None)
         if movies.wanted:
             heights = open_heights(folder / HEIGHTS_FILE)
-            write_movie(movies, heights, calibration.pitch_um, rate_hz, relief, options.name, progress)
+            title = f"{doubtful(doubts)} {options.name}".lstrip()
+            write_movie(movies, heights, calibration.pitch_um, rate_hz, relief, title, progress)
         heights_per_s = len(outcomes) / (solved - began)
         pictures_per_s = len(outcomes) / (time.perf_counter() - solved) if movies.wanted else None
-        report = SequenceReport(tuple(outcomes), rate_hz, heights_per_s, pictures_per_s)
+        report = SequenceReport(tuple(outcomes), rate_hz, heights_per_s, pictures_per_s, doubts)
         record = sequence_record(report, calibration, solver, relief, options)
         (folder / RECORD_FILE).write_bytes(encode_record(record))
     return report
@@ -175,6 +194,7 @@ def sequence_record(
         forced=solver.force,
         sequence=options.sequence,
         calibration=options.calibration,
+        doubts=report.doubts,
         frames=tuple(_frame_record(page, outcome, report.rate_hz) for page, outcome in enumerate(report.outcomes)),
     )
 

@@ -12,7 +12,7 @@ import msgspec
 from device.quick_look.files import HEIGHT_FILE as QUICK_LOOK_FILE
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
-from host_sync.results.doubts import result_doubts
+from host_sync.results.doubts import result_doubts, video_doubts
 from host_sync.results.field_file import read_shape
 from host_sync.results.files import HEIGHT_FILE, HEIGHTS_FILE
 from host_sync.results.record import MAX_PITCH_UM, MIN_PITCH_UM, ResultRecord, SequenceRecord, read_listed_record
@@ -75,6 +75,8 @@ class Entry:
         """Every reason to distrust the heights, a sentence each."""
         if isinstance(self.record, ResultRecord):
             return tuple(doubt.sentence for doubt in result_doubts(self.folder, self.record))
+        if isinstance(self.record, SequenceRecord):
+            return tuple(doubt.sentence for doubt in video_doubts(self.folder, self.record))
         if isinstance(self.record, DifferenceRecord):
             return self.record.warnings
         return ()

@@ -71,14 +71,25 @@ class ComparePage {
       const found = await api.compare(this.both[0].key, this.both[1].key, near);
       if (this.gone) return;
       if (found.refused) {
+        this.withdraw();
         this.words.replaceChildren(h("strong", { class: "warning" }, `${found.refused}.`));
         this.fill(found.best);
+        this.panelBox.querySelector("details.hand").open = true;
         return;
       }
       await this.registered(found);
     } catch (error) {
       this.words.textContent = error.message;
     }
+  }
+
+  /** Without a registration there is no difference to show, and views are linked as the scans lie. */
+  withdraw() {
+    this.choose(0);
+    this.views[1].disabled = true;
+    this.single?.dispose();
+    this.single = this.shift = this.difference = null;
+    this.alone.replaceChildren();
   }
 
   async registered(found) {

@@ -21,6 +21,7 @@ from device.store.active import read_active
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
 from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.viewer.entry import result_entry
 
 
 @pytest.fixture
@@ -49,6 +50,9 @@ def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
         inverse=SimpleNamespace(map=model),
         calibration_id="c0ffee",
         preferred="direct",
+        assessment=SimpleNamespace(
+            passed=True, notes=(), checks=(), coverage=SimpleNamespace(sectors={"middle of the frame": False})
+        ),
         lights=None,
     )
     return SimpleNamespace(calibration=calibration, facts=SimpleNamespace(encoding=None))
@@ -69,7 +73,9 @@ def test_a_folder_of_raw_frames_under_a_librarys_calibration(
     out = tmp_path / "out"
     assert main([*arguments, "--out", str(out), "--rate-hz", "10"]) == 1
     printed = capsys.readouterr()
-    assert printed.out.startswith(f"2 of 3 frames into {out}: ")
+    doubt, said = printed.out.splitlines()
+    assert doubt == "doubt: uncovered sector: no ball of the calibration lies in middle of the frame"
+    assert said.startswith(f"2 of 3 frames into {out}: ")
     assert "heights/s" in printed.out
     assert printed.err.count("\n") == 1
     assert "frame-11.tif" in printed.err
@@ -84,6 +90,8 @@ def test_a_folder_of_raw_frames_under_a_librarys_calibration(
     record = json.loads((out / "result.json").read_text())
     assert record["frames"][1]["peak_um"] > 100.0 > record["frames"][0]["peak_um"]
     assert record["frames"][2]["time_s"] == pytest.approx(0.2)
+    (stated,) = result_entry(out).doubts
+    assert stated == doubt.removeprefix("doubt: ")
 
 
 def test_bad_input_is_refused_in_one_sentence(
@@ -127,7 +135,7 @@ def test_a_frames_name_that_is_no_text_neither_ends_the_run_nor_moves_the_termin
     arguments += ["--no-mp4", "--no-gif"]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 1
     printed = capsys.readouterr()
-    assert printed.out.startswith("2 of 3 frames")
+    assert printed.out.splitlines()[-1].startswith("2 of 3 frames")
     assert "\x1b" not in printed.err
     assert (tmp_path / "out" / "result.json").is_file()
 

@@ -14,6 +14,7 @@ from device.surface.fields import Float32Array
 from host_sync.cli.main import main
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface
+from host_sync.export.surface_export import ExportChoices, export_surface
 from host_sync.export.tmd import read_tmd, write_tmd
 
 DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))
@@ -51,6 +52,32 @@ def test_what_was_written_is_read(exported: Callable[..., Path], z_um: Float32Ar
     assert found.pitch_um == pytest.approx(12.0, rel=1e-6)
     assert np.array_equal(np.isnan(found.z_um), np.isnan(z_um))
     assert np.nanmax(np.abs(found.z_um - z_um)) < 2e-6
+
+
+def test_a_doubtful_file_stays_doubtful(tmp_path: Path, z_um: Float32Array) -> None:
+    doubts = ("no zero: heights are relative", "failed calibration: it did not pass")
+    surface = SourceSurface(name="part", z_um=z_um, pitch_um=12.0, doubts=doubts, short_doubts=("no zero",))
+    first, second = tmp_path / "first", tmp_path / "second"
+    export_surface(surface, ["tmd"], first, ExportChoices())
+    assert read_tmd(first / "part.tmd").doubts == doubts
+    assert main(["export", str(first / "part.tmd"), "--to", "tmd", "npz", "--out", str(second)]) == 0
+    assert read_tmd(second / "part.tmd").doubts == doubts
+    with np.load(second / "part.npz") as held:
+        assert tuple(held["doubts"]) == doubts
+    (second / "part.tmd.doubts.txt").unlink()
+    (alone,) = read_tmd(second / "part.tmd").doubts
+    assert "part.tmd.doubts.txt with the reasons is not beside it" in alone
+
+
+def test_a_surface_without_doubts_takes_away_those_of_the_one_it_replaces(tmp_path: Path, z_um: Float32Array) -> None:
+    surface = SourceSurface(name="part", z_um=z_um, pitch_um=12.0)
+    beside = tmp_path / "part.tmd.doubts.txt"
+    beside.write_text("part\nno zero: heights are relative\n")
+    with pytest.raises(ExportError, match="exists already"):
+        export_surface(surface, ["tmd"], tmp_path, ExportChoices())
+    export_surface(surface, ["tmd"], tmp_path, ExportChoices(overwrite=True))
+    assert not beside.exists()
+    assert read_tmd(tmp_path / "part.tmd").doubts == ()
 
 
 def test_a_file_of_gelsights_own_is_read_and_exported(tmp_path: Path) -> None:

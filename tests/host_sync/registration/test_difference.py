@@ -1,3 +1,5 @@
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -5,6 +7,7 @@ import pytest
 from device.surface.fields import HeightMap
 from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.registration.difference import difference
+from host_sync.registration.poses import Pose
 from host_sync.registration.register import MIN_AGREEMENT, register
 
 SHAPE = (300, 400)
@@ -52,6 +55,40 @@ def test_what_really_differs_remains() -> None:
     found = difference(seen(), second)
     assert np.nanmedian(found.z_um[201:216, 106:130]) == pytest.approx(15.0, abs=0.5)
     assert found.median_um < 0.2
+
+
+def test_a_nudged_round_thing_is_not_turned_either() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    rng = np.random.default_rng(2)
+    both = []
+    for right in (0.0, 3.0):
+        hill = 50.0 * np.exp(-((row - 149.5) ** 2 + (column - 199.5 - right) ** 2) / 40.0**2)
+        both.append(HeightMap((hill + rng.normal(0.0, 0.3, SHAPE)).astype(np.float32), PITCH_UM))
+    for turn in (0.0, 0.02):
+        found = register(*both, near=Pose(1.0, 2.0, turn))
+        assert found.pose.turn == turn
+        assert found.pose.right == pytest.approx(3.0, abs=0.1)
+    turned = register(seen(), seen(2.0, 3.0, 0.5), near=Pose(1.0, 1.0))
+    assert np.degrees(turned.pose.turn) == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_is_not_turned_says_what_found_its_shift() -> None:
+    second = seen(0.0, 4.0)
+    found = register(seen(), second, frames=None)
+    assert found.by in {"relief", "rim", "as they lie"}
+    assert found.pose.turn == 0.0
+
+
+def test_rivals_are_told_apart_in_words() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    waves = 5.0 * np.sin(row / 6.0) * np.sin(column / 6.0)
+    rng = np.random.default_rng(3)
+    both = [HeightMap((waves + rng.normal(0.0, 0.5, SHAPE)).astype(np.float32), PITCH_UM) for _ in range(2)]
+    found = register(*both)
+    assert re.match(
+        r"two answers compete: the maps agree about as well \d+\.\d px (up|down) and \d+\.\d px (left|right).* from",
+        found.refused,
+    )
 
 
 def test_a_round_thing_is_not_turned() -> None:

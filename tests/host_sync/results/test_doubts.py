@@ -20,7 +20,8 @@ from host_sync import api
 from host_sync.cli.export import ExportFormat
 from host_sync.cli.main import main
 from host_sync.export.surface_export import LITTLE_ROOM
-from host_sync.results.doubts import DoubtKind, doubts_at, record_doubts
+from host_sync.results.doubt import DoubtKind
+from host_sync.results.doubts import doubts_at, record_doubts
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.record import ResultRecord
 from host_sync.viewer.catalogue import Catalogue, ListFilter
@@ -46,6 +47,7 @@ FACTS: dict[str, dict[str, Any]] = {
     "no zero": {"warnings": ["no zero: heights are relative, because no skin is untouched"]},
     "not converged": {"integration": {"converged": False}},
     "reconstruction": {"warnings": ["something else speaks against it"]},
+    "foreign file": {"method": "foreign file", "warnings": ["its pixels were interpolated to squares"]},
 }
 REASONS = {
     "failed calibration": "steepest slope covered, degrees 21",
@@ -57,6 +59,7 @@ REASONS = {
     "no zero": "heights are relative",
     "not converged": "did not reach its limit",
     "reconstruction": "something else speaks against it",
+    "foreign file": "its pixels were interpolated to squares",
 }
 CERTIFICATE = {
     "calibration_id": CALIBRATION,

@@ -53,6 +53,9 @@ def calibration() -> SimpleNamespace:
         inverse=SimpleNamespace(map=inverse),
         calibration_id="c0ffee",
         preferred="direct",
+        assessment=SimpleNamespace(
+            passed=True, notes=(), checks=(), coverage=SimpleNamespace(sectors={"middle of the frame": False})
+        ),
         lights=None,
     )
 
