@@ -15,18 +15,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface.fields import Float32Array, Float64Array, MaskArray
 
 MAX_RESIDUAL: Final = 0.012
 """Largest rms contradiction between the lights alone and the reference, relative; pressed skin contradicts by more."""
 
-DUSTY: Final = 4.0
+NOISE_FLOOR: Final = 0.02
+NOISIER: Final = 6.0
+"""A block contradicts if a channel is off by more than NOISIER times the median block, or than NOISE_FLOOR."""
+
 MAX_DUSTY: Final = 0.1
 DUST_PASSES: Final = 3
-"""Blocks that contradict by more than DUSTY times that are left out, at most this fraction: dust and scratches darken a
-block under every light alike, so that its shares are right."""
+EQUALLY: Final = 0.4
+"""Dust and scratches darken a block under every light alike: its channels differ by at most EQUALLY of their mean loss.
+Such blocks are left out, with neighbours that are nowhere brighter, in at most MAX_DUSTY of the field. Whatever else
+contradicts is an object in contact."""
 
 MIN_LEVEL: Final = 0.1
 """A light below this fraction of its calibrated level is out: its shares cannot be measured."""
@@ -51,12 +57,15 @@ class LightShares:
         lit = np.stack([light - dark for light in alone], axis=-1)
         design = lit.reshape(-1, lit.shape[-1]).astype(np.float64)
         target = (1.0 - dark).ravel().astype(np.float64)
-        kept = np.ones(len(lit.reshape(-1, 9)), np.bool_)
+        kept, fine = np.ones(lit.shape[:2], np.bool_), False
         for _ in range(DUST_PASSES):
-            inverse_levels, *_ = np.linalg.lstsq(design[kept.repeat(3)], target[kept.repeat(3)], rcond=None)
-            off = np.abs(design @ inverse_levels - target).reshape(-1, 3).max(axis=1)
-            kept = off < max(DUSTY * MAX_RESIDUAL, float(np.quantile(off, 1.0 - MAX_DUSTY)))
-        residual = float(np.sqrt(np.mean((design @ inverse_levels - target)[kept.repeat(3)] ** 2)))
+            used = kept.ravel().repeat(3)
+            inverse_levels, *_ = np.linalg.lstsq(design[used], target[used], rcond=None)
+            excess = (design @ inverse_levels - target).reshape(*lit.shape[:2], 3)
+            kept, fine = _without_dust(excess)
+        residual = float(np.sqrt(np.mean(excess[kept] ** 2)))
+        if not fine or (~kept).mean() > MAX_DUSTY:
+            return None
         if residual > MAX_RESIDUAL or not (inverse_levels > 0.0).all() or (inverse_levels > 1.0 / MIN_LEVEL).any():
             return None
         calibrated = lit * inverse_levels
@@ -74,3 +83,17 @@ class LightShares:
         """Mean intensity of untouched skin in R, G and B under these levels of the lights."""
         red, green, blue = (float(value) for value in self.shares.mean(axis=(0, 1)) @ np.asarray(levels))
         return red, green, blue
+
+
+def _without_dust(excess: Float64Array) -> tuple[MaskArray, bool]:
+    """Blocks without dust, bool array of shape (rows, columns), and whether none of them contradicts.
+
+    excess : the blocks' light over what the levels explain, relative, float64 array of shape (rows, columns, 3)
+    """
+    limit = max(NOISE_FLOOR, NOISIER * float(np.median(np.abs(excess).max(axis=-1))))
+    loss, spread = -excess.mean(axis=-1), np.ptp(excess, axis=-1)
+    dust = (excess < -limit / 2.0).all(axis=-1) & (loss > limit) & (spread < EQUALLY * loss + limit / 2.0)
+    beside = cv2.dilate(dust.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    off = np.abs(excess).max(axis=-1) > limit
+    kept = ~(dust | (beside & off & (excess < limit).all(axis=-1)))
+    return np.asarray(kept, np.bool_), not (off & kept).any()

@@ -12,6 +12,7 @@ from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.gallery import specimen
 from hal.simulator.scene import Press
+from hal.simulator.surfaces import Block, Sphere, Surface
 from tests.apparatus.random_presses import WHOLE_FIELD_OBJECTS
 
 CONTACT_STEPS = 40
@@ -72,3 +73,40 @@ def test_a_light_that_was_off_from_the_start_is_named(
     verdict, _ = started_under("coin", bench, hardware, calibrated, lifts=True)
     assert verdict.level == "doubtful"
     assert "light green is" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("surface", "depth_mm"), [(Sphere(0.5), 0.1), (Sphere(3.0), 0.05), (Block(0.2, 0.2), 0.05), (Block(1.0, 1.0), 0.3)]
+)
+@pytest.mark.parametrize("centre_mm", [(0.0, 0.0), (-4.5, 3.0)])
+def test_a_small_object_is_not_taken_for_dust(
+    bench: SimulatedScene,
+    hardware: Hardware,
+    calibrated: BundleStore,
+    surface: Surface,
+    depth_mm: float,
+    centre_mm: tuple[float, float],
+) -> None:
+    bench.place(Press(surface, centre_mm, 0.0, depth_mm))
+    with Instrument(hardware, calibrated) as instrument:
+        for _ in range(CONTACT_STEPS):
+            instrument.step()
+        assert set(instrument.state.health.light_change.values()) == {None}
+        bench.place(None)
+        changes: list[float | None] = [None]
+        for _ in range(1000):
+            instrument.step()
+            changes = list(instrument.state.health.light_change.values())
+            if None not in changes:
+                break
+        assert all(change is not None and abs(change) < 0.01 for change in changes), changes
+
+
+def test_dust_does_not_hinder_the_measurement_of_the_lights(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    bench.faults.dirty = True
+    with Instrument(hardware, calibrated) as instrument:
+        for _ in range(2 * CONTACT_STEPS):
+            instrument.step()
+        assert None not in instrument.state.health.light_change.values()
