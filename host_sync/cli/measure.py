@@ -49,7 +49,8 @@ def measure_command(
         Folders that reconstruct wrote, folders of such folders, or surface files of other instruments (TMD; with the
         extra `formats` X3P, SUR, AL3D, SDF, GWY, OPD, PLUX and more). With --library, scans of it; all by default.
     recipe
-        TOML file of the measurement recipe; the options below change it.
+        TOML file of the measurement recipe; the options below change it. A number that fails its tolerance ends the
+        command with exit code 1.
     library
         Folder of pulled scans, each with its newest results.
     form
@@ -98,7 +99,7 @@ def measure_command(
         from host_sync.measurement.measurement_text import as_text
 
         done.append(found)
-        failed = failed or bool(found.failed)
+        failed = failed or bool(found.failed) or found.fails
         if not alone:
             for line in (*as_text(found).splitlines(), ""):
                 print_line(line)

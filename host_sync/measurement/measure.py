@@ -14,6 +14,7 @@ from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
+from host_sync.measurement.circle import CircleMeasurand
 from host_sync.measurement.footprint import share_at
 from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
@@ -28,6 +29,7 @@ from host_sync.measurement.measurands import (
     VolumeMeasurand,
 )
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
+from host_sync.measurement.painted_mask import painted, without
 from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.quantity import (
     NOISE_SHARE,
@@ -39,6 +41,7 @@ from host_sync.measurement.quantity import (
 )
 from host_sync.measurement.recipe import (
     AngleTable,
+    CircleTable,
     DistanceTable,
     ProfileTable,
     RadiusTable,
@@ -46,6 +49,7 @@ from host_sync.measurement.recipe import (
     StepTable,
     VolumeTable,
 )
+from host_sync.measurement.tolerance import judged, unmet
 from host_sync.profile.profile_line import Profile
 from host_sync.profile.step_height import lines_um, used_samples
 from host_sync.results.doubts import FOREIGN_METHOD, doubts_at
@@ -155,7 +159,7 @@ class _MeasurementPlan:
 
 
 Made = TypeVar("Made", bound=Measurand)
-TableT = TypeVar("TableT", ProfileTable, StepTable, DistanceTable, AngleTable, RadiusTable, VolumeTable)
+TableT = TypeVar("TableT", ProfileTable, StepTable, DistanceTable, AngleTable, RadiusTable, VolumeTable, CircleTable)
 
 
 def _made(
@@ -199,6 +203,9 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     """The measurement of a surface; errors as for `measure_result`."""
     smooth = surface.with_detail(recipe.detail or "shrunk")
     surface = surface.with_detail(recipe.detail or "raw")
+    if recipe.mask:
+        left_out = painted(recipe.mask, (surface.record.rows, surface.record.columns), surface.height.pitch_um)
+        surface, smooth = (replace(one, height=without(one.height, left_out)) for one in (surface, smooth))
     level = Levelling(recipe.level, smooth) if recipe.level else None
     if level is not None:
         surface, smooth = (replace(one, height=_levelled(one.height, level)) for one in (surface, smooth))
@@ -223,11 +230,12 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
             square += (trace - first) ** 2
     sigmas = [np.sqrt(square / len(drawn)) if drawn else None for square in squares]
     spectrum = plan.spectrum(found)
+    quantities = judged(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised), recipe.tolerance)
     return Measurement(
         folder=surface.folder,
         record=surface.record,
         recipe=recipe,
-        quantities=tuple(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised)),
+        quantities=quantities,
         notes=(
             *plan.areal.notes(),
             *((level.words + spread.words(len(drawn)),) if level else ()),
@@ -243,7 +251,7 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
         spectrum=MeasuredSpectrum(spectrum, sigmas[-1]) if spectrum else None,
         doubts=surface.doubts,
         steps=tuple(_step(one, plan.doubts_of(one)) for one in plan.others if isinstance(one, StepMeasurand)),
-        failed=tuple(one.name for one in plan.failed),
+        failed=(*(one.name for one in plan.failed), *unmet(quantities, recipe.tolerance)),
     )
 
 
@@ -290,6 +298,8 @@ def _others(recipe: Recipe, height: HeightMap) -> Iterable[Measurand]:
         yield _made(radius, "radius", RadiusMeasurand, height)
     for volume in recipe.volume:
         yield _made(volume, "void volume", VolumeMeasurand, height)
+    for circle in recipe.circle:
+        yield _made(circle, "diameter", CircleMeasurand, height)
 
 
 def _stretched(numbers: Numbers, kinds: Mapping[str, ParameterKind], stretch: float) -> Numbers:

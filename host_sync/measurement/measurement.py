@@ -76,3 +76,8 @@ class Measurement:
     doubts: tuple[Doubt, ...] = ()
     steps: tuple[MeasuredStep, ...] = ()
     failed: tuple[str, ...] = ()
+
+    @property
+    def fails(self) -> bool:
+        """Whether a number fails its tolerance."""
+        return any(one.limits is not None and one.limits.verdict == "fail" for one in self.quantities)

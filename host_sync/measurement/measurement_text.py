@@ -30,6 +30,9 @@ CSV_COLUMNS: Final = (
     "draws",
     "offset",
     "doubts",
+    "low",
+    "high",
+    "verdict",
 )
 
 
@@ -60,7 +63,8 @@ def as_text(measurement: Measurement) -> str:
         lines.append(f"{subject}  ({factor}, {100.0 * group[0].masked_share:.2g} % masked)")
         width = max(len(one.name) for one in group)
         for one in group:
-            lines.append(f"  {one.name:<{width}}  {one.number}")
+            verdict = f"   {one.limits.words}" if one.limits else ""
+            lines.append(f"  {one.name:<{width}}  {one.number}{verdict}")
             lines.extend(
                 f"  {'':<{width}}    warning: {warning}"
                 for warning in one.warnings
@@ -131,7 +135,16 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
         one.samples,
         "" if one.offset is None else repr(one.offset),
         _harmless("; ".join(one.warnings)),
+        *(
+            ("", "", "")
+            if one.limits is None
+            else (_bound(one.limits.low), _bound(one.limits.high), one.limits.verdict)
+        ),
     ]
+
+
+def _bound(value: float | None) -> str:
+    return "" if value is None else repr(value)
 
 
 def _harmless(text: str) -> str:

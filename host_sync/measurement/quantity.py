@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -18,6 +18,26 @@ DIRECTION_STEP_DEG: Final = 0.5
 """Resolution of directions."""
 
 
+Verdict = Literal["pass", "fail", "undecided"]
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True):
+    """The tolerance of a number, in its unit, and whether the number passes."""
+
+    low: float | None = None
+    high: float | None = None
+    verdict: Verdict
+
+    @property
+    def words(self) -> str:
+        """For example "pass: 90 to 110"."""
+        if self.low is None:
+            return f"{self.verdict}: at most {plain(self.high or 0.0)}"
+        if self.high is None:
+            return f"{self.verdict}: at least {plain(self.low)}"
+        return f"{self.verdict}: {plain(self.low)} to {plain(self.high)}"
+
+
 class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     """One measured number.
 
@@ -31,6 +51,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     samples : number of Monte Carlo samples that gave a value; `draws` in files
     masked_share : fraction of the subject without a height
     warnings : reasons to distrust the number; `doubts` in files
+    limits : its tolerance and the verdict, where the recipe has one
     """
 
     subject: str
@@ -44,6 +65,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     masked_share: float
     warnings: tuple[str, ...] = msgspec.field(default=(), name="doubts")
     noise_taken_off: float | None = None
+    limits: Limits | None = None
 
     @property
     def number(self) -> str:
@@ -79,6 +101,8 @@ def shown_in(unit: str, value: float) -> tuple[float, str]:
 
 def plain(value: float) -> str:
     """The value to four digits without an exponent where a person reads it so: 17500 and not 1.75e+04."""
+    if value == 0.0:
+        return "0"
     if not 1e-4 <= abs(value) < 1e9:
         return f"{value:.4g}"
     places = max(0, 3 - int(np.floor(np.log10(abs(value)))))

@@ -28,6 +28,7 @@ Coordinate = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]
 Place = tuple[Coordinate, Coordinate]
 Rectangle = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 Percent = Annotated[float, msgspec.Meta(gt=0, lt=100)]
+Limit = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 
 
@@ -106,6 +107,37 @@ class VolumeTable(_Table, frozen=True):
     border_um: Length
 
 
+class CircleTable(_Table, frozen=True):
+    """A round edge near a circle: its diameter, centre and roundness."""
+
+    name: Label
+    centre_um: Place
+    radius_um: Length
+
+
+class MaskTable(_Table, frozen=True):
+    """A stroke of a brush: what lies under it is not measured.
+
+    points_um : the brush's way
+    """
+
+    points_um: Annotated[tuple[Place, ...], msgspec.Meta(min_length=1, max_length=10_000)]
+    width_um: Length
+
+
+class ToleranceTable(_Table, frozen=True):
+    """Limits of one number, in its unit.
+
+    number : such as "Sa", "height" or "diameter"
+    of : the name of what is measured; `surface` for areal parameters
+    """
+
+    number: Label
+    of: Label = AREAL_SUBJECT
+    low: Limit | None = None
+    high: Limit | None = None
+
+
 class Recipe(_Table, frozen=True):
     """The whole file.
 
@@ -119,6 +151,8 @@ class Recipe(_Table, frozen=True):
     smc_percent : material ratios for Smc
     spectrum : whether to measure the power spectral density
     scale : standard uncertainties that the calibration does not measure
+    mask : what is not measured
+    tolerance : limits of numbers
     detail : of the height map that everything is measured on; None measures parameters of surface and profiles on raw
         detail, its noise subtracted, and steps, radii, distances, angles and volumes on shrunk detail
     """
@@ -143,6 +177,9 @@ class Recipe(_Table, frozen=True):
     angle: tuple[AngleTable, ...] = ()
     radius: tuple[RadiusTable, ...] = ()
     volume: tuple[VolumeTable, ...] = ()
+    circle: tuple[CircleTable, ...] = ()
+    mask: tuple[MaskTable, ...] = ()
+    tolerance: tuple[ToleranceTable, ...] = ()
 
 
 def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
@@ -169,6 +206,9 @@ _TABLES: Final = {
     "angle": AngleTable,
     "radius": RadiusTable,
     "volume": VolumeTable,
+    "circle": CircleTable,
+    "mask": MaskTable,
+    "tolerance": ToleranceTable,
 }
 _ACCEPTED: Final = {
     "coverage_factor": "1, 2",
@@ -223,6 +263,7 @@ def checked(recipe: Recipe, source: str) -> Recipe:
             )
     _check_level(recipe.level, source)
     _check_names(recipe, source)
+    _check_tolerances(recipe, source)
     for i, step in enumerate(recipe.step):
         wanted = 1 if step.kind == "step" else 2
         if step.edges_um is not None and (
@@ -251,12 +292,33 @@ def _check_level(level: LevelTable | None, source: str) -> None:
 
 def _check_names(recipe: Recipe, source: str) -> None:
     """Refuse two lines, places or regions with the same name."""
-    named = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume)
     seen = {AREAL_SUBJECT}
-    for table in (table for tables in named for table in tables):
-        if table.name in seen:
-            raise MeasurementError(f"{source}: name: {table.name!r} occurs twice: give each its own name")
-        seen.add(table.name)
+    for name in _names(recipe):
+        if name in seen:
+            raise MeasurementError(f"{source}: name: {name!r} occurs twice: give each its own name")
+        seen.add(name)
+
+
+def _names(recipe: Recipe) -> list[str]:
+    named = (recipe.profile, recipe.step, recipe.distance, recipe.angle, recipe.radius, recipe.volume, recipe.circle)
+    return [table.name for tables in named for table in tables]
+
+
+def _check_tolerances(recipe: Recipe, source: str) -> None:
+    """Refuse limits of what the recipe does not measure, without an end, or in the wrong order."""
+    known = (AREAL_SUBJECT, *_names(recipe))
+    seen = set()
+    for i, one in enumerate(recipe.tolerance):
+        where = f"{source}: tolerance[{i}]"
+        if one.of not in known:
+            raise MeasurementError(f"{where}.of: {one.of!r} is not measured; accepted are {', '.join(known)}")
+        if (one.of, one.number) in seen:
+            raise MeasurementError(f"{where}.number: {one.number!r} of {one.of!r} occurs twice: give its limits once")
+        if one.low is None and one.high is None:
+            raise MeasurementError(f"{where}.low: a tolerance needs low, high or both")
+        if one.low is not None and one.high is not None and one.low >= one.high:
+            raise MeasurementError(f"{where}.low: {one.low:g} is not less than high = {one.high:g}")
+        seen.add((one.of, one.number))
 
 
 def _explained(error: msgspec.ValidationError) -> str:

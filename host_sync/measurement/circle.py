@@ -1,0 +1,181 @@
+"""The circle through a round edge of a surface: the rim of a hole, a disc, a dimple.
+
+Rays from the centre cross the edge; on each, the edge lies where the height crosses half way between what is inside and
+what is outside. The circle is fitted to these places by least squares with Tukey weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.errors import MeasurementError
+from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.measurement.recipe import CircleTable
+from host_sync.profile.profile_line import bilinear
+
+RAYS: Final = 360
+REACH: Final = 0.4
+"""Rays run from one less this fraction of the radius to one more."""
+
+LEVEL_SHARE: Final = 0.2
+"""Fraction of a ray at either end that gives the level inside and outside."""
+
+MIN_STEP_SHARE: Final = 0.3
+"""A ray counts if its step is at least this fraction of the median ray's, to the same side."""
+
+MIN_RAYS: Final = RAYS // 6
+OTHER_LEVELS: Final = (0.4, 0.6)
+"""Levels that might be called the edge as well as half way: what they change is an uncertainty of the definition."""
+
+TUKEY: Final = 4.685
+ROUNDS: Final = 12
+MIN_RADIUS_PX: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle:
+    """A circle on the field, µm from the centre of the first pixel.
+
+    roundness_um : largest minus smallest distance of the edge from the centre, of the places that belong to it
+    step_um : height inside above outside, median
+    share : fraction of the rays that belong to it
+    """
+
+    column_um: float
+    row_um: float
+    radius_um: float
+    roundness_um: float
+    step_um: float
+    share: float
+
+
+def find_circle(
+    z_um: Float32Array, pitch_um: float, centre_um: tuple[float, float], radius_um: float, level: float = 0.5
+) -> Circle:
+    """The circle near a place and radius.
+
+    level : where the edge lies between the heights outside (0) and inside (1)
+
+    Raises
+    ------
+    MeasurementError
+        There is no edge around the place.
+    """
+    if radius_um < MIN_RADIUS_PX * pitch_um:
+        raise MeasurementError(f"a circle needs a radius of {MIN_RADIUS_PX * pitch_um:g} µm or more: draw it larger")
+    found = _once(z_um, pitch_um, np.array(centre_um, np.float64), radius_um, level)
+    return _once(z_um, pitch_um, np.array([found.column_um, found.row_um]), found.radius_um, level)
+
+
+def _once(z_um: Float32Array, pitch_um: float, centre: Float64Array, radius_um: float, level: float) -> Circle:
+    angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    count = max(16, int(np.ceil(2.0 * REACH * radius_um / (0.5 * pitch_um))))
+    along = radius_um * np.linspace(1.0 - REACH, 1.0 + REACH, count)
+    heights, seen = bilinear(z_um, (centre + along[None, :, None] * way[:, None]) / pitch_um)
+    heights = np.where(seen, heights, np.nan)
+    part = max(2, round(LEVEL_SHARE * count))
+    whole = seen[:, :part].any(axis=1) & seen[:, -part:].any(axis=1)
+    inside, outside = np.full(RAYS, np.nan), np.full(RAYS, np.nan)
+    inside[whole] = np.nanmedian(heights[whole, :part], axis=1)
+    outside[whole] = np.nanmedian(heights[whole, -part:], axis=1)
+    step = inside - outside
+    usual = float(np.nanmedian(step)) if whole.any() else 0.0
+    used = whole & (step * np.sign(usual) > MIN_STEP_SHARE * abs(usual))
+    edge = np.full(RAYS, np.nan)
+    for ray in np.flatnonzero(used):
+        edge[ray] = _crossing(along, (heights[ray] - outside[ray]) / step[ray], radius_um, level)
+    known = np.isfinite(edge)
+    if known.sum() < MIN_RAYS or usual == 0.0:
+        raise MeasurementError(
+            f"no round edge near ({centre[0]:.0f}, {centre[1]:.0f}) µm with a radius of {radius_um:.0f} µm: draw the "
+            "circle along the edge"
+        )
+    column, row, radius, weight = _fitted(centre + edge[known, None] * way[known])
+    distance = np.hypot(*(centre + edge[known, None] * way[known] - (column, row)).T)
+    kept = distance[weight > 0.0]
+    return Circle(column, row, radius, float(np.ptp(kept)), usual, kept.size / RAYS)
+
+
+def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: float) -> float:
+    """Distance nearest to `near_um` where `share` falls through a level; NaN where it does not."""
+    at = np.flatnonzero((share[:-1] > level) != (share[1:] > level))
+    at = at[np.isfinite(share[at]) & np.isfinite(share[at + 1])]
+    if not at.size:
+        return float("nan")
+    places = along[at] + (level - share[at]) / (share[at + 1] - share[at]) * (along[1] - along[0])
+    return float(places[int(np.abs(places - near_um).argmin())])
+
+
+def _fitted(places: Float64Array) -> tuple[float, float, float, Float64Array]:
+    """Column, row and radius of the circle through places of shape (N, 2), and the weight of each."""
+    weight = np.ones(len(places))
+    design = np.column_stack([2.0 * places, np.ones(len(places))])
+    column, row, rest = np.linalg.lstsq(design, (places**2).sum(axis=1), rcond=None)[0]
+    radius = float(np.sqrt(max(rest + column**2 + row**2, 0.0)))
+    for _ in range(ROUNDS):
+        off = places - (column, row)
+        distance = np.maximum(np.hypot(*off.T), 1e-12)
+        residual = distance - radius
+        spread = max(TUKEY * 1.4826 * float(np.median(np.abs(residual))), 1e-9 * radius)
+        weight = np.clip(1.0 - (residual / spread) ** 2, 0.0, None) ** 2
+        root = np.sqrt(weight)
+        slopes = np.column_stack([off / distance[:, None], np.ones(len(places))])
+        change = np.linalg.lstsq(slopes * root[:, None], residual * root, rcond=None)[0]
+        column, row, radius = column + change[0], row + change[1], radius + change[2]
+    return float(column), float(row), float(radius), weight
+
+
+class CircleMeasurand:
+    """A round edge: diameter, centre, roundness, and the step across it."""
+
+    def __init__(self, table: CircleTable, height: HeightMap) -> None:
+        self.name = table.name
+        self._pitch_um = height.pitch_um
+        self.found = find_circle(height.z_um, height.pitch_um, table.centre_um, table.radius_um)
+        angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
+        circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * self.found.radius_um
+        self.places_px = (circle + np.array([self.found.row_um, self.found.column_um])) / height.pitch_um
+        self.masked_share = 1.0 - self.found.share
+        others = [self._at(height.z_um, level).radius_um for level in OTHER_LEVELS]
+        self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
+
+    def kinds(self) -> Mapping[str, ParameterKind]:
+        """Four lengths along the skin, and a height."""
+        length = ParameterKind("µm", 1.0)
+        return {
+            "diameter": length,
+            "centre right": length,
+            "centre down": length,
+            "roundness": length,
+            "step": ParameterKind("µm"),
+        }
+
+    def values(self, z_um: Float32Array) -> Mapping[str, float]:
+        """The circle of a height map of shape (H, W), µm."""
+        found = self._at(z_um)
+        return {
+            "diameter": 2.0 * found.radius_um,
+            "centre right": found.column_um,
+            "centre down": found.row_um,
+            "roundness": found.roundness_um,
+            "step": found.step_um,
+        }
+
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """An edge that is not seen all around."""
+        if self.found.share > 0.9:
+            return {}
+        return {"": (f"the edge is seen over {self.found.share:.0%} of the circle only",)}
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """How far the diameter depends on which level is called the edge."""
+        return {"diameter": self._definition}
+
+    def _at(self, z_um: Float32Array, level: float = 0.5) -> Circle:
+        return find_circle(z_um, self._pitch_um, (self.found.column_um, self.found.row_um), self.found.radius_um, level)

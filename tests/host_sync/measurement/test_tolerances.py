@@ -1,0 +1,177 @@
+"""Circles, painted masks, tolerances, and recipes that are written as they are read."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host_sync.cli.main import main
+from host_sync.errors import MeasurementError
+from host_sync.measurement.height_samples import StatedScale
+from host_sync.measurement.measure import measure_result
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.recipe import (
+    CircleTable,
+    LevelTable,
+    MaskTable,
+    Recipe,
+    StepTable,
+    ToleranceTable,
+    checked,
+    read_recipe,
+)
+from host_sync.measurement.recipe_text import recipe_text
+from host_sync.measurement.tolerance import verdict_of
+
+Write = Callable[..., Path]
+SHAPE = (180, 240)
+PITCH_UM = 5.0
+RIM = CircleTable(name="rim", centre_um=(580.0, 470.0), radius_um=230.0)
+
+
+def number(found: Measurement, subject: str, name: str) -> Quantity:
+    return next(one for one in found.quantities if (one.subject, one.name) == (subject, name))
+
+
+def hole(depth_um: float = 60.0, radius_um: float = 250.0) -> np.ndarray:
+    """A hole with a soft rim about (600, 450) µm, in a plane."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    away = np.hypot(column - 600.0, row - 450.0) - radius_um
+    return -0.5 * depth_um * (1.0 - np.tanh(away / 20.0)) + 0.005 * column
+
+
+def test_a_circle_is_found_from_one_that_was_drawn_beside_it(write_result: Write) -> None:
+    folder = write_result(hole(), error_um=0.2)
+    found = measure_result(folder, Recipe(circle=(RIM,)))
+    diameter, step = number(found, "rim", "diameter"), number(found, "rim", "step")
+    assert diameter.value == pytest.approx(500.0, abs=0.5)
+    assert diameter.uncertainty is not None
+    assert abs(diameter.value - 500.0) < 3.0 * diameter.uncertainty
+    assert step.value == pytest.approx(-60.0, abs=0.5)
+    assert number(found, "rim", "centre right").value == pytest.approx(600.0, abs=1.0)
+    assert number(found, "rim", "centre down").value == pytest.approx(450.0, abs=1.0)
+    assert number(found, "rim", "roundness").value < 3.0
+
+
+def test_a_circle_across_the_border_counts_where_it_is_seen(write_result: Write) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    z_um = np.where(np.hypot(column - 60.0, row - 450.0) < 250.0, 30.0, 0.0)
+    found = measure_result(
+        write_result(z_um), Recipe(circle=(CircleTable(name="a", centre_um=(60.0, 450.0), radius_um=240.0),))
+    )
+    diameter = number(found, "a", "diameter")
+    assert diameter.value == pytest.approx(500.0, abs=2.0)
+    assert any("of the circle only" in words for words in diameter.warnings)
+
+
+def test_without_an_edge_there_is_no_circle(write_result: Write) -> None:
+    found = measure_result(write_result(np.zeros(SHAPE)), Recipe(circle=(RIM,)))
+    assert found.failed == ("rim",)
+    (only,) = [one for one in found.quantities if one.subject == "rim"]
+    assert "no round edge" in only.warnings[0]
+
+
+def test_what_is_painted_over_is_not_measured(write_result: Write) -> None:
+    z_um = np.zeros(SHAPE)
+    z_um[80:100, 50:200] = 500.0
+    stroke = MaskTable(points_um=((240.0, 447.0), (1010.0, 447.0)), width_um=150.0)
+    found = measure_result(write_result(z_um), Recipe(form="none", mask=(stroke,), parameters=("Sz",)))
+    assert number(found, "surface", "Sz").value == 0.0
+    share = (770.0 * 150.0 + np.pi * 75.0**2) / (np.prod(SHAPE) * PITCH_UM**2)
+    assert number(found, "surface", "Sz").masked_share == pytest.approx(share, rel=0.05)
+    dot = MaskTable(points_um=((600.0, 450.0),), width_um=300.0)
+    found = measure_result(write_result(np.zeros(SHAPE)), Recipe(mask=(dot,), parameters=("Sz",)))
+    share = np.pi * 150.0**2 / (np.prod(SHAPE) * PITCH_UM**2)
+    assert number(found, "surface", "Sz").masked_share == pytest.approx(share, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "k", "verdict"),
+    [
+        (100.0, 5.0, 1, "pass"),
+        (100.0, 10.0, 2, "pass"),
+        (100.0, 7.0, 1, "undecided"),
+        (109.0, 1.0, 1, "undecided"),
+        (111.0, 1.0, 1, "undecided"),
+        (112.0, 1.0, 1, "fail"),
+        (88.0, 2.0, 2, "fail"),
+        (100.0, None, 1, "undecided"),
+        (None, None, 1, "undecided"),
+    ],
+)
+def test_the_decision_leaves_a_guard_band_on_both_sides(
+    value: float | None, uncertainty: float | None, k: int, verdict: str
+) -> None:
+    quantity = Quantity(
+        subject="a", name="b", unit="µm", value=value, uncertainty=uncertainty, coverage_factor=k, offset=None,
+        samples=0, masked_share=0.0,
+    )  # fmt: skip
+    assert verdict_of(quantity, 90.0, 110.0) == verdict
+    if value is not None and value > 100.0 and verdict == "fail":
+        assert verdict_of(quantity, None, 110.0) == "fail"
+        assert verdict_of(quantity, 90.0, None) == "pass"
+
+
+RECIPE = Recipe(
+    name='a "quoted" name \\ with µ, \x7f and\ta tab',
+    region_um=(10.0, 20.0, 900.0, 1e-07),
+    l_filter_um=250.0,
+    parameters=("Sa", "height"),
+    spectrum=True,
+    step=(StepTable(name="s", from_um=(100.0, 100.0), to_um=(900.0, 100.0), kind="groove"),),
+    circle=(RIM,),
+    mask=(MaskTable(points_um=((1.0, 2.0), (3.0, 4.0)), width_um=5.0),),
+    tolerance=(
+        ToleranceTable(number="Sa", high=2.0),
+        ToleranceTable(of="rim", number="diameter", low=490.0, high=510.0),
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    "recipe", [Recipe(), RECIPE, Recipe(level=LevelTable(on="skin"), scale=StatedScale(pixel_pitch_share=0.001))]
+)
+def test_a_recipe_that_was_written_is_read_as_it_was(recipe: Recipe, tmp_path: Path) -> None:
+    path = tmp_path / "recipe.toml"
+    path.write_text(recipe_text(recipe))
+    assert read_recipe(path) == recipe
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [
+        (ToleranceTable(of="rum", number="diameter", low=1.0), "accepted are surface, rim"),
+        (ToleranceTable(of="rim", number="diameter"), "needs low, high or both"),
+        (ToleranceTable(of="rim", number="diameter", low=2.0, high=1.0), "is not less than"),
+    ],
+)
+def test_limits_that_mean_nothing_are_refused(tolerance: ToleranceTable, words: str) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        checked(Recipe(circle=(RIM,), tolerance=(tolerance,)), "recipe")
+    twice = ToleranceTable(number="Sa", low=1.0)
+    with pytest.raises(MeasurementError, match="occurs twice"):
+        checked(Recipe(tolerance=(twice, twice)), "recipe")
+
+
+def test_the_command_prints_verdicts_and_fails_with_them(
+    write_result: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(hole(), error_um=0.2)
+    recipe, table = tmp_path / "recipe.toml", tmp_path / "table.csv"
+    for high, verdict, code in ((520.0, "pass", 0), (480.0, "fail", 1)):
+        limits = ToleranceTable(of="rim", number="diameter", low=400.0, high=high)
+        recipe.write_text(recipe_text(Recipe(parameters=("Sa",), circle=(RIM,), tolerance=(limits,))))
+        assert main(["measure", str(folder), "--recipe", str(recipe), "--csv", str(table)]) == code
+        assert f"{verdict}: 400 to {high:g}" in capsys.readouterr().out
+        (row,) = [one for one in csv.DictReader(table.read_text().splitlines()) if one["name"] == "diameter"]
+        assert (row["low"], row["high"], row["verdict"]) == ("400.0", repr(high), verdict)
+    recipe.write_text(
+        recipe_text(Recipe(circle=(RIM,), tolerance=(ToleranceTable(of="rim", number="width", low=1.0),)))
+    )
+    assert main(["measure", str(folder), "--recipe", str(recipe), "--json"]) == 1
+    assert '"failed": ["rim: width"]' in capsys.readouterr().out.replace("\n", "").replace("  ", "")
