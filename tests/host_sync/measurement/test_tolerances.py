@@ -87,7 +87,7 @@ def test_what_is_painted_over_is_not_measured(write_result: Write) -> None:
     dot = MaskTable(points_um=((600.0, 450.0),), width_um=300.0)
     found = measure_result(write_result(np.zeros(SHAPE)), Recipe(mask=(dot,), parameters=("Sz",)))
     share = np.pi * 150.0**2 / (np.prod(SHAPE) * PITCH_UM**2)
-    assert number(found, "surface", "Sz").masked_share == pytest.approx(share, rel=0.03)
+    assert number(found, "surface", "Sz").masked_share == pytest.approx(share, rel=0.08)
 
 
 @pytest.mark.parametrize(
