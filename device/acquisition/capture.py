@@ -95,8 +95,8 @@ def capture(hardware: Hardware, plan: CaptureSettings) -> RawFrame:
     return capture_with_faults(hardware, plan).frame
 
 
-def capture_with_faults(hardware: Hardware, plan: CaptureSettings) -> Capture:
-    """The first frame whose metadata matches the plan; the lights are off again afterwards.
+def capture_with_faults(hardware: Hardware, plan: CaptureSettings, *, keep_lit: bool = False) -> Capture:
+    """The first frame whose metadata matches the plan; the lights are off again afterwards, unless `keep_lit`.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def capture_with_faults(hardware: Hardware, plan: CaptureSettings) -> Capture:
     CameraError, LightError
         The hardware did not answer.
     """
-    return retry_with_restart(hardware.camera, lambda: _capture(hardware, plan))
+    return retry_with_restart(hardware.camera, lambda: _capture(hardware, plan, keep_lit=keep_lit))
 
 
 def retry_with_restart(camera: Camera, act: Callable[[], Result]) -> Result:
@@ -132,11 +132,12 @@ def retry_with_restart(camera: Camera, act: Callable[[], Result]) -> Result:
         ) from error
 
 
-def _capture(hardware: Hardware, plan: CaptureSettings) -> Capture:
+def _capture(hardware: Hardware, plan: CaptureSettings, *, keep_lit: bool) -> Capture:
     # A stalled camera is reopened by `apply`, before any light is on.
     camera, lights, clock = hardware.camera, hardware.lights, hardware.clock
     step_us = hardware.profile.sensor.exposure_step_us
     camera.apply(plan.settings)
+    is_kept = False
     try:
         lights.switch_on(plan.currents_ma)
         steady_ns = clock.monotonic_ns() + round(SETTLE_S * 1e9)
@@ -144,9 +145,12 @@ def _capture(hardware: Hardware, plan: CaptureSettings) -> Capture:
             frame = camera.next_frame(FRAME_TIMEOUT_S)
             check_frame(frame, hardware.profile.sensor, camera.camera_id)
             if frame.sensor_timestamp_ns >= steady_ns and plan.matches(frame.granted, step_us):
-                return Capture(frame, _faults(lights))
+                found = Capture(frame, _faults(lights))
+                is_kept = keep_lit
+                return found
     finally:
-        lights.off()
+        if not is_kept:
+            lights.off()
     wanted = plan.granted or plan.settings
     raise FrameNotConfirmed(
         f"none of {MAX_FRAMES} frames of camera {camera.camera_id} showed exposure {wanted.exposure_us:g} µs "

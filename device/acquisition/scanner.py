@@ -7,13 +7,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from device.acquisition.capture import Capture, CaptureSettings, capture_with_faults
+from device.acquisition.capture import CaptureSettings, capture_with_faults
+from device.acquisition.precise_capture import PreciseCapture, capture_precisely, frames_stored
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
-from device.bundles.scan import Annotations, LightFaultRecord, PowerRecord, ScanBundle, ScanRecord, VerdictRecord
+from device.bundles.scan import (
+    Annotations,
+    CaptureMode,
+    ExposuresRecord,
+    LightFaultRecord,
+    PowerRecord,
+    ScanBundle,
+    ScanRecord,
+    VerdictRecord,
+)
 from device.errors import CalibrationMismatch, DeviceError, StoreError
+from device.imaging.ambient import ambient_fraction, without_ambient
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
 from device.quality.verdict import Evidence
@@ -66,14 +77,25 @@ class Assessment:
 class RawCapture:
     """A captured press that is not published yet.
 
-    capture : its confirmed frame
+    precise : its confirmed frame, and those under other lights if taken
     power : supply and battery right after it
     motion : of the contact during the exposure, in intensity; None if not measured
     """
 
-    capture: Capture
+    precise: PreciseCapture
     power: PowerReading
     motion: float | None = None
+
+    @property
+    def frame(self) -> RawFrame:
+        """The frame that is stored."""
+        return self.precise.capture.frame
+
+    @property
+    def lit(self) -> RawFrame:
+        """The frame without ambient light, if that was measured."""
+        dark = self.precise.dark
+        return self.frame if dark is None else without_ambient(self.frame, dark)
 
 
 class Scanner:
@@ -114,17 +136,17 @@ class Scanner:
         """The calibration at quick-look size."""
         return self._model
 
-    def scans_left(self) -> int:
-        """Number of scans that still fit on the disk.
+    def scans_left(self, mode: CaptureMode = "single") -> int:
+        """Number of scans of this mode that still fit on the disk.
 
         Raises
         ------
         StoreError
             The free space cannot be read.
         """
-        return self._store.scans_left(self._bytes_per_scan)
+        return self._store.scans_left(self._bytes_per_scan(mode))
 
-    def check_room(self) -> int:
+    def check_room(self, mode: CaptureMode = "single") -> int:
         """Number of scans that still fit; if none, acknowledged scans are deleted, oldest first.
 
         Raises
@@ -132,19 +154,20 @@ class Scanner:
         StoreError
             Not one more fits: the press is refused before the exposure.
         """
-        left = self.scans_left()
-        if left < 1 and self._store.make_room(self._bytes_per_scan):
-            left = self.scans_left()
+        left = self.scans_left(mode)
+        if left < 1 and self._store.make_room(self._bytes_per_scan(mode)):
+            left = self.scans_left(mode)
         if left < 1:
             raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space")
         return left
 
-    @property
-    def _bytes_per_scan(self) -> int:
+    def _bytes_per_scan(self, mode: CaptureMode) -> int:
         rows, columns = self._hardware.camera.shape
-        return int(BYTES_PER_PIXEL * rows * columns)
+        return int(BYTES_PER_PIXEL * rows * columns) * frames_stored(mode, len(self._hardware.lights.names))
 
-    def scan(self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None) -> ScanOutcome:
+    def scan(
+        self, annotations: Annotations, may_lift: Callable[[], None] = lambda: None, mode: CaptureMode = "single"
+    ) -> ScanOutcome:
         """Capture, judge and publish; `may_lift` is called as soon as the frame is in memory.
 
         The operator should lift then: if the frame alone cannot prove the lights right, untouched skin does.
@@ -154,7 +177,7 @@ class Scanner:
         StoreError, FrameNotConfirmed, HalError
             As for `capture` and `publish`.
         """
-        assessed = self.assess(self.capture(may_lift))
+        assessed = self.assess(self.capture(may_lift, mode))
         if assessed.awaits_lift:
             self._look_at_untouched_skin()
         return self.publish(assessed, annotations)
@@ -171,7 +194,7 @@ class Scanner:
         alone = [self._frame_under({name: currents_ma[name]}) for name in self._hardware.lights.names]
         return self.health.measure_shares(alone, self._frame_under({}))
 
-    def capture(self, may_lift: Callable[[], None] = lambda: None) -> RawCapture:
+    def capture(self, may_lift: Callable[[], None] = lambda: None, mode: CaptureMode = "single") -> RawCapture:
         """Capture one press into memory; nothing is stored before `publish`.
 
         Raises
@@ -181,28 +204,29 @@ class Scanner:
         FrameNotConfirmed, HalError
             No frame could be taken.
         """
-        self.check_room()
-        captured = capture_with_faults(self._hardware, self._plan)
+        self.check_room(mode)
+        captured = capture_precisely(self._hardware, self._plan, mode)
         may_lift()
         return RawCapture(captured, self._hardware.power.read())
 
     def assess(self, press: RawCapture) -> Assessment:
         """The quick look of a press and the evidence for its verdict."""
-        binned = bin_bayer(press.capture.frame, self._model.binning)
+        lit = press.lit
+        binned = bin_bayer(lit, self._model.binning)
         look, fault = None, ""
         try:
             look = quick_look(binned, self._model)
         except DeviceError as error:
             fault = str(error)
         intensity = look.intensity if look else None
-        flags = {fault.light: fault.kind for fault in press.capture.light_faults or ()}
-        known = self.health.context_of_scan(press.capture.frame, intensity, press.motion)
+        flags = {fault.light: fault.kind for fault in press.precise.capture.light_faults or ()}
+        known = self.health.context_of_scan(lit, intensity, press.motion)
         evidence = Evidence.of(binned, intensity, self._hardware.lights.names, flags, known)
         return Assessment(press, look, fault, evidence)
 
     def lights_proven(self, assessed: Assessment) -> bool:
         """Whether the lights were measured on untouched skin since a press."""
-        changes = self.health.light_change_since(assessed.press.capture.frame.sensor_timestamp_ns)
+        changes = self.health.light_change_since(assessed.press.frame.sensor_timestamp_ns)
         return None not in changes.values()
 
     def publish(self, assessed: Assessment, annotations: Annotations) -> ScanOutcome:
@@ -213,13 +237,19 @@ class Scanner:
         StoreError
             The disk is full; nothing is left behind.
         """
-        frame, evidence, look = assessed.press.capture.frame, assessed.evidence, assessed.quick_look
+        frame, evidence, look = assessed.press.frame, assessed.evidence, assessed.quick_look
         if assessed.awaits_lift:
             evidence = evidence.with_light_change(self.health.light_change_since(frame.sensor_timestamp_ns))
-        record = self._record(assessed.press, annotations, evidence.verdict())
+        press = assessed.press
+        record = self._record(press, annotations, evidence.verdict())
+        exposures, beside = record.exposures, press.precise
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
+            if exposures.dark_file and beside.dark:
+                write_raw(directory / exposures.dark_file, beside.dark)
+            for light, name in exposures.alone_files.items():
+                write_raw(directory / name, beside.alone[light])
             if look:
                 write_quick_look(directory, look.height)
 
@@ -240,7 +270,7 @@ class Scanner:
         return capture_with_faults(self._hardware, replace(self._plan, currents_ma=currents_ma)).frame
 
     def _record(self, press: RawCapture, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
-        profile, frame, faults = self._hardware.profile, press.capture.frame, press.capture.light_faults
+        profile, frame, faults = self._hardware.profile, press.frame, press.precise.capture.light_faults
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
             identity=self._store.next_identity("scans"),
@@ -254,7 +284,8 @@ class Scanner:
             currents_ma=currents_ma,
             fingerprint=Fingerprint.of(profile, frame.granted, currents_ma),
             calibration_id=self._calibration.calibration_id,
-            verdict=verdict,
+            verdict=_with_ambient(verdict, press.precise),
+            exposures=_exposures(press.precise),
             annotations=annotations,
             # Read again after the quick look, the heaviest work of a scan, during which a weak supply sags.
             power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),
@@ -262,6 +293,24 @@ class Scanner:
             if faults is None
             else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
         )
+
+
+def _exposures(precise: PreciseCapture) -> ExposuresRecord:
+    """What the raw frame is made of, and the names of the frames beside it."""
+    return ExposuresRecord(
+        averaged=precise.averaged,
+        moved=precise.moved,
+        dark_file=None if precise.dark is None else "dark.tif",
+        alone_files={name: f"alone-{number}.tif" for number, name in enumerate(precise.alone)},
+    )
+
+
+def _with_ambient(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:
+    """The verdict with the measured ambient light among its figures."""
+    if precise.dark is None:
+        return verdict
+    figures = verdict.figures | {"ambient_share": ambient_fraction(precise.dark)}
+    return VerdictRecord(level=verdict.level, reason=verdict.reason, figures=figures)
 
 
 def _check_matches(calibration: CalibrationBundle, hardware: Hardware, plan: CaptureSettings) -> None:

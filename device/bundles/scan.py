@@ -25,6 +25,8 @@ from device.bundles.record import (
     Time,
     decode_record,
 )
+from device.errors import FrameError, RecordError
+from device.imaging.ambient import without_ambient
 from hal.frame import RawFrame
 from hal.interfaces import PowerReading
 
@@ -32,6 +34,9 @@ SCAN_SCHEMA: Final = "retrograph.scan/1"
 SCAN_MANIFEST: Final = "scan.json"
 
 VerdictLevel = Literal["good", "doubtful", "retake"]
+
+CaptureMode = Literal["single", "average", "lights"]
+"""One frame; the average of several; that, and one frame under no light and under each light alone."""
 
 
 class VerdictRecord(Record, frozen=True):
@@ -70,6 +75,28 @@ class LightFaultRecord(Record, frozen=True):
     kind: ShortText
 
 
+class ExposuresRecord(Record, frozen=True):
+    """What the raw frame is made of, and the frames beside it.
+
+    averaged : frames that were averaged
+    moved : frames that were left out because the object had moved
+    dark_file : the frame under no light; None if not taken
+    alone_files : the frame under each light alone, by its name
+    """
+
+    averaged: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1
+    moved: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
+    dark_file: FileName | None = None
+    alone_files: Annotated[dict[ShortText, FileName], msgspec.Meta(max_length=100)] = msgspec.field(
+        default_factory=dict
+    )
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the frames beside the raw frame."""
+        return (*((self.dark_file,) if self.dark_file else ()), *self.alone_files.values())
+
+
 class Annotations(Record, frozen=True):
     """What people wrote about a scan; no part of its identity."""
 
@@ -88,6 +115,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     currents_ma : granted current of each light, mA
     calibration_id : the calibration that was active, or None
     light_faults : reported by the light driver while the lights were on; None when it cannot report
+    exposures : what the raw frame is made of, and the frames under other lights
     files : hash and size of every file beside the manifest; filled in by the store
     """
 
@@ -107,6 +135,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     power: PowerRecord = PowerRecord()
     light_faults: Annotated[tuple[LightFaultRecord, ...], msgspec.Meta(max_length=100)] | None = None
     raw_file: FileName = "raw.tif"
+    exposures: ExposuresRecord = ExposuresRecord()
     files: Files = msgspec.field(default_factory=dict)
 
     @property
@@ -117,7 +146,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     @property
     def raw_files(self) -> tuple[str, ...]:
         """Names of the raw frames."""
-        return (self.raw_file,)
+        return (self.raw_file, *self.exposures.files)
 
     @property
     def named_files(self) -> tuple[str, ...]:
@@ -137,6 +166,31 @@ class ScanBundle(Bundle[ScanRecord]):
     def raw_frame(self) -> RawFrame:
         """The raw frame, read from disk. Errors as for `read_bundle_frame`."""
         return self._frame(self.record.raw_file)
+
+    def named_frame(self, name: str) -> RawFrame:
+        """A raw frame by its name, such as one under a light alone. Errors as for `raw_frame`."""
+        return self._frame(name)
+
+    def dark_frame(self) -> RawFrame | None:
+        """The raw frame under no light; None if not taken. Errors as for `raw_frame`."""
+        name = self.record.exposures.dark_file
+        return None if name is None else self._frame(name)
+
+    def lit_frame(self) -> RawFrame:
+        """The raw frame without ambient light, if a frame under no light was taken.
+
+        Raises
+        ------
+        RecordError
+            As for `raw_frame`, or the two frames were not taken alike.
+        """
+        frame, dark = self.raw_frame(), self.dark_frame()
+        if dark is None:
+            return frame
+        try:
+            return without_ambient(frame, dark)
+        except FrameError as error:
+            raise RecordError(f"{self.directory}: {error}") from error
 
 
 def decode_scan(data: bytes, source: str | Path) -> ScanRecord:

@@ -32,7 +32,11 @@ COMMANDS: Final = (
         "scan",
         "device.cli.instrument_commands:scan_once",
         "Wait for one press of the button and scan.",
-        ("retroscan scan --job J-17 --part housing-3", "retroscan --board twin scan --object coin --json"),
+        (
+            "retroscan scan --job J-17 --part housing-3",
+            "retroscan scan --capture average",
+            "retroscan --board twin scan --object coin --json",
+        ),
     ),
     Command(
         "run",

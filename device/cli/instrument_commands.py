@@ -18,7 +18,7 @@ from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.sd_notify import SdNotify
 from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord
-from device.bundles.scan import Annotations
+from device.bundles.scan import Annotations, CaptureMode
 from device.cli.console import (
     Given,
     LengthMm,
@@ -103,6 +103,7 @@ def scan_once(
     *,
     pressed: Annotated[str, Parameter(name="--object")] = "coin",
     labels: Labels | None = None,
+    capture: CaptureMode = "single",
     json: bool = False,
     options: Given,
 ) -> int:
@@ -112,6 +113,8 @@ def scan_once(
     ----------
     pressed
         What the twin's operator presses (ignored on a real board).
+    capture
+        One frame; the average of several; or that, and a frame under no light and under each light alone.
     json
         Print one JSON document instead of sentences.
     """
@@ -119,13 +122,13 @@ def scan_once(
         read_active(store_folder(options))  # a store without a calibration is refused before anything is created
         store = open_store(options, hardware.clock)
         scanner = Scanner(with_active_gel(hardware, store.root), store)
-        scanner.check_room()
+        scanner.check_room(capture)
         scanner.measure_lights()
         hardware.operator.ask(PressObject(pressed))
         say = print_note if json else print_line
         say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
-        _report(scanner.scan(_annotations(labels), lambda: _cue_lift(hardware, say)), json)
+        _report(scanner.scan(_annotations(labels), lambda: _cue_lift(hardware, say), capture), json)
     return 0
 
 

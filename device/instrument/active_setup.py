@@ -68,9 +68,10 @@ class ActiveSetup:
         """Number of scans that still fit, after acknowledged ones made room if needed; None if unknown."""
         left = None
         with suppress(DeviceError, HalError):
-            left = self.scanner().scans_left()
+            mode = self._states.state.settings.capture
+            left = self.scanner().scans_left(mode)
             if left < 1:
-                left = self.scanner().check_room()
+                left = self.scanner().check_room(mode)
         return left
 
     def scanner_for_press(self) -> Scanner:
@@ -152,7 +153,7 @@ class ActiveSetup:
         """Take a frame of untouched skin and report how flat it reads."""
         try:
             scanner = self.scanner()
-            zero = scanner.health.check_zero(scanner.capture().capture.frame)
+            zero = scanner.health.check_zero(scanner.capture().frame)
         except (DeviceError, HalError) as error:
             self._fail(f"zero check: {error}")
             return

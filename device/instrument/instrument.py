@@ -23,6 +23,7 @@ from device.pairing_service.service import PairingSetup
 from device.store.gels import known_gels
 from device.store.marks import Opinion, ScanMark, write_mark
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
+from device.store.settings import Settings, read_settings, write_settings
 from device.store.sticky import read_sticky, write_sticky
 from device.store.store import BundleStore
 from device.surface.fields import HeightMap
@@ -102,6 +103,14 @@ class Instrument:
         self._states.update(sticky=annotations)
         try:
             write_sticky(self._store.root, annotations)
+        except DeviceError as error:
+            self._states.publish(Failed(str(error)))
+
+    def set_settings(self, settings: Settings) -> None:
+        """Change the operator's settings, also after a restart."""
+        self._states.update(settings=settings)
+        try:
+            write_settings(self._store.root, settings)
         except DeviceError as error:
             self._states.publish(Failed(str(error)))
 
@@ -199,6 +208,7 @@ def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
         gel=gel_state(store.root, hardware),
         health=HealthState(dict.fromkeys(hardware.profile.currents_ma)),
         sticky=read_sticky(store.root),
+        settings=read_settings(store.root),
         scans_stored=len(store.scans().bundles),
         sentence="starting",
     )

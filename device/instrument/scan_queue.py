@@ -136,14 +136,14 @@ class ScanQueue:
             show(self._hardware, "busy")
         self._states.publish(PressSeen(now_ns, latency_ms, source))
         try:
-            taken = scanner.capture()
+            taken = scanner.capture(mode=self._states.state.settings.capture)
         except (DeviceError, HalError) as error:
             self.refuse("hardware", str(error))
             return None
         finally:
             self._busy_until_ns = self._hardware.clock.monotonic_ns()
         self._states.publish(CaptureDone(self._busy_until_ns))
-        motion = self._motion(taken.capture.frame)
+        motion = self._motion(taken.frame)
         show(self._hardware, "may lift")
         self._hardware.operator.ask(MayLift())
         return scanner, replace(taken, motion=motion)
@@ -151,7 +151,7 @@ class ScanQueue:
     def submit(self, press: Taken) -> None:
         """Hand a press over to be judged and published."""
         scanner, taken = press
-        until_ns = taken.capture.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
+        until_ns = taken.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
         assessing = self._timed(lambda: scanner.assess(taken))
         self._works.append(Pending(scanner, self._states.state.sticky, until_ns, assessing))
         self._states.update(processing=len(self._works))
@@ -257,7 +257,7 @@ class ScanQueue:
             return None
         try:
             scanner = self._scanner()
-            self._states.update(scans_left=scanner.check_room())
+            self._states.update(scans_left=scanner.check_room(self._states.state.settings.capture))
         except StoreError as error:
             self.refuse("full", str(error))
         except (NoCalibration, DeviceError) as error:

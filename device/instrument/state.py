@@ -16,6 +16,7 @@ from device.guidance.reading import GuideReading
 from device.imaging.exposure import Brightness
 from device.instrument.events import Event
 from device.quality.thresholds import OLD_CALIBRATION_S
+from device.store.settings import Settings
 from device.surface.fields import HeightMap
 from hal.interfaces import PowerReading
 
@@ -123,6 +124,7 @@ class InstrumentState:
         not answer: `sentence` says which, and the instrument retries by itself
     processing : scans in memory that are not on the disk yet
     sticky : job, part, operator and note of every scan
+    settings : what the operator chose, such as how presses are taken
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
     alarms : battery and room for scans, most urgent first
     sentence : the last message
@@ -135,6 +137,7 @@ class InstrumentState:
     gel: GelState
     health: HealthState
     sticky: Annotations = field(default_factory=Annotations)
+    settings: Settings = field(default_factory=Settings)
     processing: int = 0
     scans_stored: int | None = None
     scans_left: int | None = None

@@ -21,6 +21,7 @@ from device.store.device_id import DeviceState
 from device.store.gels import GelRecord, MountedGel
 from device.store.marks import ScanMark
 from device.store.registry_file import RegistryFile
+from device.store.settings import Settings
 from device.store.sticky import StickyAnnotations
 
 _RECORDS: Final[tuple[type[Record], ...]] = (
@@ -35,6 +36,7 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     MountedGel,
     RegistryFile,
     StickyAnnotations,
+    Settings,
 )
 
 

@@ -33,6 +33,7 @@ class Faults:
     battery_share : charge of the battery, 0 to 1; None: no battery gauge
     wobble_mm : the hand moves what it presses to and fro by so much, every `WOBBLE_NS`
     dirty : dust lies on the skin
+    ambient : daylight that reaches the skin, fraction of full scale in an exposure
     leaning, too_deep : the operator's next presses lean, or go as deep as the gel allows
     """
 
@@ -48,6 +49,7 @@ class Faults:
     battery_share: float | None = None
     wobble_mm: float = 0.0
     dirty: bool = False
+    ambient: float = 0.0
     leaning: bool = False
     too_deep: bool = False
 
@@ -199,6 +201,7 @@ class SimulatedScene:
             dose = self._dose_ma_ms(light.name, began_ns, began_ns + exposure_ns)
             if dose > 0.0 and not (self.faults.lights_broken or light.name in self.faults.open_lights):
                 charge_e += per_ma_ms * np.float32(dose * self.faults.dimmed.get(light.name, 1.0))
+        charge_e += np.float32(self.faults.ambient * sensor.full_well_e)
         if self.faults.dirty:
             charge_e *= dust((sensor.rows, sensor.columns), sensor.pixel_pitch_um, self.seed)
         random = np.random.Generator(np.random.SFC64([self.seed, index]))

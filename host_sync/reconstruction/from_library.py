@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.files import DetailName
+from host_sync.results.record import FrameCheck
 
 
 class LibraryReconstructor:
@@ -75,9 +77,10 @@ class LibraryReconstructor:
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
         chosen = method or self._method
-        reconstruction = reconstruct(
-            scan.raw_frame(), calibration, name, chosen, force=self._force, detail=self._detail
-        )
+        frame = scan.lit_frame()
+        reconstruction = reconstruct(frame, calibration, name, chosen, force=self._force, detail=self._detail)
+        if checks := _exposure_checks(scan):
+            reconstruction = replace(reconstruction, frame_checks=(*reconstruction.frame_checks, *checks))
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": kept.facts.bundle_id, "gel_id": scan.record.gel_id}
@@ -100,6 +103,14 @@ class LibraryReconstructor:
             calibration_id = kept.calibration.calibration_id
             kept.write_report(self._library.result_folder(bundle, version("retrograph"), calibration_id))
         return kept
+
+
+def _exposure_checks(scan: ScanBundle) -> tuple[FrameCheck, ...]:
+    """What was done with the frames of a precise capture."""
+    share = scan.record.verdict.figures.get("ambient_share")
+    if scan.record.exposures.dark_file is None or share is None:
+        return ()
+    return (FrameCheck("ambient light taken out", "passed", value=share, unit="of full scale"),)
 
 
 def _check_fingerprints(scan: ScanBundle, calibration_id: str, gel_id: str, fingerprint: Fingerprint) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar
+from typing import ClassVar, Final
 
+from msgspec import structs
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widget import Widget
 from textual.widgets import Static
 
-from device.bundles.scan import Annotations
+from device.bundles.scan import Annotations, CaptureMode
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState, LastScan
@@ -25,6 +26,13 @@ from device.tui.widgets.live_view import LiveView
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
 
+_MODES: Final[tuple[CaptureMode, ...]] = ("single", "average", "lights")
+_MODE_WORDS: Final[dict[CaptureMode, str]] = {
+    "single": "",
+    "average": " · precise",
+    "lights": " · precise, each light",
+}
+
 
 class ScanScreen(InstrumentScreen):
     """The main screen."""
@@ -34,7 +42,8 @@ class ScanScreen(InstrumentScreen):
         Binding("space", "scan", "scan"),
         Binding("j", "sticky", "job"),
         Binding("a", "auto", "auto"),
-        Binding("z", "zero", "zero check"),
+        Binding("m", "mode", "mode"),
+        Binding("z", "zero", "zero"),
         Binding("d", "demonstrate", "press"),
     ]
 
@@ -64,7 +73,7 @@ class ScanScreen(InstrumentScreen):
         self._cue.update(cue_text(state))
         self._cue.set_class(_is_ready(state), "-ready")
         auto = " · auto-shutter on" if state.auto_shutter else ""
-        self._sticky.update(f"{sticky_text(state.sticky)}{auto}")
+        self._sticky.update(f"{sticky_text(state.sticky)}{_MODE_WORDS[state.settings.capture]}{auto}")
         self._show_last(state)
 
     def show_live(self, state: InstrumentState) -> None:
@@ -86,6 +95,13 @@ class ScanScreen(InstrumentScreen):
     def action_auto(self) -> None:
         """Toggle the auto-shutter."""
         self.instrument.set_auto_shutter(not self.instrument.state.auto_shutter)
+        self.show_body(self.instrument.state)
+
+    def action_mode(self) -> None:
+        """Take presses with one frame, the average of several, or that and each light alone."""
+        settings = self.instrument.state.settings
+        following = _MODES[(_MODES.index(settings.capture) + 1) % len(_MODES)]
+        self.instrument.set_settings(structs.replace(settings, capture=following))
         self.show_body(self.instrument.state)
 
     def action_zero(self) -> None:

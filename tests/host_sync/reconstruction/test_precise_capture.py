@@ -1,0 +1,49 @@
+"""A scan with a frame under no light is reconstructed as if it had been taken in the dark."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from device.acquisition.scanner import Scanner
+from device.bundles.scan import Annotations, ScanBundle
+from device.store.store import BundleStore
+from hal.board_profile import BoardProfile
+from hal.clock import VirtualClock
+from hal.simulator.bench import build
+from hal.simulator.gallery import specimen
+from hal.simulator.hardware import twin_hardware
+from hal.simulator.scene import Press
+from host_sync.library.library import Library
+from host_sync.reconstruction.from_library import LibraryReconstructor
+
+AMBIENT = 0.04
+
+
+def test_ambient_light_is_taken_out_where_the_scan_holds_a_dark_frame(
+    calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path
+) -> None:
+    root = tmp_path / "library"
+    shutil.copytree(calibrated_root, root)
+    bench = build(small_twin, VirtualClock())
+    shown = specimen("coin")
+    scans: dict[str, ScanBundle] = {}
+    with twin_hardware(bench) as hardware:
+        scanner = Scanner(hardware, BundleStore(root, hardware.clock, boot_id="b0075e21"))
+        bench.place(Press(shown.surface, (0.0, 0.0), 0.0, shown.indentation_mm))
+        scans["in the dark"] = scanner.publish(scanner.assess(scanner.capture()), Annotations()).bundle
+        bench.faults.ambient = AMBIENT
+        scans["in daylight"] = scanner.publish(scanner.assess(scanner.capture()), Annotations()).bundle
+        precise = scanner.publish(scanner.assess(scanner.capture(mode="lights")), Annotations())
+        scans["each light"] = precise.bundle
+    job = LibraryReconstructor(Library(root), force=True)
+    results = {name: job.run(scan)[0] for name, scan in scans.items()}
+    true_um = results["in the dark"].height.z_um
+    off_um = {name: float(np.nanstd(found.height.z_um - true_um)) for name, found in results.items()}
+    print(off_um)  # noqa: T201
+    assert off_um["each light"] < 0.2 * off_um["in daylight"]
+    checks = {check.name: check.value for check in results["each light"].frame_checks}
+    assert abs((checks["ambient light taken out"] or 0.0) - AMBIENT) < 0.004
+    assert "ambient light taken out" not in {check.name for check in results["in daylight"].frame_checks}
+    assert results["in daylight"].warnings
+    assert not results["each light"].warnings
