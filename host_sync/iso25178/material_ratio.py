@@ -95,7 +95,7 @@ def core_parameters(curve: MaterialRatioCurve) -> dict[str, float]:
     """Sk, Spk, Svk (µm), Smr1, Smr2 (%)."""
     falling = curve.falling_um
     count = falling.size
-    top, bottom = _core_line(falling)
+    top, bottom = core_line(falling)
     first = int(np.searchsorted(-falling, -top))
     last = int(np.searchsorted(-falling, -bottom))
     # Heights of triangles of equal area: twice the mean height over the covered fraction.
@@ -110,7 +110,7 @@ def core_parameters(curve: MaterialRatioCurve) -> dict[str, float]:
     }
 
 
-def _core_line(falling: Float64Array) -> tuple[float, float]:
+def core_line(falling: Float64Array) -> tuple[float, float]:
     """Heights (µm) at 0 and 100 % of the line fitted to the 40 % of the curve with the flattest secant."""
     span = max(round(CORE_SHARE * falling.size), 2)
     drop = falling[: falling.size - span + 1] - falling[span - 1 :]

@@ -227,14 +227,24 @@ def read_recipe(path: Path) -> Recipe:
         Names the file, the key, what is wrong with it and what is accepted.
     """
     try:
-        recipe = msgspec.toml.decode(path.read_bytes(), type=Recipe)
+        data = path.read_bytes()
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a recipe in TOML") from error
+    return recipe_of(data, str(path))
+
+
+def recipe_of(data: bytes, source: str) -> Recipe:
+    """The recipe in a file's bytes; errors as for `read_recipe`.
+
+    source : its name in errors
+    """
+    try:
+        recipe = msgspec.toml.decode(data, type=Recipe)
     except msgspec.ValidationError as error:
-        raise MeasurementError(f"{path}: {_explained(error)}") from error
+        raise MeasurementError(f"{source}: {_explained(error)}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(f"{path}: is not TOML: {error}") from error
-    return checked(recipe, str(path))
+        raise MeasurementError(f"{source}: is not TOML: {error}") from error
+    return checked(recipe, source)
 
 
 def checked(recipe: Recipe, source: str) -> Recipe:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from datetime import date
 from importlib.resources import files
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -36,6 +36,7 @@ from host_sync.viewer.service import NearPose, ViewerService
 
 MEDIA: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MAX_TEXT: Final = 200
+MAX_BODY: Final = 256_000
 _DAYS: Final = ("since", "until")
 
 NumberT = TypeVar("NumberT", int, float, date)
@@ -66,6 +67,9 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route("/api/scan/{key}/level/{level:int}", _answering(lambda request: _level(service, request))),
         Route("/api/scan/{key}/height", _answering(lambda request: _height(service, request))),
         Route("/api/scan/{key}/profile", _answering(lambda request: _profile(service, request))),
+        Route(
+            "/api/scan/{key}/measure", _posted(lambda request, body: _measure(service, request, body)), methods=["POST"]
+        ),
         Route("/api/compare", _answering(lambda request: _compare(service, request)), methods=["POST"]),
     ]
 
@@ -91,6 +95,20 @@ def _answering(answer: Callable[[Request], Response]) -> Callable[[Request], Any
 
     async def handler(request: Request) -> Response:
         return await run_in_threadpool(guarded, request)
+
+    return handler
+
+
+def _posted(answer: Callable[[Request, bytes], Response]) -> Callable[[Request], Any]:
+    """Run a handler with the body of its request in a thread; an error becomes one sentence in JSON."""
+
+    async def handler(request: Request) -> Response:
+        body = bytearray()
+        async for part in request.stream():
+            body += part
+            if len(body) > MAX_BODY:
+                return refused("The request is too large: take parts of the recipe away.", 413)
+        return cast(Response, await _answering(lambda one: answer(one, bytes(body)))(request))
 
     return handler
 
@@ -171,6 +189,14 @@ def _profile(service: ViewerService, request: Request) -> Response:
     if request.query_params.get("form") == "csv":
         return profile_csv(found, entry)
     return json_answer(profile_info(found, entry))
+
+
+def _measure(service: ViewerService, request: Request, body: bytes) -> Response:
+    # The measuring engine is loaded when it is first needed, so that the list appears at once.
+    from host_sync.viewer.measuring import recipe_from_page
+
+    recipe, samples = recipe_from_page(body), request.query_params.get("samples") == "1"
+    return json_answer(service.measure(_key(request), _page(request), recipe, samples=samples))
 
 
 def _compare(service: ViewerService, request: Request) -> Response:

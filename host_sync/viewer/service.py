@@ -10,7 +10,7 @@ import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
@@ -30,6 +30,10 @@ from host_sync.viewer.heights import Heights
 from host_sync.viewer.pictures import frame_picture, grey_frames, sigma_picture, thumbnail
 from host_sync.viewer.profile import MeasuredLine, measure_line
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
+
+if TYPE_CHECKING:
+    from host_sync.measurement.recipe import Recipe
+    from host_sync.viewer.measuring import Measuring
 
 HEAVY: Final = 2
 SCREEN_SAMPLES: Final = 400
@@ -67,6 +71,7 @@ class ViewerService:
         self.catalogue = catalogue
         self._heights = Heights()
         self._cache = Cache(cache_folder, self._heights)
+        self._measuring: Measuring | None = None
         self._frames = {scan.name: scan for scan in frames.scans} if frames else {}
         self._turn = BoundedSemaphore(HEAVY)
 
@@ -111,6 +116,15 @@ class ViewerService:
             samples_um = self._heights.samples(entry)
             sigma_um = self._heights.sigma(entry) if samples_um is None else None
             return measure_line(self._heights.read(entry, page), entry.pitch_um, line, samples_um, sigma_um)
+
+    def measure(self, key: str, page: int, recipe: Recipe, *, samples: bool) -> dict[str, Any]:
+        """The measurement of an entry by a recipe, as the page shows it."""
+        from host_sync.viewer.measuring import Measuring
+
+        entry = self.catalogue.find(key)
+        with self._turn:
+            self._measuring = self._measuring or Measuring(self._heights)
+            return self._measuring.measure(entry, page, recipe, samples=samples)
 
     def height(self, key: str, page: int, row: int, column: int) -> float:
         """One pixel's height, µm; NaN where invalid."""
