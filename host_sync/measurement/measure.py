@@ -71,6 +71,9 @@ PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
 NOISE_SHARE_UNSURE: Final = 0.2
 """Share of what noise has raised a number by that is not sure: a tenth of the noise."""
 
+ROUNDING: Final = 1e-6
+"""A spread of so small a share of a number is that of float32."""
+
 Numbers = Mapping[str, float]
 
 
@@ -319,7 +322,7 @@ def _quantities(
             value = numbers[name]
             others = np.array([sample[index][name] for sample in drawn])
             known = uncertainty_of(value, others, is_direction=name == DIRECTION)
-            if known and known[0] == 0.0:
+            if known and known[0] <= ROUNDING * abs(value):
                 known = None  # the samples do not vary it: a lateral length whose pitch has no uncertainty
             words = (*warnings.get("", ()), *warnings.get(name, ()))
             if kind.stretch_power and not plan.pitch_is_known and np.isfinite(value):

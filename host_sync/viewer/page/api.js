@@ -27,6 +27,10 @@ export const height = (key, page, row, column) =>
 export const compare = (first, second, near = {}) =>
   json(`/api/compare?${new URLSearchParams({ first, second, ...near })}`, { method: "POST" });
 
+/** A measurement by a recipe ({ text } or its keys); samples: whether ± are computed, which takes longer. */
+export const measure = (key, page, recipe, samples) => json(`/api/scan/${key}/measure?${new URLSearchParams({ page,
+  samples: samples ? 1 : 0 })}`, { method: "POST", body: JSON.stringify(recipe) });
+
 /** Address of a profile; a line is { row_0, column_0, row_1, column_1 }. */
 export const profileAddress = (key, page, line, form = "json") =>
   `/api/scan/${key}/profile?${new URLSearchParams({ ...line, page, form })}`;

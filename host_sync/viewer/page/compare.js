@@ -19,7 +19,7 @@ class ComparePage {
     this.title = `${both[0].title} and ${both[1].title}`;
     this.look = this.commonLook();
     this.stages = both.map((facts, index) => new Stage(facts, this.look, palettes, {
-      label: facts.title, onlight: () => this.panel.changed(), onview: (eye) => this.follow(index, eye),
+      label: facts.title, first: index === 0, onlight: () => this.panel.changed(), onview: (eye) => this.follow(index, eye),
     }));
     this.panel = new LookPanel({ ...both[0], low_um: this.look.low, high_um: this.look.high }, this.look,
       { onchange: () => this.apply() });

@@ -1,6 +1,11 @@
 // The list of keys.
 
-import { h } from "./dom.js";
+import { check, h } from "./dom.js";
+
+const KEPT = "retrograph keys everywhere";
+
+/** Whether single keys work without the focus on the relief; a person can switch that off. */
+export const keysEverywhere = () => localStorage.getItem(KEPT) !== "no";
 
 const KEYS = [
   ["← → ↑ ↓", "move the map, or turn in space"],
@@ -10,6 +15,7 @@ const KEYS = [
   ["1", "a screen pixel for each pixel"],
   ["3", "map or space"],
   ["M  L  P", "drag to move, to light, to draw a profile"],
+  ["Ctrl + Z", "undo a change of what is measured (with Shift: redo)"],
   ["right button", "drag the light (map) or the view (space)"],
   ["?", "this list"],
 ];
@@ -17,7 +23,8 @@ const KEYS = [
 export function setUpKeys(button) {
   const dialog = h("dialog", { class: "keys", "aria-label": "Keys" },
     h("h2", {}, "Keys"),
-    h("p", {}, "They work while the relief has the focus; profile ends and light can also be typed in the panel."),
+    h("p", {}, "Profile ends, light and places that are measured can also be typed in the panel."),
+    check("Keys work wherever the focus is, except in fields", keysEverywhere(), (on) => localStorage.setItem(KEPT, on ? "yes" : "no")).element,
     h("dl", {}, KEYS.flatMap(([key, words]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, words)])),
     h("button", { type: "button", onclick: () => dialog.close() }, "Close"));
   document.body.append(dialog);

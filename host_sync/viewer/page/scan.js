@@ -4,6 +4,7 @@ import * as api from "./api.js";
 import { announce, field, h } from "./dom.js";
 import { length, micrometres, moment, percent } from "./format.js";
 import { firstLook, LookPanel } from "./look.js";
+import { MeasurePanel } from "./measure.js";
 import { Player } from "./player.js";
 import { ProfilePlot } from "./profile_plot.js";
 import { Stage } from "./stage.js";
@@ -23,7 +24,10 @@ class ScanPage {
       label: facts.title,
       onlight: () => this.panel.changed(),
       online: (line) => this.profile(line),
-      ontool: (tool) => tool === "line" && (this.plotBox.hidden = false), // before drawing: nothing may move meanwhile
+      ontool: (tool) => {
+        if (tool === "line") this.plotBox.hidden = false; // before drawing: nothing may move meanwhile
+        if (tool !== "measure") this.measure.left();
+      },
     });
     this.panel = new LookPanel(facts, this.look, {
       onchange: () => this.stage.relief && this.stage.apply(),
@@ -33,10 +37,16 @@ class ScanPage {
     this.plot = new ProfilePlot((index) => this.stage.markPoint(index));
     this.plotBox = h("section", { class: "drawer", "aria-label": "Profile", hidden: true }, this.plot.element);
     this.below = h("div", { class: "below" });
+    this.charts = h("section", { class: "drawer charts", "aria-label": "Charts", hidden: true });
+    this.measure = new MeasurePanel(this.stage, this.charts);
+    this.views = h("div", { class: "sections" }, this.panel.element, this.profileSection(), this.compareSection(), aboutSection(facts));
+    this.measure.element.hidden = true;
+    this.tabs = ["Look", "Measure"].map((words, index) => h("button", { type: "button", "aria-pressed": String(index === 0),
+      onclick: () => this.turnTo(index) }, words));
     this.element = h("div", { class: "scan" },
-      h("div", { class: "view" }, h("h1", { class: "unseen" }, facts.title), this.stage.element, this.below, this.plotBox),
-      h("aside", { class: "panel", "aria-label": "How it is shown" }, this.panel.element, this.profileSection(),
-        this.compareSection(), aboutSection(facts)));
+      h("div", { class: "view" }, h("h1", { class: "unseen" }, facts.title), this.stage.element, this.below, this.plotBox, this.charts),
+      h("aside", { class: "panel", "aria-label": "How it is shown and measured" },
+        h("div", { class: "set tabs", role: "group", "aria-label": "Panel" }, ...this.tabs), this.views, this.measure.element));
   }
 
   start() {
@@ -55,6 +65,18 @@ class ScanPage {
       this.below.append(this.player.element);
     }
     if (this.facts.has_sigma) this.loadSigma().catch((error) => this.stage.fail(error));
+  }
+
+  turnTo(index) {
+    this.tabs.forEach((button, at) => button.setAttribute("aria-pressed", String(at === index)));
+    this.views.hidden = index === 1;
+    this.measure.element.hidden = index === 0;
+    this.charts.hidden = index === 0 || !this.charts.childElementCount;
+    if (index === 0) this.measure.left();
+    else if (!this.measuring) {
+      this.measuring = true;
+      this.measure.start();
+    }
   }
 
   async loadFrame() {
@@ -147,6 +169,7 @@ class ScanPage {
 
   dispose() {
     this.player?.dispose();
+    this.measure.dispose();
     this.plot.dispose();
     this.stage.dispose();
   }

@@ -4,6 +4,7 @@ import { height as askHeight } from "./api.js";
 import { announce, h, svg } from "./dom.js";
 import { length, withSigma } from "./format.js";
 import { listenToGestures } from "./gestures.js";
+import { keysEverywhere } from "./keys.js";
 import { ColourLegend, ScaleBar } from "./legend.js";
 import { Relief } from "./relief.js";
 
@@ -16,8 +17,9 @@ export class Stage {
    * online: called with the line when its ends move; null when profiles are not drawn here
    * ontool: called with the tool that was chosen
    * onview: called when one of several linked views moves
+   * first: whether keys are for this relief when none has the focus
    */
-  constructor(facts, look, palettes, { onlight, online = null, ontool = () => {}, onview = () => {}, label }) {
+  constructor(facts, look, palettes, { onlight, online = null, ontool = () => {}, onview = () => {}, label, first = true }) {
     this.facts = facts;
     this.look = look;
     this.onlight = onlight;
@@ -26,6 +28,9 @@ export class Stage {
     this.ontool = ontool;
     this.tool = "move";
     this.line = null;
+    this.shapes = null;
+    this.first = first;
+    this.keys = (event) => this.key(event);
     this.canvas = h("canvas", { tabindex: 0, role: "application", "aria-roledescription": "relief", "aria-label":
       `${label}: arrow keys move, plus and minus zoom, Shift with arrow keys moves the light, question mark lists all keys` });
     this.lines = svg("svg", { class: "lines", "aria-hidden": "true" });
@@ -97,18 +102,19 @@ export class Stage {
   }
 
   choose(tool) {
-    if (tool === "line" && this.relief.eye.space) this.setSpace(false);
+    if (["line", "measure"].includes(tool) && this.relief.eye.space) this.setSpace(false);
     this.tool = tool;
     this.surface.dataset.tool = tool;
     this.ontool(tool);
     for (const [name, button] of this.tools) button.setAttribute("aria-pressed", String(name === tool));
-    announce({ move: "Dragging moves the view", light: "Dragging moves the light", line: "Dragging draws a profile" }[tool]);
+    announce({ move: "Dragging moves the view", light: "Dragging moves the light", line: "Dragging draws a profile",
+      measure: "Dragging draws what is measured" }[tool]);
   }
 
   setSpace(space) {
     this.relief.setSpace(space);
     this.spaceButton.setAttribute("aria-pressed", String(space));
-    if (this.tool === "line" && space) this.choose("move");
+    if (["line", "measure"].includes(this.tool) && space) this.choose("move");
     announce(space ? "Seen in space" : "Seen as a map");
     this.changed();
   }
@@ -138,6 +144,10 @@ export class Stage {
     let action = "move";
     listenToGestures(this.surface, {
       begin: (at, event) => {
+        if (event.button === 0 && !eye.space && this.shapes?.begin(this.inside(at), event)) {
+          action = "shape";
+          return;
+        }
         action = event.button === 2 ? (eye.space ? "pan" : "light") : event.shiftKey && eye.space ? "pan" : this.tool;
         const end = event.target.dataset?.end;
         if (end) action = `end-${end}`;
@@ -146,6 +156,7 @@ export class Stage {
       },
       drag: (at, right, down) => {
         if (action === "light") this.lightAt(at);
+        else if (action === "shape") this.shapes.move(this.inside(at));
         else if (action === "line") this.setLine({ from: this.begun, to: this.inside(at) });
         else if (action === "end-from" || action === "end-to") this.setLine({ ...this.line, [action.slice(4)]: this.inside(at) });
         else if (eye.space && action !== "pan") eye.orbit(-right * 0.35, down * 0.35);
@@ -158,15 +169,27 @@ export class Stage {
       },
       hover: (at) => eye.space || this.read(eye.place(at.x, at.y)),
       leave: () => this.say(""),
-      end: () => {},
+      end: () => {
+        if (action === "shape") this.shapes.end();
+        action = "move";
+      },
     });
-    this.canvas.addEventListener("keydown", (event) => this.key(event));
+    document.addEventListener("keydown", this.keys);
     this.canvas.addEventListener("focus", () => this.canvas.matches(":focus-visible") && this.readMiddle());
     this.canvas.addEventListener("blur", () => this.say(""));
   }
 
+  /** Whether a key is for this relief: it has the focus, or it is in sight and nothing else takes the key. */
+  hears(event) {
+    const { target } = event;
+    if (target === this.canvas) return true;
+    if (!this.first || !keysEverywhere() || !this.canvas.checkVisibility() || document.querySelector("dialog[open]")) return false;
+    if (target.matches("input, select, textarea") || target.closest("canvas")) return false;
+    return !event.key.startsWith("Arrow") || !target.matches("button, a, summary, [tabindex='0']");
+  }
+
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || !this.hears(event)) return;
     const { eye } = this.relief;
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     const arrow = arrows[event.key];
@@ -257,7 +280,7 @@ export class Stage {
     const { width, height } = eye.view;
     this.scale.show(eye.space ? null : this.facts.pitch_um / eye.scale);
     this.lines.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    this.lines.replaceChildren(...(this.line ? this.drawnLine() : []));
+    this.lines.replaceChildren(...(this.line ? this.drawnLine() : []), ...(this.shapes ? this.shapes.draw() : []));
   }
 
   drawnLine() {
@@ -309,6 +332,7 @@ export class Stage {
   }
 
   dispose() {
+    document.removeEventListener("keydown", this.keys);
     this.relief?.dispose();
   }
 }
