@@ -139,12 +139,14 @@ def calibrate(
     reference: Image | None = None,
     pixel_pitch_um: float,
     encoding: Encoding = "linear",
+    paper: bool = False,
 ) -> KeptCalibration:
     """The calibration that presses of balls carry; `write(path)` keeps it, `load_calibration` reads it.
 
     reference : the skin at rest; without it a stand-in is fitted to the presses
     pixel_pitch_um : distance of neighbouring pixels on the skin
     encoding : how pixel values encode light
+    paper : also fit the paper's model, for `reconstruct(..., method="paper")`
 
     Raises
     ------
@@ -164,14 +166,16 @@ def calibrate(
         tuple(_press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses)),
         _frame(reference, encoding) if reference is not None else None,
         pixel_pitch_um,
+        paper=paper,
     )
     return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))
 
 
-def calibrate_frame_set(path: str | Path, *, cached: bool = True) -> KeptCalibration:
+def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = False) -> KeptCalibration:
     """The calibration of a frame set's file.
 
     cached : take it from the user's cache where it was made before, and keep it there
+    paper : as for `calibrate`
 
     Raises
     ------
@@ -185,7 +189,8 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True) -> KeptCalibra
     from host_sync.calibration_file.calibrator import Calibrator
     from host_sync.frames.frame_set import load_frame_set
 
-    return Calibrator(CalibrationCache.of_user() if cached else None).of_frame_set(load_frame_set(Path(path)))
+    cache = CalibrationCache.of_user() if cached else None
+    return Calibrator(cache, paper=paper).of_frame_set(load_frame_set(Path(path)))
 
 
 def load_calibration(path: str | Path) -> KeptCalibration:

@@ -18,6 +18,7 @@ class CalibrationFrames:
 
     others : frames that help to stand in for a missing reference
     light_names : of the lights, where they are said
+    paper : whether the paper's model is fitted in any case
     """
 
     presses: tuple[PressFrame, ...]
@@ -25,6 +26,7 @@ class CalibrationFrames:
     pixel_pitch_um: float
     others: tuple[LinearFrame, ...] = ()
     light_names: tuple[str, ...] = ()
+    paper: bool = False
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
@@ -44,5 +46,6 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         frames.pixel_pitch_um,
         others=frames.others,
         light_names=frames.light_names,
+        paper=frames.paper,
         tell=tell,
     )

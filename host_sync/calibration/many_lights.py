@@ -25,6 +25,7 @@ def calibrate_lights(
     others: Sequence[LinearFrame] = (),
     light_names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
+    paper: bool = False,
 ) -> Calibration:
     """The calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does three.
 
@@ -38,7 +39,7 @@ def calibrate_lights(
     if count < CHANNELS:
         raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
     if count == CHANNELS:
-        return calibrate(presses, reference, pitch_um, others=others, tell=tell)
+        return calibrate(presses, reference, pitch_um, others=others, tell=tell, paper=paper)
     groups = choose_groups(frames)
     found = []
     for number, group in enumerate(groups, start=1):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from device.bundles.calibration import CalibrationBundle
@@ -19,6 +20,7 @@ from host_sync.calibration_file.kept_calibration import (
     make_calibration,
     read_calibration_file,
 )
+from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import FrameSet
 
 Tell = Callable[[str], None]
@@ -33,6 +35,7 @@ class Calibrator:
     given : a calibration that is taken whatever is asked for, with where it came from
     tell : is given a few words as each step begins
     obtained : is given every calibration and a sentence on where it came from
+    paper : every calibration must hold the paper's model
     """
 
     def __init__(
@@ -42,25 +45,35 @@ class Calibrator:
         given: tuple[KeptCalibration, str] | None = None,
         tell: Tell = lambda _: None,
         obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None,
+        paper: bool = False,
     ) -> None:
         self._cache = cache or CalibrationCache(None)
         self._given = given
         self._tell = tell
         self._obtained = obtained
+        self._paper = paper
         self._known: dict[str, KeptCalibration] = {}
 
     @classmethod
     def of_file(
-        cls, path: Path, *, obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None
+        cls,
+        path: Path,
+        *,
+        obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None,
+        paper: bool = False,
     ) -> Calibrator:
         """What always gives the calibration in a file.
 
         Raises
         ------
         CalibrationFileError
-            It cannot be read.
+            It cannot be read, or does not hold the paper's model.
         """
         kept = read_calibration_file(path)
+        if paper and kept.calibration.paper is None:
+            raise CalibrationFileError(
+                f"{path}: holds no model of the paper's method: make it with `retrosync calibrate --paper`"
+            )
         return cls(given=(kept, f"from {path}, made {kept.facts.made_utc}"), obtained=obtained)
 
     @property
@@ -123,12 +136,12 @@ class Calibrator:
         if known is not None:
             return known
         kept, source = self._cache.find(key), ""
-        if kept is not None:
+        if kept is not None and not (self._paper and kept.calibration.paper is None):
             source = f"made {kept.facts.made_utc} and kept since"
         else:
             began_s = time.monotonic()
             self._tell("reading frames")
-            kept = make_calibration(frames(), facts, self._tell)
+            kept = make_calibration(replace(frames(), paper=self._paper), facts, self._tell)
             source = f"made now in {time.monotonic() - began_s:.0f} s"
             if self._cache.keep(kept):
                 source += " and kept for the next time"
@@ -137,12 +150,12 @@ class Calibrator:
         return kept
 
 
-def calibrate_frame_set(frame_set: FrameSet, tell: Tell = lambda _: None) -> Calibration:
+def calibrate_frame_set(frame_set: FrameSet, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
     """The calibration that a frame set's presses carry, made now; errors as for `Calibrator.of_frame_set`."""
     tell("reading frames")
-    return calibrate_frames(frames_of_set(frame_set), tell)
+    return calibrate_frames(replace(frames_of_set(frame_set), paper=paper), tell)
 
 
-def calibration_of(bundle: CalibrationBundle, tell: Tell = lambda _: None) -> Calibration:
+def calibration_of(bundle: CalibrationBundle, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
     """The calibration that a bundle carries, made now; errors as for `Calibrator.of_bundle`."""
-    return calibrate_frames(frames_of_bundle(bundle), tell)
+    return calibrate_frames(replace(frames_of_bundle(bundle), paper=paper), tell)

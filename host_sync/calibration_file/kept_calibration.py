@@ -21,15 +21,15 @@ from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.archive import Facts, read_archive, write_archive
 from host_sync.calibration_file.soundness import check_sound
 from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
-from host_sync.calibration_report.report import REPORT_FILE, report_files
+from host_sync.calibration_report.report import BALL_PICTURES, PAPER_PICTURES, REPORT_FILE, report_files
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 
 REPORT_MEMBERS: Final = "report/"
-REPORT_NAMES: Final = frozenset(
-    {REPORT_FILE, "balls.png", "residuals.png", "reflectance-maps.png", "ambiguous-bins.png"}
-)
-"""No other member of a file is written to a folder of reports."""
+REPORT_NAMES: Final = frozenset({REPORT_FILE, *BALL_PICTURES})
+PAPER_REPORT_NAMES: Final = frozenset(PAPER_PICTURES)
+"""Of a report whose calibration holds the paper's model, too. No other member of a file is written to a folder of
+reports."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,6 +126,7 @@ def read_calibration_file(source: Path | bytes, name: str | None = None) -> Kept
         raise CalibrationFileError(
             f"{called}: is no calibration of this version of retrograph ({error}): calibrate again"
         ) from error
-    if set(report) != REPORT_NAMES or facts.calibration_id != calibration.calibration_id:
+    pictures = REPORT_NAMES if calibration.paper is None else REPORT_NAMES | PAPER_REPORT_NAMES
+    if set(report) != pictures or facts.calibration_id != calibration.calibration_id:
         raise CalibrationFileError(f"{called}: its report is not that of its calibration: calibrate again")
     return KeptCalibration(calibration, report, facts)

@@ -152,7 +152,8 @@ def _check_field(calibration: Calibration) -> None:
         max(rows, columns) <= LARGEST_SIDE
         and float(calibration.flat_field.min()) > 0.0
         and 0.0 < calibration.pitch_um < np.inf
-        and set(calibration.held_out_deg) == set(METHODS)
+        and set(calibration.held_out_deg) == (set(METHODS) if calibration.paper else {"direct"})
+        and (calibration.paper is not None or calibration.preferred == "direct")
         and model.layout.rest.shape[:2] == cells
         and len(model.position.gradient) == cells[0] * cells[1]
         and (grid is None or grid == WindowGrid.of((rows, columns)))

@@ -22,6 +22,7 @@ def calibrate_command(
     *,
     out: Folder,
     library: Folder | None = None,
+    paper: bool = False,
     check: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
 ) -> int:
     """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
@@ -37,6 +38,8 @@ def calibrate_command(
         report, and the result of every scan.
     library
         Folder of pulled calibrations.
+    paper
+        Also fit the model of the paper's method, which `--method paper` needs.
     check
         TOML files of certified specimens: step, groove, sphere, roughness, period or flat.
     """
@@ -49,7 +52,7 @@ def calibrate_command(
     tell_of_compiling()
     with status_spinner() as tell:
         tell("loading compiled code")
-        kept = obtain_calibration(source, library, tell)
+        kept = obtain_calibration(source, library, tell, paper=paper)
         kept.write(out)
     from host_sync.calibration_report.summary import calibration_lines
 

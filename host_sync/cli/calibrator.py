@@ -19,15 +19,18 @@ if TYPE_CHECKING:
 Tell = Callable[[str], None]
 
 
-def calibrator_for(named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None) -> Calibrator:
+def calibrator_for(
+    named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None, *, paper: bool = False
+) -> Calibrator:
     """What gives a command its calibrations: the named file, else the user's cache or the frames themselves.
 
     facts : receives those of each calibration, instead of the output
+    paper : whether the paper's model is needed
 
     Raises
     ------
     CalibrationFileError
-        The named file cannot be read.
+        The named file cannot be read, or does not hold the paper's model.
     """
     from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
@@ -39,17 +42,18 @@ def calibrator_for(named: Path | None, tell: Tell, facts: list[dict[str, object]
             facts.append(calibration_facts(kept, source))
 
     if named is None:
-        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=obtained)
+        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=obtained, paper=paper)
     if named.is_dir():
         raise CalibrationFileError(f"{named} is a folder: name a file that `retrosync calibrate` wrote")
     tell("reading the calibration")
-    return Calibrator.of_file(named, obtained=obtained)
+    return Calibrator.of_file(named, obtained=obtained, paper=paper)
 
 
-def obtain_calibration(name: str, library: Path | None, tell: Tell) -> KeptCalibration:
+def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bool = False) -> KeptCalibration:
     """The calibration of that name: a file of `retrosync calibrate`, a frame set, a calibration's folder, or its id.
 
     library : folder of pulled calibrations, of which `name` is an id or its beginning or end
+    paper : whether the paper's model is needed
 
     Raises
     ------
@@ -60,7 +64,7 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell) -> KeptCalib
     from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
 
-    calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source)
+    calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
     path = Path(name)
     if library is not None:
         return calibrator.of_bundle(Library(library).find_calibration(name))
@@ -68,7 +72,7 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell) -> KeptCalib
         return calibrator.of_bundle(read_calibration(path))
     if is_archive(path):
         tell("reading the calibration")
-        return Calibrator.of_file(path, obtained=say_source).named()
+        return Calibrator.of_file(path, obtained=say_source, paper=paper).named()
     return calibrator.of_frame_set(load_frame_set(path))
 
 

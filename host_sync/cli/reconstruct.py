@@ -125,7 +125,7 @@ def _reconstruct_frame_set(
     tell_of_compiling()
     from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
 
-    calibrator = calibrator_for(calibration, tell, order.facts)
+    calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     done, failures = reconstruct_frame_set(
         frame_set,
         out,
@@ -164,7 +164,7 @@ def _reconstruct_library(
     from host_sync.reconstruction.from_library import LibraryReconstructor
     from host_sync.results.doubts import stated_doubts
 
-    calibrator = calibrator_for(calibration, tell, order.facts)
+    calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     job = LibraryReconstructor(
         library, order.method, tell, order.band, force=order.force, detail=order.detail, calibrator=calibrator
     )
@@ -220,7 +220,7 @@ def paper_figures(
         from host_sync.evaluation.figures import frames_to_draw, write_figures
 
         frames = frames_to_draw(name, Library(library) if library is not None else None)
-        known = calibrator_for(calibration, tell).named().calibration if calibration is not None else None
+        known = calibrator_for(calibration, tell, paper=True).named().calibration if calibration is not None else None
         written = write_figures(frames, out, formats, tell, calibration=known)
     for path in written:
         sys.stdout.write(f"{path}\n")

@@ -80,7 +80,7 @@ def video(
         from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
 
         check_replaceable(out, RECORD_FILE)  # before minutes of work
-        kept = obtain_calibration(calibration, library, lambda words: tell(words, None, None))
+        kept = obtain_calibration(calibration, library, lambda words: tell(words, None, None), paper=method == "paper")
         known, stated = kept.calibration, encoding or kept.facts.encoding
         solver = FrameSolver(known, method or known.preferred, stated, weighted=weighted, force=force)
         names = printable(sequence.name), printable(calibration)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -68,8 +69,9 @@ def write_figures(
     """
     if calibration is not None and [one.name for one in calibration.presses] != [one.name for one in frames.presses]:
         raise FrameSetError("the calibration was not made from these frames: name the one that was, or none")
+    frames = replace(frames, paper=True)
     calibration = calibration or calibrate_frames(frames, progress)
-    figures = paper_figures(calibration.paper)
+    figures = paper_figures(calibration.paper_model)
     figures["ball-errors"] = ball_error_figure(held_out_ball_errors(frames, calibration, progress))
     progress("drawing")
     return tuple(_write(figure, out / f"{name}.{kind}", dpi) for name, figure in figures.items() for kind in formats)

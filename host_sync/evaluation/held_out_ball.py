@@ -6,7 +6,7 @@ The figure shows level curves at 2 % and 4 % of the radius and at 2° and 4°.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,7 +71,7 @@ def held_out_ball_errors(
     """
     press, ball = _typical_ball(calibration)
     progress("calibrating without one ball")
-    without_ball = calibrate_frames(frames.without(calibration, press, ball))
+    without_ball = calibrate_frames(replace(frames.without(calibration, press, ball), paper=True))
     errors = []
     for method in METHODS:
         progress(f"reconstructing the ball, {method}")

@@ -144,7 +144,7 @@ def _cast_shadow(
 def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
     """Slopes per pixel by the method."""
     if method == "paper":
-        return estimate_gradients(calibration.paper, intensity)
+        return estimate_gradients(calibration.paper_model, intensity)
     gradients = evaluate(calibration.inverse.map, intensity)
     if calibration.elevation is not None:
         correct_elevation(gradients, calibration.elevation)

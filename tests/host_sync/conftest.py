@@ -21,7 +21,7 @@ class Calibrated:
 
     def __init__(self) -> None:
         self._made: dict[str, Calibration] = {}
-        self._reports: dict[str, dict[str, bytes]] = {}
+        self._reports: dict[tuple[str, bool], dict[str, bytes]] = {}
 
     def calibrate(self, frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
         """The calibration of these very frames: computed the first time."""
@@ -32,9 +32,10 @@ class Calibrated:
 
     def report(self, calibration: Calibration) -> dict[str, bytes]:
         """The report's files: drawn the first time."""
-        if calibration.calibration_id not in self._reports:
-            self._reports[calibration.calibration_id] = report_files(calibration)
-        return self._reports[calibration.calibration_id]
+        key = calibration.calibration_id, calibration.paper is not None
+        if key not in self._reports:
+            self._reports[key] = report_files(calibration)
+        return self._reports[key]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -80,7 +80,7 @@ def twin_rows(folder: Path) -> Iterator[Row]:
     """One row per skin under near and distant lights."""
     for board, distance in BOARDS:
         for skin in SKINS:
-            instrument = TwinInstrument(reference_profile(skin, board), folder / f"{board}-{skin}")
+            instrument = TwinInstrument(reference_profile(skin, board), folder / f"{board}-{skin}", paper=True)
             verdicts = {
                 method: judge_instrument(instrument, lambda _: None, method, PLACES[:2], ()) for method in METHODS
             }
@@ -96,7 +96,7 @@ def real_rows(folder: Path) -> Iterator[Row]:
     """One row per available real set."""
     for name in filter(real_sets.available, real_sets.SETS):
         frame_set = load_frame_set(real_sets.frame_set_file(name))
-        calibration = calibrate_frame_set(frame_set)
+        calibration = calibrate_frame_set(frame_set, paper=True)
         verdicts = {}
         for method in METHODS:
             out = folder / f"{name}-{method}"

@@ -47,16 +47,17 @@ class TwinInstrument:
     ----------
     profile : of the twin
     folder : where its store is made
+    paper : whether its calibration holds the paper's model
     """
 
-    def __init__(self, profile: BoardProfile, folder: Path) -> None:
+    def __init__(self, profile: BoardProfile, folder: Path, *, paper: bool = False) -> None:
         self.profile = profile
         self._bench = build(profile, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))
         self._hardware = twin_hardware(self._bench)
         with self._hardware:
             store = BundleStore(folder, self._hardware.clock, boot_id="acc00000")
             outcome = calibrate(self._hardware, store, BALL_RADIUS_MM, lambda _: None)
-        self.calibration: Calibration = calibration_of(outcome.bundle)
+        self.calibration: Calibration = calibration_of(outcome.bundle, paper=paper)
 
     def press_ball(self, column_share: float, row_share: float) -> TwinScan:
         """Press the ball at a position in the field."""

@@ -16,12 +16,14 @@ import numpy as np
 import pytest
 from pressed_frames import write_frame_set
 
+from device.errors import CalibrationError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
 from host_sync.calibration_file.cache import SETTING, CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import frames_of_set, key_of_set
 from host_sync.calibration_file.kept_calibration import (
+    REPORT_NAMES,
     KeptCalibration,
     facts_of,
     make_calibration,
@@ -32,6 +34,7 @@ from host_sync.calibration_file.typed_members import READ_ERRORS, from_members
 from host_sync.cli.main import main
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.reconstruction.pipeline import reconstruct
 
 MUTATIONS = 60
 FIELDS = (
@@ -53,7 +56,8 @@ def frame_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def kept(frame_set: Path) -> KeptCalibration:
     described = load_frame_set(frame_set)
     key = key_of_set(described)
-    return make_calibration(frames_of_set(described), lambda found: facts_of(found, "lamps", key, encoding="linear"))
+    frames = replace(frames_of_set(described), paper=True)
+    return make_calibration(frames, lambda found: facts_of(found, "lamps", key, encoding="linear"))
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +108,40 @@ def test_the_second_reconstruction_is_the_first_to_the_last_bit(
     assert said == [True, False]
     for name in FIELDS:
         assert (tmp_path / "first" / "ball" / name).read_bytes() == (tmp_path / "second" / "ball" / name).read_bytes()
+
+
+def test_the_papers_model_is_fitted_when_it_is_asked_for(
+    frame_set: Path, kept: KeptCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    cache, described = CalibrationCache.of_user(), load_frame_set(frame_set)
+    plain = Calibrator(cache).of_frame_set(described)
+    assert plain.calibration.paper is None
+    assert plain.calibration.calibration_id == kept.calibration.calibration_id
+    assert set(plain.report) == {"report.json", "balls.png", "residuals.png"}
+    assert read_calibration_file(plain.as_file()).as_file() == plain.as_file()
+    asked = Calibrator(cache, paper=True).of_frame_set(described)
+    assert asked.calibration.paper_model.table.filled_bins > 1
+    assert asked.calibration.preferred == plain.calibration.preferred == "direct"
+    assert set(asked.report) > set(plain.report)
+    found = cache.find(plain.facts.key)
+    assert found is not None
+    assert found.calibration.paper is not None
+
+
+def test_the_papers_method_wants_a_calibration_that_holds_its_model(
+    frame_set: Path, kept: KeptCalibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration = replace(kept.calibration, paper=None, held_out_deg={"direct": 0.5})
+    report = {name: data for name, data in kept.report.items() if name in REPORT_NAMES}
+    path = tmp_path / "plain.calibration"
+    KeptCalibration(calibration, report, kept.facts).write(path)
+    asked = ["reconstruct", str(frame_set), "--calibration", str(path), "--out", str(tmp_path / "out")]
+    assert main([*asked, "--method", "paper"]) == 2
+    assert "`retrosync calibrate --paper`" in capsys.readouterr().err
+    with pytest.raises(CalibrationError, match="paper=True"):
+        reconstruct(frames_of_set(load_frame_set(frame_set)).presses[0].frame, calibration, "ball", "paper")
+    assert main(asked) == 0
 
 
 def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(
@@ -252,7 +290,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a map that is not finite": lambda one: with_map(one, max_trained_slope=float("nan")),
     "a domain without width": lambda one: with_map(one, domain=replace(one.inverse.map.domain, cell=0.0)),
     "no pitch": lambda one: replace(one, pitch_um=float("nan")),
-    "one method": lambda one: replace(one, held_out_deg={"direct": 1.0}),
+    "one method beside both models": lambda one: replace(one, held_out_deg={"direct": 1.0}),
+    "a model that is missing": lambda one: replace(one, paper=None),
     "fewer errors than tilts": lambda one: replace(
         one, slope_error=msgspec.structs.replace(one.slope_error, pixel_deg=())
     ),
