@@ -40,6 +40,7 @@ def measure_command(
     json: bool = False,
     json_file: OutputFile = None,
     csv: OutputFile = None,
+    trend: Path | None = None,
 ) -> int:
     """Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.
 
@@ -76,6 +77,9 @@ def measure_command(
         Also write that document to this file.
     csv
         Also write all quantities to this file; - writes only them, to the output.
+    trend
+        Also print each number's trend over the results (mean, range, control limits, Cpk) with its ±, and draw it to
+        this .png, .pdf or .svg: numbers with a tolerance, or the first twelve.
     """
     given = {
         "form": form,
@@ -108,6 +112,8 @@ def measure_command(
             _write_json(done, path)
     if csv is not None:
         _write_csv(done, csv)
+    if trend is not None:
+        _write_trend(done, trend, quiet=alone)
     if failed:
         return PARTLY if done else BAD_INPUT
     return DONE
@@ -191,6 +197,15 @@ def _write_csv(done: Sequence[Measurement], path: Path) -> None:
     from host_sync.measurement.measurement_text import as_csv
 
     write_text(path, as_csv(done))
+
+
+def _write_trend(done: Sequence[Measurement], path: Path, *, quiet: bool) -> None:
+    from host_sync.measurement.trend import trends
+    from host_sync.report.trend_chart import write_trend
+
+    write_trend(path, done)
+    for (subject, name), (example, _, found) in ({} if quiet else trends(done)).items():
+        print_line(f"{subject} {name}: {found.text(example.unit)}")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -10,6 +10,7 @@ from datetime import date
 from importlib.resources import files
 from typing import Any, Final, TypeVar, cast
 
+import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
@@ -70,6 +71,7 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route(
             "/api/scan/{key}/measure", _posted(lambda request, body: _measure(service, request, body)), methods=["POST"]
         ),
+        Route("/api/trend", _posted(lambda _, body: _trend(body)), methods=["POST"]),
         Route("/api/compare", _answering(lambda request: _compare(service, request)), methods=["POST"]),
     ]
 
@@ -197,6 +199,29 @@ def _measure(service: ViewerService, request: Request, body: bytes) -> Response:
 
     recipe, samples = recipe_from_page(body), request.query_params.get("samples") == "1"
     return json_answer(service.measure(_key(request), _page(request), recipe, samples=samples))
+
+
+class _TrendRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """A number over scans in order, with standard uncertainties, and its tolerance."""
+
+    values: list[float | None]
+    sigmas: list[float | None]
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+
+
+def _trend(body: bytes) -> Response:
+    from host_sync.measurement.trend import trend_of
+
+    try:
+        asked = msgspec.json.decode(body, type=_TrendRequest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ViewError("the numbers are not valid: load the page again") from error
+    found = trend_of(asked.values, asked.sigmas, asked.low, asked.high)
+    if found is None:
+        return json_answer({"text": "A trend needs two scans or more with this number."})
+    return json_answer(msgspec.to_builtins(found) | {"text": found.text(asked.unit)})
 
 
 def _compare(service: ViewerService, request: Request) -> Response:

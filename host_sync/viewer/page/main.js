@@ -1,6 +1,7 @@
 // The page: chooses its part by the address.
 
 import * as api from "./api.js";
+import { batchPage } from "./batch.js";
 import { comparePage } from "./compare.js";
 import { h } from "./dom.js";
 import { setUpKeys } from "./keys.js";
@@ -19,6 +20,7 @@ async function open(address) {
   const [, place, first, second] = address.split("/");
   if (place === "scan" && first) return scanPage(first, palettes);
   if (place === "compare" && first && second) return comparePage(first, second, palettes);
+  if (place === "batch") return batchPage();
   return libraryPage();
 }
 

@@ -154,3 +154,29 @@ def test_a_bad_recipe_file_is_refused_in_a_sentence(served: Any, visit: Callable
     path.write_text("[[step]]\nname = 'kept'\nfrom_um = [100, 600]\nto_um = [3000, 640]\n")
     page.get_by_label("Open", exact=True).set_input_files(path)
     page.wait_for_selector(".item:has(input[aria-label='Name of kept'])")
+
+
+def test_one_recipe_measures_many_scans_with_their_trend(
+    served: Any, visit: Callable[..., Any], tmp_path: Path
+) -> None:
+    page = visit(served)
+    page.wait_for_selector(".card")
+    open_measuring(page, "hill")
+    page.get_by_label("Sa of surface: at most, µm").fill("1")
+    page.get_by_label("Sa of surface: at most, µm").press("Tab")
+    calm(page)
+    page.get_by_role("button", name="Measure many scans …").click()
+    page.get_by_role("button", name="Measure", exact=True).click()
+    page.wait_for_selector(".count:has-text('3 of 3 scans measured')")
+    assert page.locator(".numbers tbody tr").count() == 3
+    assert page.locator(".numbers td.fail").count() >= 1
+    page.wait_for_selector(".trend .chart .dot")
+    assert "control limits" in page.locator(".trend p").first.text_content()
+    found = axe.Axe().run(page).response["violations"]
+    assert [(one["id"], [node["target"] for node in one["nodes"]]) for one in found] == []
+    with page.expect_download() as saving:
+        page.get_by_role("link", name="Save table as CSV").click()
+    saving.value.save_as(tmp_path / "numbers.csv")
+    head, *rows = (tmp_path / "numbers.csv").read_text().splitlines()
+    assert head.startswith('scan,taken,"surface: Sa, µm",± of surface: Sa,verdict of surface: Sa')
+    assert len(rows) == 3

@@ -1,0 +1,149 @@
+"""One number over many results in order: mean, range, control limits of the individuals chart, and capability.
+
+Control limits are the mean ± 2.66 mean moving ranges (ISO 7870-2, individuals). Cp and Cpk hold the spread from one
+result to the next (mean moving range over 1.128) against the tolerance, Ppk the spread of all.
+
+Uncertainty: what the calibration does not know is common to all results, so it does not average out. It is taken as the
+median standard uncertainty of the numbers. The mean has that and s/√n; Cpk has that over three spreads, and the
+chance of so few results (Bissell, 1990).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from device.surface.fields import Float64Array
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity, decimals, plain
+
+INDIVIDUALS: Final = 2.66
+PER_RANGE: Final = 1.128
+"""Mean range of two normal values, in standard deviations."""
+
+MIN_COUNT: Final = 2
+
+
+class Trend(msgspec.Struct, frozen=True, kw_only=True):
+    """A number over results; lengths and limits in its unit, uncertainties standard (k = 1), None is not known.
+
+    count : results with a value
+    range : largest minus smallest
+    deviation : standard deviation of all
+    control_low, control_high : control limits of the individuals
+    beyond : which results lie outside them, counted over all from 0
+    cp, cpk, ppk : None without a tolerance, or without a spread
+    """
+
+    count: int
+    mean: float
+    mean_sigma: float | None
+    smallest: float
+    largest: float
+    range: float
+    deviation: float
+    control_low: float
+    control_high: float
+    beyond: tuple[int, ...] = ()
+    cp: float | None = None
+    cpk: float | None = None
+    cpk_sigma: float | None = None
+    ppk: float | None = None
+
+    def text(self, unit: str) -> str:
+        """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2"."""
+        after = f" {unit}" if unit else ""
+        parts = [f"mean {_with(self.mean, self.mean_sigma)}{after}", f"range {plain(self.range)}{after}"]
+        parts.append(f"s {plain(self.deviation)}{after}")
+        words = f"{self.count} results: {', '.join(parts)}"
+        words += f"; control limits {plain(self.control_low)} to {plain(self.control_high)}{after}"
+        words += f", {len(self.beyond)} beyond" if self.beyond else ""
+        if self.cpk is None or self.ppk is None:
+            return words
+        cp = "" if self.cp is None else f"Cp {self.cp:.2f}, "
+        return f"{words}; {cp}Cpk {_with(self.cpk, self.cpk_sigma)}, Ppk {self.ppk:.2f}"
+
+
+def trend_of(
+    values: Sequence[float | None],
+    sigmas: Sequence[float | None],
+    low: float | None = None,
+    high: float | None = None,
+) -> Trend | None:
+    """The trend of values in order, None where one is not known; None with fewer than two.
+
+    sigmas : standard uncertainty of each value
+    low, high : the tolerance
+    """
+    every = np.array([np.nan if value is None else value for value in values], np.float64)
+    seen = every[np.isfinite(every)]
+    if seen.size < MIN_COUNT:
+        return None
+    mean, deviation = float(seen.mean()), float(seen.std(ddof=1))
+    step = float(np.abs(np.diff(seen)).mean())
+    bounds = mean - INDIVIDUALS * step, mean + INDIVIDUALS * step
+    own = [sigma for sigma in sigmas if sigma is not None and np.isfinite(sigma)]
+    common = float(np.median(own)) if own else None
+    cp, cpk, ppk = _capability(seen, step / PER_RANGE, deviation, low, high)
+    cpk_sigma = None
+    if cpk is not None and common is not None:
+        chance = 1.0 / (9.0 * seen.size) + cpk**2 / (2.0 * (seen.size - 1))
+        cpk_sigma = float(np.sqrt(chance + (common / (3.0 * step / PER_RANGE)) ** 2))
+    return Trend(
+        count=int(seen.size),
+        mean=mean,
+        mean_sigma=None if common is None else float(np.hypot(common, deviation / np.sqrt(seen.size))),
+        smallest=float(seen.min()),
+        largest=float(seen.max()),
+        range=float(np.ptp(seen)),
+        deviation=deviation,
+        control_low=bounds[0],
+        control_high=bounds[1],
+        beyond=tuple(int(at) for at in np.flatnonzero((every < bounds[0]) | (every > bounds[1]))),
+        cp=cp,
+        cpk=cpk,
+        cpk_sigma=cpk_sigma,
+        ppk=ppk,
+    )
+
+
+def _capability(
+    seen: Float64Array, spread: float, deviation: float, low: float | None, high: float | None
+) -> tuple[float | None, float | None, float | None]:
+    """Cp, Cpk and Ppk."""
+    sides = [None if low is None else seen.mean() - low, None if high is None else high - seen.mean()]
+    room = [side for side in sides if side is not None]
+    if not room or not spread > 0.0 or not deviation > 0.0:
+        return None, None, None
+    cp = None if low is None or high is None else (high - low) / (6.0 * spread)
+    return cp, float(min(room)) / (3.0 * spread), float(min(room)) / (3.0 * deviation)
+
+
+def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Quantity, list[Quantity | None], Trend]]:
+    """The trend of each number that two results or more have: an example of it, one per result, and its trend."""
+    rows: dict[tuple[str, str], list[Quantity | None]] = {}
+    for at, measurement in enumerate(measurements):
+        for one in measurement.quantities:
+            rows.setdefault((one.subject, one.name), [None] * len(measurements))[at] = one
+    found = {}
+    for key, row in rows.items():
+        known = [one for one in row if one is not None]
+        limits = known[0].limits
+        trend = trend_of(
+            [None if one is None else one.value for one in row],
+            [None if one is None or one.uncertainty is None else one.uncertainty / one.coverage_factor for one in row],
+            *((limits.low, limits.high) if limits else ()),
+        )
+        if trend is not None:
+            found[key] = known[0], row, trend
+    return found
+
+
+def _with(value: float, sigma: float | None) -> str:
+    if sigma is None:
+        return f"{plain(value)}, ± not known"
+    places = max(decimals(sigma), 0)
+    return f"{value:.{places}f} ± {sigma:.{places}f}"

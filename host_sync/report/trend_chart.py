@@ -1,0 +1,90 @@
+"""A chart of numbers over results: values with their ±, mean, control limits, tolerance and capability."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from device.io.atomic import write_output
+from host_sync.errors import MeasurementError
+from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.trend import Trend, trends
+from host_sync.text import printable
+
+DPI: Final = 130
+MOST_CHARTS: Final = 12
+MOST_NAMES: Final = 40
+SUFFIXES: Final = (".png", ".pdf", ".svg")
+COLOURS: Final = {"pass": "#1d5d33", "fail": "#8c2f1b", "undecided": "#7a4a00", "": "#0b5f69"}
+SIGNS: Final = {"pass": "o", "fail": "X", "undecided": "s", "": "o"}
+
+
+def write_trend(path: Path, measurements: Sequence[Measurement]) -> None:
+    """Write the chart of the numbers that have a tolerance, or of the first ones.
+
+    Raises
+    ------
+    MeasurementError
+        Fewer than two results have a number, or the file is no picture.
+    OutputError
+        The file cannot be written.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeasurementError(f"{path}: a chart is a picture: name it with {', '.join(SUFFIXES)}")
+    found = trends(measurements)
+    chosen = [one for one in found.values() if one[0].limits is not None] or list(found.values())
+    if not chosen:
+        raise MeasurementError("a trend needs two results or more with the same number: name more results")
+    chosen = chosen[:MOST_CHARTS]
+    names = [printable(one.record.name) for one in measurements]
+    figure = Figure(figsize=(8.0, 2.6 * len(chosen) + 0.6), layout="constrained")
+    panels = np.ravel(figure.subplots(len(chosen), 1, squeeze=False))
+    for axes, (example, row, trend) in zip(panels, chosen, strict=True):
+        _draw(axes, example, row, trend, names)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=DPI, format=path.suffix.lower()[1:])
+    write_output(path, picture.getvalue())
+
+
+def _draw(axes: Axes, example: Quantity, row: Sequence[Quantity | None], trend: Trend, names: list[str]) -> None:
+    for verdict, colour in COLOURS.items():
+        points = [
+            (at, one)
+            for at, one in enumerate(row)
+            if one is not None and one.value is not None and (one.limits.verdict if one.limits else "") == verdict
+        ]
+        if points:
+            axes.errorbar(
+                [at for at, _ in points],
+                [one.value or 0.0 for _, one in points],
+                yerr=[one.uncertainty or 0.0 for _, one in points],
+                fmt=SIGNS[verdict],
+                color=colour,
+                capsize=3,
+                linestyle="none",
+                label=verdict or None,
+            )
+    axes.axhline(trend.mean, color="#1b2423", linewidth=1.0)
+    for bound in (trend.control_low, trend.control_high):
+        axes.axhline(bound, color="#55625f", linewidth=0.9, linestyle="--")
+    limits = example.limits
+    for end in (limits.low, limits.high) if limits else ():
+        if end is not None:
+            axes.axhline(end, color=COLOURS["fail"], linewidth=1.1)
+    unit = f", {example.unit}" if example.unit else ""
+    axes.set_ylabel(f"{printable(example.name)}{unit}")
+    axes.set_title(
+        f"{printable(example.subject)}: {trend.text(example.unit)}".replace("; ", "\n"), fontsize=8, loc="left"
+    )
+    shown = len(names) <= MOST_NAMES
+    axes.set_xticks(range(len(names)), names if shown else [""] * len(names), rotation=60, ha="right", fontsize=7)
+    axes.grid(visible=True, axis="y", alpha=0.3)
+    if limits:
+        axes.legend(fontsize=7, loc="best")

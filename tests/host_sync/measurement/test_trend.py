@@ -1,0 +1,77 @@
+"""Trends: control limits and capability against numbers worked out by hand, and the command that draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host_sync.cli.main import main
+from host_sync.measurement.trend import trend_of
+
+VALUES = [10.0, 12.0, 11.0, 13.0, 9.0]
+MOVING = (2.0 + 1.0 + 2.0 + 4.0) / 4.0
+
+
+def test_limits_and_capability_are_those_of_the_individuals_chart() -> None:
+    found = trend_of(VALUES, [0.3] * 5, 5.0, 16.0)
+    assert found is not None
+    assert (found.count, found.mean, found.range) == (5, 11.0, 4.0)
+    assert found.control_high - found.mean == pytest.approx(2.66 * MOVING)
+    spread = MOVING / 1.128
+    assert found.cp == pytest.approx(11.0 / (6.0 * spread))
+    assert found.cpk == pytest.approx(5.0 / (3.0 * spread))
+    assert found.ppk == pytest.approx(5.0 / (3.0 * np.std(VALUES, ddof=1)))
+    assert found.mean_sigma == pytest.approx(np.hypot(0.3, np.std(VALUES, ddof=1) / np.sqrt(5.0)))
+    chance = 1.0 / 45.0 + found.cpk**2 / 8.0
+    assert found.cpk_sigma == pytest.approx(np.sqrt(chance + (0.3 / (3.0 * spread)) ** 2))
+    words = found.text("µm")
+    assert words.startswith("5 results: mean 11.00 ± 0.77 µm, range 4 µm, s 1.581 µm; control limits ")
+    assert "Cpk 0.84 ± " in words
+
+
+def test_the_uncertainty_of_cpk_is_its_spread_over_many_studies() -> None:
+    random = np.random.default_rng(4)
+    studies = [trend_of(random.normal(10.0, 1.0, 40).tolist(), [1e-9] * 40, 6.0, 14.0) for _ in range(400)]
+    cpk = np.array([one.cpk for one in studies if one is not None])
+    stated = np.median([one.cpk_sigma for one in studies if one is not None])
+    assert 0.7 < stated / cpk.std() < 1.3  # moving ranges tell a spread less well than all values do
+
+
+def test_what_jumps_lies_beyond_and_what_is_missing_keeps_its_place() -> None:
+    found = trend_of([1.0, 1.1, None, 0.9, 1.0, 1.1, 0.9, 1.0, 9.0, 1.0, 1.1, 1.0, 0.9, 1.0, 1.1, 1.0], [None] * 16)
+    assert found is not None
+    assert found.beyond == (8,)
+    assert (found.mean_sigma, found.cpk) == (None, None)
+    assert "± not known" in found.text("")
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [None, 2.0, None]])
+def test_fewer_than_two_have_no_trend(values: list[float | None]) -> None:
+    assert trend_of(values, [None] * len(values)) is None
+
+
+def test_equal_values_have_no_capability() -> None:
+    found = trend_of([2.0, 2.0, 2.0], [0.1] * 3, 1.0, 3.0)
+    assert found is not None
+    assert (found.cpk, found.ppk) == (None, None)
+
+
+def test_the_command_draws_what_has_a_tolerance(
+    write_result: Callable[..., Path], wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [str(write_result(wave * (1.0 + 0.02 * at), name=f"part {at}", seed=at)) for at in range(4)]
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('parameters = ["Sa", "Sq"]\n[[tolerance]]\nnumber = "Sa"\nlow = 1\nhigh = 2\n')
+    chart = tmp_path / "trend.png"
+    assert main(["measure", *folders, "--recipe", str(recipe), "--trend", str(chart)]) == 0
+    said = capsys.readouterr().out
+    assert "surface Sa: 4 results: mean 1.3" in said
+    assert "Cpk" in said
+    assert chart.read_bytes().startswith(b"\x89PNG")
+    assert main(["measure", folders[0], "--recipe", str(recipe), "--trend", str(chart)]) == 2
+    assert "two results or more" in capsys.readouterr().err
+    assert main(["measure", *folders, "--recipe", str(recipe), "--trend", str(tmp_path / "a.txt")]) == 2
+    assert ".png, .pdf, .svg" in capsys.readouterr().err
