@@ -49,6 +49,8 @@ class Look:
         Draw cast shadows.
     occlusion
         Darken places that see little of the sky (ambient occlusion).
+    range_um
+        Heights of the first and last colour. Default: of each picture its own, of a contact sheet those of all.
     """
 
     width: int = 1600
@@ -61,6 +63,7 @@ class Look:
     colour: Literal["height", "white"] = "height"
     shadow: bool = False
     occlusion: bool = False
+    range_um: tuple[float, float] | None = None
 
     def still(self, *, turning: bool = False) -> Still:
         """The settings of the renderer."""
@@ -83,6 +86,7 @@ class Look:
             colour=self.colour,
             shadow=self.shadow,
             occlusion=self.occlusion,
+            range_um=self.range_um,
         )
 
 
@@ -102,7 +106,7 @@ def render_command(
     results
         Results, folders with results in them, or libraries.
     out
-        The picture (.png, .jpg, .tif); a folder for those of several; with --turntable an .mp4 or .gif.
+        The picture (.png, .jpg, .tif); a folder for those of several; with --turntable an .mp4, .gif or .webp.
     contact_sheet
         Draw all on one sheet, with names.
     across
@@ -200,7 +204,8 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
     from host_sync.render.still import render
     from host_sync.results.doubt import doubtful
 
-    small = replace(still, columns=CELL_PX)
+    range_um = still.range_um or _common_range(entries)
+    small = replace(still, columns=CELL_PX, range_um=range_um)
     cells = []
     for entry in entries:
         try:
@@ -215,11 +220,24 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
         cells.append((entry.title, ", ".join(fact for fact in facts if fact), picture))
     if not cells:
         return BAD_INPUT
-    write_any_picture(path, contact_sheet(cells, across))
+    write_any_picture(path, contact_sheet(cells, across, range_um if still.colour == "height" else None))
     print_line(str(path))
     for entry in entries:
         _print_doubts(entry)
     return DONE if len(cells) == len(entries) else PARTLY
+
+
+def _common_range(entries: list[Entry]) -> tuple[float, float]:
+    """Lowest and highest height of all that can be read, µm."""
+    from host_sync.render.relief import height_range_um
+
+    ends = []
+    for entry in entries:
+        try:
+            ends.append(height_range_um(_height(entry)))
+        except HostError:
+            continue  # what cannot be read is named when it is drawn
+    return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else (0.0, 1.0)
 
 
 @contextmanager

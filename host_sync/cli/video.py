@@ -51,7 +51,8 @@ def video(
         A file of `retrosync calibrate`, a FRAMESET.toml or a calibration's folder; with --library, a calibration's id
         or its beginning or end.
     out
-        Folder for heights_um.tif, relief.mp4, relief.gif and result.json.
+        Folder for heights_um.tif, relief.mp4, relief.gif and result.json. With the extra `movies` the MP4 plays in
+        browsers; without it relief.webp does.
     library
         Folder of pulled scans and calibrations.
     encoding

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from host_sync.render.colour_strip import with_strip
 from host_sync.render.relief import Picture
 from host_sync.render.relief_sheet import font_file, shortened
 
@@ -17,10 +18,13 @@ _LETTER: Final = 17
 _INK: Final = (40, 40, 40)
 
 
-def contact_sheet(pictures: Iterable[tuple[str, str, Picture]], across: int) -> Picture:
+def contact_sheet(
+    pictures: Iterable[tuple[str, str, Picture]], across: int, range_um: tuple[float, float] | None = None
+) -> Picture:
     """Picture of shape (H, W, 3) with `across` reliefs per row, each with its name and a line of facts.
 
     pictures : name, facts and picture of each, at most `CELL_PX` wide and high
+    range_um : heights of the first and last colour of all, µm, for a colour bar below; None draws none
     """
     font = ImageFont.truetype(font_file(), _LETTER)
     lines: list[Image.Image] = []
@@ -40,4 +44,5 @@ def contact_sheet(pictures: Iterable[tuple[str, str, Picture]], across: int) -> 
                 at = (left, _GAP // 2 + tallest + 6 + number * round(1.35 * _LETTER))
                 draw.text(at, shortened(words, font, CELL_PX), _INK if number == 0 else (110, 110, 110), font)
         lines.append(line)
-    return np.concatenate([np.asarray(line) for line in lines])
+    sheet = np.concatenate([np.asarray(line) for line in lines])
+    return sheet if range_um is None else with_strip(sheet, range_um)

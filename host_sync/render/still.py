@@ -36,6 +36,7 @@ class Still:
     viewpoint : None looks straight down, orthographic
     light_azimuth_deg : counter-clockwise from the right edge of the height map; 135 is the upper left
     exaggeration : factor on heights; None chooses one for good contrast
+    range_um : heights of the first and last colour, µm; None takes those of the height map
     shadow, occlusion : whether the relief casts shadows, and occludes the sky
     """
 
@@ -47,6 +48,7 @@ class Still:
     colour: Colour = "height"
     shadow: bool = False
     occlusion: bool = False
+    range_um: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -56,6 +58,8 @@ class Still:
             raise RenderError("the light must be above the surface: choose an elevation above 0 and up to 90")
         if self.exaggeration is not None and not 0.0 < self.exaggeration <= 1e4:
             raise RenderError("the exaggeration must be above 0 and at most 10000")
+        if self.range_um is not None and not self.range_um[0] < self.range_um[1]:
+            raise RenderError("the range of colours must rise: give the lower height first")
         view = self.viewpoint
         if view is not None and not (0.0 < view.elevation_deg <= 90.0 and 0.0 <= view.field_deg <= 120.0):
             raise RenderError(
@@ -117,7 +121,7 @@ def surface_colours(height: HeightMap, still: Still) -> Picture:
     brightness = _occluded(height, still, factor, brightness)
     if still.colour == "height":
         flat = flat_brightness(still.light_elevation_deg)
-        return tinted(height, brightness, flat, *height_range_um(height))
+        return tinted(height, brightness, flat, *(still.range_um or height_range_um(height)))
     grey = np.round(255.0 * np.nan_to_num(np.clip(brightness, 0.0, 1.0), nan=1.0)).astype(np.uint8)
     return np.repeat(grey[..., None], 3, axis=2)
 

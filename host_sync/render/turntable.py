@@ -11,7 +11,8 @@ import numpy as np
 
 from device.surface.fields import HeightMap
 from host_sync.errors import RenderError
-from host_sync.render.relief import Picture
+from host_sync.render.colour_strip import with_strip
+from host_sync.render.relief import Picture, height_range_um
 from host_sync.render.relief_movie import ReliefGif, ReliefMovie
 from host_sync.render.still import Still, auto_exaggeration, resize_to_width, surface_colours
 from host_sync.render.viewpoint import Viewpoint, project
@@ -27,11 +28,13 @@ def turning_pictures(height: HeightMap, still: Still, frames: int = FRAMES) -> I
     colours = surface_colours(small, still)
     view = still.viewpoint or Viewpoint()
     factor = auto_exaggeration(small, still)
+    range_um = still.range_um or height_range_um(small)
     shape = _shape(small, view, factor, still.columns)
     for number in range(frames):
         seen = replace(view, azimuth_deg=view.azimuth_deg + 360.0 * number / frames)
         points = project(small, seen, factor, shape[1], shape=shape)
-        yield rasterize_mesh(points, colours)
+        picture = rasterize_mesh(points, colours)
+        yield with_strip(picture, range_um) if still.colour == "height" else picture
 
 
 def write_turntable(
@@ -41,7 +44,7 @@ def write_turntable(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> None:
-    """Write the turntable as .mp4 or .gif, by the suffix.
+    """Write the turntable as .mp4, .gif or .webp, by the suffix.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def write_turntable(
     """
     suffix = path.suffix.lower()
     pictures = turning_pictures(height, still, frames)
-    if suffix == ".gif":
+    if suffix in {".gif", ".webp"}:
         gif = ReliefGif(frames, RATE_HZ)
         for number, picture in enumerate(pictures):
             gif.append(number, picture)
@@ -66,7 +69,7 @@ def write_turntable(
                 movie.append(picture)
                 progress(number + 1, frames)
     else:
-        raise RenderError(f"{path}: a turntable is written as .mp4 or .gif: choose one")
+        raise RenderError(f"{path}: a turntable is written as .mp4, .gif or .webp: choose one")
 
 
 def _shape(height: HeightMap, view: Viewpoint, factor: float, columns: int) -> tuple[int, int]:

@@ -46,11 +46,17 @@ class MovieFiles:
 
     mp4: Path | None
     gif: Path | None
+    webp: Path | None = None
+
+    @property
+    def small(self) -> tuple[Path, ...]:
+        """The files of fewer and smaller pictures."""
+        return tuple(path for path in (self.gif, self.webp) if path is not None)
 
     @property
     def wanted(self) -> bool:
         """Whether any movie is to be drawn."""
-        return self.mp4 is not None or self.gif is not None
+        return self.mp4 is not None or bool(self.small)
 
 
 def write_movie(
@@ -78,7 +84,7 @@ def write_movie(
     sheet = ReliefSheet(
         first.z_um.shape, first.pitch_um, (relief.low_um, relief.high_um), exaggeration_for(relief.steep), title
     )
-    gif = ReliefGif(len(numbers), rate_hz / skipped) if files.gif else None
+    gif = ReliefGif(len(numbers), rate_hz / skipped) if files.small else None
     with ExitStack() as opened:
         sinks: list[Callable[[int, Picture], None]] = [gif.append] if gif else []
         if files.mp4:
@@ -95,8 +101,9 @@ def write_movie(
             progress("relief", number + 1, len(stack))
         for job in pending:
             job.result()
-    if gif and files.gif:
-        gif.write(files.gif)
+    if gif is not None:
+        for path in files.small:
+            gif.write(path)
 
 
 def _page(stack: Float32Array, number: int, pitch_um: float) -> HeightMap:

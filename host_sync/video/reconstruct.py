@@ -21,6 +21,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
 from host_sync.reconstruction.result_writer import calibration_facts
+from host_sync.render.relief_movie import plays_in_browser
 from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
@@ -115,7 +116,8 @@ def reconstruct_sequence(
         if all(outcome.statistics is None for outcome in outcomes):
             raise SequenceError(f"none of {len(outcomes)} frames could be reconstructed: {outcomes[0].reason}")
         mp4 = folder / "relief.mp4" if options.mp4 else None
-        movies = MovieFiles(mp4, folder / "relief.gif" if options.gif else None)
+        webp = folder / "relief.webp" if options.mp4 and not plays_in_browser() else None
+        movies = MovieFiles(mp4, folder / "relief.gif" if options.gif else None, webp)
         if movies.wanted:
             heights = open_heights(folder / HEIGHTS_FILE)
             title = f"{doubtful(doubts)} {options.name}".lstrip()

@@ -9,8 +9,11 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+import tifffile
+from PIL import Image
 
 from host_sync.cli.main import main
+from host_sync.render.colour_strip import STRIP_ROWS
 from host_sync.results.field_file import write_field
 
 
@@ -56,12 +59,37 @@ def test_a_contact_sheet_and_a_turntable(tmp_path: Path) -> None:
     result(tmp_path / "results" / "b", "b")
     sheet, film = tmp_path / "sheet.png", tmp_path / "turn.mp4"
     assert main(["render", str(folder), "--out", str(sheet), "--contact-sheet"]) == 0
-    assert cv2.imread(str(sheet)).shape[1] > 800
+    drawn = cv2.imread(str(sheet))
+    assert drawn.shape[1] > 800
+    assert len(np.unique(drawn[-STRIP_ROWS + 12, 50:600], axis=0)) > 100  # the colour bar of both
     command = ["render", str(folder / "a"), "--out", str(film), "--turntable", "--frames", "5", "--width", "160"]
     assert main(command) == 0
     movie = cv2.VideoCapture(str(film))
     assert movie.get(cv2.CAP_PROP_FRAME_COUNT) == 5
     movie.release()
+    loop = tmp_path / "turn.webp"
+    command[3] = str(loop)
+    assert main(command) == 0
+    with Image.open(loop) as shown:
+        assert shown.is_animated
+        assert shown.info["loop"] == 0
+
+
+def test_a_contact_sheet_has_one_range_of_colours(tmp_path: Path) -> None:
+    for name, factor in (("a", 1.0), ("b", 1.0)):
+        folder = result(tmp_path / "results" / name, name)
+        if name == "b":
+            z_um = tifffile.imread(folder / "height_um.tif")
+            tifffile.imwrite(folder / "height_um.tif", (0.01 * factor * z_um).astype(np.float32))
+    sheets = []
+    for number, more in enumerate(([], ["--range-um", "0", "1000"])):
+        out = tmp_path / f"{number}.png"
+        assert main(["render", str(tmp_path / "results"), "--out", str(out), "--contact-sheet", *more]) == 0
+        sheets.append(cv2.imread(str(out))[:-STRIP_ROWS].astype(float))
+    flat = sheets[0][60:300, 500:800]
+    assert flat.std(axis=(0, 1)).max() < sheets[0][60:300, 60:360].std(axis=(0, 1)).max()
+    assert np.abs(sheets[0] - sheets[1]).max() > 20.0
+    assert main(["render", str(tmp_path / "results" / "a"), "--out", str(out), "--range-um", "2", "1"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -71,7 +99,7 @@ def test_a_contact_sheet_and_a_turntable(tmp_path: Path) -> None:
         (["{empty}", "--out", "x.png"], "neither scans nor results"),
         (["{nowhere}", "--out", "x.png"], "no such folder"),
         (["{result}", "--out", "{tmp}/x.doc"], "not a picture format"),
-        (["{result}", "--out", "{tmp}/x.png", "--turntable"], ".mp4 or .gif"),
+        (["{result}", "--out", "{tmp}/x.png", "--turntable"], ".mp4, .gif or .webp"),
         (["{result}", "--out", "{tmp}/x.png", "--width", "3"], "px wide"),
         (
             ["{result}", "--out", "{tmp}/x.png", "--contact-sheet", "--turntable"],
