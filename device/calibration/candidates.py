@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from device.balls.sphere import BallSamples
-from device.calibration.cross_validation import GroupedRidgeCV
+from device.calibration.cross_validation import FoldedRidge, GroupedRidgeCV
 from device.calibration.product_features import ProductFeatures
 from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity
@@ -226,26 +226,29 @@ class Lesson:
         """
         many = self.count >= MIN_FOR_MANY_TERMS
         forms = LIGHT_FORMS if light is not None and many else PLAIN_FORMS
-        best = min((self._at_best_penalty(form, light) for form in forms), key=_error)
-        if not many:
-            return best
-        wavy = self._at_best_penalty(fourier_form(), light)
-        return wavy if wavy[1] < WAVY_GAIN * best[1] else best
+        best = self._best_trial(forms, light)
+        if many:
+            wavy = self._trial(fourier_form(), light)
+            best = wavy if wavy.error < WAVY_GAIN * best.error else best
+        return best.at_best_penalty()
 
     def fit_near_light(self) -> tuple[RegressorFit, float]:
         """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
         near = NearLightModel.of(self.samples, self.slope, self.shape)
-        anchored, free = (
-            min((self._at_best_penalty(form, near) for form in forms), key=_error)
-            for forms in (ANCHORED_FORMS, NEAR_FORMS)
-        )
+        anchored, free = (self._best_trial(forms, near).at_best_penalty() for forms in (ANCHORED_FORMS, NEAR_FORMS))
         if free[1] < ANCHOR_COST * anchored[1]:
             return free
         return free if self._gain_error(free[0]) < ANCHOR_GAIN * self._gain_error(anchored[0]) else anchored
 
     def root_learner(self) -> tuple[RegressorFit, float]:
         """The learner that reads the root of intensity, and its held-out error."""
-        return self._at_best_penalty(ROOT_FORM, RootIntensity())
+        return self._trial(ROOT_FORM, RootIntensity()).at_best_penalty()
+
+    def relearned(self, learner: RegressorFit) -> tuple[RegressorFit, float]:
+        """The learner of the same form that reads the same, at its best penalty here, and its held-out error."""
+        near = isinstance(learner.reading, NearLightModel)
+        reading = NearLightModel.of(self.samples, self.slope, self.shape) if near else learner.reading
+        return self._trial(learner.form, reading).at_best_penalty()
 
     def _gain_error(self, learner: RegressorFit) -> float:
         """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
@@ -255,30 +258,55 @@ class Lesson:
         gains = gains_of_balls(slope_from_stereographic(u)[gentle], self.slope[gentle], self.samples.ball[gentle])
         return float(np.sqrt(((gains - 1.0) ** 2).mean())) if gains.size else 0.0
 
-    def _at_best_penalty(self, form: RegressorForm, reading: Reading | None) -> tuple[RegressorFit, float]:
-        """The learner of this form with the penalty of least held-out error, and that error.
+    def _best_trial(self, forms: Iterable[RegressorForm], reading: Reading | None) -> _Trial:
+        """The form of least held-out error, one at a time: their features take a hundred megabytes."""
+        return min((self._trial(form, reading) for form in forms), key=lambda trial: trial.error)
 
-        Errors fall and rise again with the penalty: every third is tried, then those beside the best.
-        """
+    def _trial(self, form: RegressorForm, reading: Reading | None) -> _Trial:
+        """A form with every third penalty tried."""
         learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat)
         folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
-        errors: dict[int, float] = {}
-
-        def best_of(numbers: Iterable[int]) -> int:
-            tried = [number for number in numbers if 0 <= number < len(PENALTIES) and number not in errors]
-            held_out = np.stack(folds.held_out([PENALTIES[number] for number in tried]))
-            found = _balanced_errors(self.samples, slope_from_stereographic(held_out), self.slope)
-            errors.update(zip(tried, found, strict=True))
-            return min(errors, key=lambda number: errors[number])
-
-        least = best_of(range(1, len(PENALTIES), PENALTY_STRIDE))
-        least = best_of(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))
-        return replace(learner, penalty=PENALTIES[least]), errors[least]
+        trial = _Trial(self, learner, folds, {})
+        trial.attempt(range(1, len(PENALTIES), PENALTY_STRIDE))
+        return trial
 
 
-def _error(found: tuple[RegressorFit, float]) -> float:
-    """What learners are chosen by, one at a time: their features take a hundred megabytes."""
-    return found[1]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """A learner whose penalty is being chosen: held-out errors fall and rise again with it.
+
+    errors : held-out error by the number of the penalty, of those that were tried
+    """
+
+    lesson: Lesson
+    learner: RegressorFit
+    folds: FoldedRidge
+    errors: dict[int, float]
+
+    @property
+    def error(self) -> float:
+        """The least held-out error so far, in slope."""
+        return min(self.errors.values())
+
+    def attempt(self, numbers: Iterable[int]) -> None:
+        """Try these penalties, as far as there are any that were not tried."""
+        tried = [number for number in numbers if 0 <= number < len(PENALTIES) and number not in self.errors]
+        held_out = np.stack(self.folds.held_out([PENALTIES[number] for number in tried]))
+        lesson = self.lesson
+        found = _balanced_errors(lesson.samples, slope_from_stereographic(held_out), lesson.slope)
+        self.errors.update(zip(tried, found, strict=True))
+
+    def at_best_penalty(self) -> tuple[RegressorFit, float]:
+        """The learner with the penalty of least held-out error among the best so far and those beside it, and that
+        error.
+        """
+        least = self._least()
+        self.attempt(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))
+        least = self._least()
+        return replace(self.learner, penalty=PENALTIES[least]), self.errors[least]
+
+    def _least(self) -> int:
+        return min(self.errors, key=lambda number: self.errors[number])
 
 
 def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:

@@ -135,10 +135,12 @@ class BegunFit:
 
     fit : without what judges no fit: the map's leverage and the replicas
     finished : gives the fit with both
+    learned : the learner of intensity and those of the map; None of a lone ball
     """
 
     fit: InverseFit
     finished: Callable[[], InverseFit]
+    learned: tuple[RegressorFit, Learners] | None
 
 
 def begin_fit(
@@ -149,12 +151,14 @@ def begin_fit(
     max_samples: int = 40_000,
     light: IlluminationMap | None = None,
     thorough: bool = False,
+    like: BegunFit | None = None,
 ) -> BegunFit:
     """The fit of a full-size field of `shape` (H, W) to samples of `balls`.
 
     light : of untouched skin, for curves that want a reference, where held-out balls gain by them
     thorough : try curves that the quick look would not use too: of the root of intensity, and such as need not read
         untouched skin as flat where pressed skin without slope has another colour
+    like : a fit of nearly the same samples, whose forms are taken; penalties and shares are chosen anew
 
     Raises
     ------
@@ -174,9 +178,11 @@ def begin_fit(
         domain = TrainingDomain.observed(samples.intensity)
         fitted = InverseMap(shape, domain, learner.curve(solution), balls[0].steepest)
         lone = InverseFit(fitted, tuple(balls), everyone, np.array([np.nan]), None, ())
-        return BegunFit(lone, lambda: lone)
+        return BegunFit(lone, lambda: lone, None)
     few = _thinned(chosen, CHOOSING_SAMPLES)
-    learned = _learners(Lesson(few, true_slopes(few, balls), len(balls), shape), light, thorough=thorough)
+    lesson = Lesson(few, true_slopes(few, balls), len(balls), shape)
+    known = like.learned if like else None
+    learned = _learners_like(lesson, *known) if known else _learners(lesson, light, thorough=thorough)
     plain, learners = learned
     if few is not chosen:
         learners = [(learner.of_samples(chosen, slope, shape), share) for learner, share in learners]
@@ -207,7 +213,7 @@ def begin_fit(
         replicas = _replicas(few, state, *learned, domain, shape) if thorough else ()
         return replace(fit, map=known, replicas=replicas)
 
-    return BegunFit(fit, finished)
+    return BegunFit(fit, finished, learned)
 
 
 def _in_core(samples: BallSamples, balls: Sequence[Ball]) -> MaskArray:
@@ -280,6 +286,16 @@ def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) 
         if near_error < NEAR_GAIN * error:
             own, error = near, near_error
     return plain, _shared(own, error, [_flat_or_free(found, name) for name in choices if name != "plain"])
+
+
+def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> tuple[RegressorFit, Learners]:
+    """Learners of the same forms that read the same, with the penalties and shares that this lesson prefers."""
+    before = [plain, *(learner for learner, _ in learners if learner is not plain)]
+    calls = [partial(replace(lesson, flat=learner.flat).relearned, learner) for learner in before]
+    found = results_of(calls)
+    own_is_plain = learners[0][0] is plain
+    (own, error), *others = found if own_is_plain else found[1:]
+    return found[0][0], _shared(own, error, others)
 
 
 def _flat_or_free(

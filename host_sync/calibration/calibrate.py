@@ -187,7 +187,7 @@ def calibrate(
     if elevated and response:
         tell("fitting it again with every ball at the elevation of untouched skin")
         located = _lowered(located, elevated)
-        begun = _fit_to(located, IlluminationMap.of(flat_field))
+        begun = _fit_to(located, IlluminationMap.of(flat_field), begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     used = apply_fit(located, inverse)
@@ -304,10 +304,11 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
-def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None) -> BegunFit:
+def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
     samples = gather_samples([(press.intensity, press.balls) for press in presses])
     balls = [ball for press in presses for ball in press.balls]
-    return begin_fit(samples, balls, presses[0].intensity.shape, max_samples=FITTED_SAMPLES, light=light, thorough=True)
+    shape = presses[0].intensity.shape
+    return begin_fit(samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like)
 
 
 def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array) -> ElevatedBalls | None:

@@ -25,8 +25,13 @@ def balls_figure(presses: Sequence[TrainingPress]) -> Figure:
     grid_columns = pictures_across(len(shown))
     grid_rows = -(-len(shown) // grid_columns)
     rows, columns = shown[0].shape
-    figure = Figure(figsize=(12.0, 12.0 / grid_columns * rows / columns * grid_rows + 0.8), layout="constrained")
-    grid = figure.subplots(grid_rows, grid_columns, squeeze=False).ravel()
+    width_in, title_in = 12.0, 0.25
+    height_in = (width_in / grid_columns * rows / columns + title_in) * grid_rows + 0.4
+    figure = Figure(figsize=(width_in, height_in))
+    # Set, not constrained: measuring every label takes longer than all else that is drawn here.
+    margins = {"left": 0.005, "right": 0.995, "bottom": 0.005, "top": 1.0 - (0.4 + title_in) / height_in}
+    gaps = {"wspace": 0.02, "hspace": title_in / (width_in / grid_columns * rows / columns)}
+    grid = figure.subplots(grid_rows, grid_columns, squeeze=False, gridspec_kw=margins | gaps).ravel()
     for axes, press in zip(grid, shown, strict=False):
         _draw_press(axes, press)
     for axes in grid[len(shown) :]:
@@ -36,7 +41,7 @@ def balls_figure(presses: Sequence[TrainingPress]) -> Figure:
     title = f"{used} balls used (+, circle: trusted contact), {rejected} rejected (x)"
     if len(shown) < len(presses):
         title += f"; {len(shown)} of {len(presses)} presses shown, those with rejected balls first"
-    figure.suptitle(title)
+    figure.suptitle(title, y=1.0 - 0.1 / height_in, va="top")
     return figure
 
 
