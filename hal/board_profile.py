@@ -117,6 +117,43 @@ class LibcameraConfig(Table, frozen=True):
     lens_position: NotNegative | None = None
 
 
+UvcProperty = Literal["exposure", "gain", "white balance", "focus"]
+
+
+class UvcConfig(Table, frozen=True):
+    """A camera on USB that hands out finished 8-bit pictures, and its lights.
+
+    card : part of the name that the kernel gives to exactly one camera, such as "GelSight Mini"
+    columns, rows : size of its pictures
+    left, top : where in them the frame of `sensor.columns` by `sensor.rows` pixels begins
+    frame_period_us : of its pictures
+    encoding : how pixel values encode light
+    fixed : properties without a control because they never change, as the maker says; all others must have one
+    gain_units : the gain control's value at gain 1
+    white_balance_k : colour temperature to lock, if the camera has a control for it
+    focus_units : focus to lock, if the camera has a control for it
+    controls : further controls by name, and the value that each must keep
+    settle_frames : new exposure and gain show in this many frames at the latest
+    lights : always on, or by the zoom control as a DIGIT's are (4 bits a light)
+    """
+
+    card: Annotated[str, msgspec.Meta(min_length=3)]
+    columns: EvenSize
+    rows: EvenSize
+    frame_period_us: Positive
+    pixel_format: Literal["MJPG", "YUYV", "RGB3"] = "MJPG"
+    encoding: Literal["srgb", "linear"] = "srgb"
+    left: Annotated[int, msgspec.Meta(ge=0)] = 0
+    top: Annotated[int, msgspec.Meta(ge=0)] = 0
+    fixed: tuple[UvcProperty, ...] = ()
+    gain_units: Positive | None = None
+    white_balance_k: Annotated[int, msgspec.Meta(ge=1000, le=20_000)] | None = None
+    focus_units: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    controls: dict[str, int] = {}
+    settle_frames: Annotated[int, msgspec.Meta(ge=1, le=12)] = 4
+    lights: Literal["always on", "zoom control"] = "always on"
+
+
 class LightDriverConfig(Table, frozen=True):
     """The chip that drives the lights, its address, and the resistor (ohm) that sets its currents."""
 
@@ -184,19 +221,20 @@ class TwinConfig(Table, frozen=True):
 class BoardProfile(Table, frozen=True):
     """One board: facts about its hardware, no choices of the user.
 
-    driver : "picamera2" for a real board, "twin" for a simulated one, "twin-camera" for this machine's bus and lines
-        with the twin's camera
+    driver : "picamera2" for a real board, "uvc" for a sensor on USB, "twin" for a simulated one, "twin-camera" for
+        this machine's bus and lines with the twin's camera
     """
 
     schema: Literal["retrograph.board/1"]
     name: str
-    driver: Literal["twin", "twin-camera", "picamera2"]
+    driver: Literal["twin", "twin-camera", "picamera2", "uvc"]
     sensor: SensorConfig
     camera: CameraConfig
     lights: tuple[LightConfig, LightConfig, LightConfig]
     gel: GelConfig
     twin: TwinConfig | None = None
     libcamera: LibcameraConfig | None = None
+    uvc: UvcConfig | None = None
     light_driver: LightDriverConfig | None = None
     button: ButtonConfig | None = None
     indicator: IndicatorConfig | None = None
@@ -208,6 +246,17 @@ class BoardProfile(Table, frozen=True):
         return {light.name: light.current_ma for light in self.lights}
 
     @property
+    def frame_period_us(self) -> float | None:
+        """Locked frame period, µs; None for a simulated camera."""
+        camera = self.libcamera or self.uvc
+        return None if camera is None else camera.frame_period_us
+
+    @property
+    def lights_always_on(self) -> bool:
+        """Whether the lights cannot be switched: no frame shows one alone, or darkness."""
+        return self.uvc is not None and self.uvc.lights == "always on"
+
+    @property
     def capabilities(self) -> frozenset[str]:
         """Capabilities beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current", and
         "live-aiming" (ten views per second with time to spare)."""
@@ -216,7 +265,7 @@ class BoardProfile(Table, frozen=True):
             "under-voltage": self.power is not None,
             "battery": self.power is not None and self.power.fuel_gauge is not None,
             "focus": self.libcamera is not None and self.libcamera.lens_position is not None,
-            "live-aiming": self.libcamera is not None and self.libcamera.frame_period_us <= LIVE_AIMING_US,
+            "live-aiming": self.frame_period_us is not None and self.frame_period_us <= LIVE_AIMING_US,
             "light-current": self.light_driver is not None and self.light_driver.chip == "PCA9955B",
         }
         return frozenset(name for name, present in has.items() if present)
@@ -280,9 +329,11 @@ def _errors(profile: BoardProfile) -> Iterator[str]:
     if profile.sensor.white_level_dn <= profile.sensor.black_level_dn:
         yield "sensor.white_level_dn: accepted: more than black_level_dn"
     yield from _exposure_errors(profile.sensor, profile.camera)
-    if profile.driver != "picamera2" and profile.twin is None:
+    if profile.driver.startswith("twin") and profile.twin is None:
         yield f"twin: the driver {profile.driver!r} needs a [twin] table; it may be empty"
-    if profile.driver != "twin":
+    if profile.driver == "uvc":
+        yield from _usb_errors(profile)
+    elif profile.driver != "twin":
         yield from _wiring_errors(profile)
 
 
@@ -296,6 +347,22 @@ def _exposure_errors(sensor: SensorConfig, camera: CameraConfig) -> Iterator[str
     shortest_us = sensor.min_exposure_us or sensor.exposure_step_us
     if camera.exposure_us < shortest_us:
         yield f"camera.exposure_us: accepted: at least {shortest_us:g}, the shortest exposure of the {sensor.model}"
+
+
+def _usb_errors(profile: BoardProfile) -> Iterator[str]:
+    """Problems in the table that a sensor on USB needs."""
+    camera, sensor = profile.uvc, profile.sensor
+    if camera is None:
+        yield "uvc: the driver 'uvc' needs a [uvc] table"
+        return
+    if camera.left + sensor.columns > camera.columns or camera.top + sensor.rows > camera.rows:
+        yield f"uvc.left, uvc.top: accepted: the frame lies within the picture of {camera.columns}x{camera.rows} pixels"
+    if (sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn) != ("RGGB", 0.0, 65535.0):
+        yield "sensor: accepted of a sensor on USB: bayer_order RGGB, black_level_dn 0, white_level_dn 65535"
+    if camera.gain_units is None and profile.camera.analogue_gain != 1.0:
+        yield "camera.analogue_gain: accepted: 1, as uvc.gain_units is not stated"
+    if profile.camera.exposure_us > camera.frame_period_us:
+        yield "camera.exposure_us: accepted: at most uvc.frame_period_us"
 
 
 def _wiring_errors(profile: BoardProfile) -> Iterator[str]:

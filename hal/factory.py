@@ -27,6 +27,10 @@ def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int |
         from hal.drivers.board_hardware import board_hardware
 
         return board_hardware(profile, clock or SystemClock())
+    if profile.driver == "uvc":
+        from hal.drivers.usb_hardware import usb_hardware
+
+        return usb_hardware(profile, clock or SystemClock())
     if profile.driver == "twin-camera":
         from hal.simulator.emulated.mirrored_board import mirrored_board_hardware
 

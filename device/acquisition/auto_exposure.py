@@ -82,27 +82,54 @@ def _nearest_place(sensor: SensorConfig, light: LightConfig) -> tuple[float, flo
 
 
 def _response(hardware: Hardware, plan: CaptureSettings) -> list[float]:
-    """Brightest level of each channel per mA and µs; the currents are halved until nothing saturates."""
+    """Brightest level of each channel per mA and µs; the light is halved until nothing saturates."""
     for halving in range(MAX_HALVINGS + 1):
-        asked = {name: current / 2**halving for name, current in plan.currents_ma.items()}
-        currents_ma = hardware.lights.granted_ma(asked)
-        frame = capture(hardware, CaptureSettings(plan.settings, currents_ma))
+        dimmed = _dimmed(hardware, plan, 0.5**halving)
+        currents_ma = dimmed.currents_ma
+        frame = capture(hardware, dimmed)
         levels = channel_levels(frame, BRIGHTEST_PERCENTILE)
         if max(levels) >= SATURATED_LEVEL:
             continue
         exposed_us = frame.granted.exposure_us
         return [level / (c * exposed_us) for level, c in zip(levels, currents_ma.values(), strict=True)]
     raise CalibrationError(
-        f"the frame saturates even with the currents divided by {2**MAX_HALVINGS}: shield the gel from daylight, or "
+        f"the frame saturates even with the light divided by {2**MAX_HALVINGS}: shield the gel from daylight, or "
         "shorten camera.exposure_us"
     )
+
+
+def _dimmed(hardware: Hardware, plan: CaptureSettings, fraction: float) -> CaptureSettings:
+    """A plan with that fraction of the light: of the currents, or of the exposure where lights are always on."""
+    if not hardware.profile.lights_always_on:
+        asked = {name: fraction * current for name, current in plan.currents_ma.items()}
+        return CaptureSettings(plan.settings, hardware.lights.granted_ma(asked))
+    step_us = hardware.profile.sensor.exposure_step_us
+    exposure_us = max(fraction * plan.settings.exposure_us // step_us, 1.0) * step_us
+    return CaptureSettings(CameraSettings(exposure_us, plan.settings.analogue_gain), plan.currents_ma)
+
+
+def _plan_for_exposure(
+    hardware: Hardware, settings: CameraSettings, doses: list[float], longest_us: float
+) -> CaptureSettings:
+    """Settings that bring the brightest channel to the target level by exposure alone: the lights are always on."""
+    currents_ma = hardware.profile.currents_ma
+    exposure_us = min(dose / current for dose, current in zip(doses, currents_ma.values(), strict=True))
+    step_us = hardware.profile.sensor.exposure_step_us
+    if not step_us <= exposure_us <= longest_us:
+        raise CalibrationError(
+            f"the lights need an exposure of {exposure_us:.0f} µs and {step_us:g} to {longest_us:.0f} µs are possible: "
+            "set camera.analogue_gain"
+        )
+    return CaptureSettings(CameraSettings(exposure_us // step_us * step_us, settings.analogue_gain), currents_ma)
 
 
 def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> CaptureSettings:
     """Settings that bring every channel to the target level, with the board's exposure unless a current is limited."""
     lights = hardware.lights
     doses = [AIMED_LEVEL / response for response in responses]
-    longest_us = hardware.profile.libcamera.frame_period_us if hardware.profile.libcamera else 1e6
+    longest_us = hardware.profile.frame_period_us or 1e6
+    if hardware.profile.lights_always_on:
+        return _plan_for_exposure(hardware, settings, doses, longest_us)
     enough_us = max(doses) / (MAX_CURRENT * lights.max_ma)
     fine_us = min(doses) / (MIN_CURRENT * lights.max_ma)
     shortest_us = min(MIN_STEPS * hardware.profile.sensor.exposure_step_us, longest_us)

@@ -109,6 +109,10 @@ class ScanHealth:
         self._shares = LightShares.measure(ratios[:-1], ratios[-1])
         return self._shares is not None
 
+    def take_channels_for_lights(self) -> None:
+        """Take each channel for the light of its colour: of lights that cannot be switched, none is seen alone."""
+        self._shares = LightShares.by_channel()
+
     def update(self, frame: RawFrame) -> bool:
         """Measure lights and defects in a live frame; returns whether the whole skin was untouched."""
         if self._shares is None:

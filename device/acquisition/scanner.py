@@ -185,11 +185,16 @@ class Scanner:
     def measure_lights(self) -> bool:
         """Measure each light alone on untouched skin; returns whether that worked: nothing may touch the gel.
 
+        Of lights that are always on, each is taken to make its own channel alone.
+
         Raises
         ------
         FrameNotConfirmed, HalError
             A frame could not be taken.
         """
+        if self._hardware.profile.lights_always_on:
+            self.health.take_channels_for_lights()
+            return True
         currents_ma = self._plan.currents_ma
         alone = [self._frame_under({name: currents_ma[name]}) for name in self._hardware.lights.names]
         return self.health.measure_shares(alone, self._frame_under({}))

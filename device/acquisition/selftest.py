@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from device.acquisition.capture import (
@@ -70,6 +70,8 @@ def selftest(hardware: Hardware, ask_for_push: bool = False) -> Iterator[Finding
 def check_light_visible(hardware: Hardware, plan: CaptureSettings, light: LightConfig) -> str:
     """Check that the camera sees a light, alone so that crosstalk of others cannot hide a dead one.
 
+    Of lights that are always on, the light's own channel is looked at.
+
     Returns the driver's flags for it, such as "open", or an empty text.
 
     Raises
@@ -77,7 +79,8 @@ def check_light_visible(hardware: Hardware, plan: CaptureSettings, light: LightC
     CalibrationError
         It is not visible.
     """
-    alone = CaptureSettings(plan.settings, {light.name: plan.currents_ma[light.name]})
+    always_on = hardware.profile.lights_always_on
+    alone = plan if always_on else replace(plan, currents_ma={light.name: plan.currents_ma[light.name]}, granted=None)
     captured = capture_with_faults(hardware, alone)
     flags = ", ".join(fault.kind for fault in captured.light_faults or () if fault.light == light.name)
     if channel_levels(captured.frame, BRIGHTEST_PERCENTILE)["RGB".index(light.colour)] < MIN_LEVEL:
@@ -154,7 +157,14 @@ def _camera(hardware: Hardware, held: ExitStack) -> Finding:
 
 
 def _seen_lights(hardware: Hardware) -> Iterator[Finding]:
-    """The dark frame, then each light alone."""
+    """The dark frame, then each light alone; of lights that are always on, each channel."""
+    if hardware.profile.lights_always_on:
+        yield Finding("darkness", "skipped", "the lights of this sensor are always on")
+        yield from (
+            _tested(f"light {light.name}", lambda light=light: _channel(hardware, light))  # type: ignore[misc]
+            for light in hardware.profile.lights
+        )
+        return
     try:
         dark = _levels(hardware, {})
     except (HalError, DeviceError) as error:
@@ -186,6 +196,14 @@ def _light(hardware: Hardware, light: LightConfig, dark: Levels) -> Finding:
     if flags:
         return Finding(part, "warning", f"visible at {own:.0%}, but driver reports {flags}: check its LEDs on {where}")
     return Finding(part, "ok", f"visible at {own:.0%} of full scale")
+
+
+def _channel(hardware: Hardware, light: LightConfig) -> Finding:
+    """One light by its channel, while all shine."""
+    level = _levels(hardware, hardware.profile.currents_ma)["RGB".index(light.colour)]
+    if level < MIN_LEVEL:
+        return Finding(f"light {light.name}", "failed", "not visible to the camera: check the sensor's cable and gel")
+    return Finding(f"light {light.name}", "ok", f"channel {light.colour} at {level:.0%} of full scale, all lights on")
 
 
 def _levels(hardware: Hardware, currents_ma: dict[str, float]) -> Levels:

@@ -71,6 +71,11 @@ class LightShares:
         calibrated = lit * inverse_levels
         return cls(np.asarray(calibrated / calibrated.sum(axis=-1, keepdims=True), np.float32))
 
+    @classmethod
+    def by_channel(cls) -> LightShares:
+        """The shares when each channel shows its own light alone, everywhere."""
+        return cls(np.eye(3, dtype=np.float32)[None, None])
+
     def levels(self, ratio: Float32Array) -> Float32Array:
         """Level of each light in each block, float32 array of shape (rows, columns, 3), 1 as calibrated.
 

@@ -310,7 +310,7 @@ def test_another_wheel_of_the_same_version_is_installed(fresh: Path, run: Run, r
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--board", "moon", "--no-app"], "there is no board profile 'moon': pi4-imx477"),
+        (["--board", "moon", "--no-app"], "there is no board profile 'moon': digit"),
         ([*BOARD, "--data", "sda1"], "a device such as /dev/sda1"),
         ([*BOARD, "--data", "folder", "--read-only"], "would be lost"),
         ([*BOARD, "--data", "/dev/sda1|e id"], "such a name no device has"),

@@ -54,8 +54,8 @@ class Wiring:
 
 
 def wired_boards() -> list[str]:
-    """Names of the profiles with wiring: all but the simulated ones."""
-    return [name for name in profile_names() if load_board_profile(name).driver != "twin"]
+    """Names of the profiles with wiring: not the simulated ones, nor sensors on USB."""
+    return [name for name in profile_names() if load_board_profile(name).driver == "picamera2"]
 
 
 def wiring(board: str, facts: dict[str, Any] | None = None) -> Wiring:
