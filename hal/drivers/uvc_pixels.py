@@ -1,8 +1,9 @@
 """From a finished 8-bit picture to the raw frame's mosaic.
 
 The sensor measured one colour a pixel and the camera interpolated the other two, so a picture holds three values where
-one was measured. Here each 2x2 pixels become the mean of their red, of their blue, and of their green by rows: what
-interpolation and JPEG spread over neighbours is taken together again, and nothing that was measured is lost.
+one was measured. Here each pixel keeps one again: the mean of that colour over the pixel and its neighbours, by 1 2 1
+along rows and columns. That takes together what interpolation spread over neighbours, and each colour stays where it
+was seen: a mean of 2x2 pixels would shift red against blue by a pixel.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ CLIPPED_FROM: Final = 253
 """Stored value from which a pixel counts as saturated: a mean that holds one would hide it."""
 
 AIMING_STEP: Final = 8
+KERNEL: Final = np.array([0.25, 0.5, 0.25])
+SITES: Final = ((2, ((0, 0),)), (1, ((0, 1), (1, 0))), (0, ((1, 1),)))
+"""Channels of a picture (B, G, R) and the pixels of every 2x2 that show them in the mosaic, RGGB."""
 
 
 def decoded(data: bytes, stream: StreamFormat) -> NDArray[np.uint8] | None:
@@ -50,14 +54,12 @@ def mosaic_of(picture: NDArray[np.uint8], encoding: Literal["srgb", "linear"]) -
 
     picture : uint8 array of shape (H, W, 3), B, G, R; H and W are even
     """
-    rows, columns, _ = picture.shape
     light = _light(encoding)
-    mosaic = np.empty((rows, columns), np.uint16)
-    blue, green, red = (np.ascontiguousarray(picture[..., channel]) for channel in range(3))
-    for plane, site in ((red, (0, 0)), (blue, (1, 1))):
-        mosaic[site[0] :: 2, site[1] :: 2] = _cells(plane, light, 2)
-    by_rows = _cells(green, light, 1)
-    mosaic[0::2, 1::2], mosaic[1::2, 0::2] = by_rows[0::2], by_rows[1::2]
+    mosaic = np.empty(picture.shape[:2], np.uint16)
+    for channel, sites in SITES:
+        mean = _means(light[picture[..., channel]], picture[..., channel] >= CLIPPED_FROM)
+        for row, column in sites:
+            mosaic[row::2, column::2] = mean[row::2, column::2]
     return mosaic
 
 
@@ -68,14 +70,11 @@ def aiming_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _cells(plane: NDArray[np.uint8], light: NDArray[np.uint16], height: int) -> NDArray[np.uint16]:
-    """Mean light of cells of `height` rows and two columns; white where one of a cell's pixels is saturated."""
-    rows, columns = plane.shape
-    cells = plane.reshape(rows // height, height, columns // 2, 2)
-    values = light[cells].astype(np.uint32).sum(axis=(1, 3))
-    count = 2 * height
-    mean: NDArray[np.uint16] = ((values + count // 2) // count).astype(np.uint16)
-    mean[cells.max(axis=(1, 3)) >= CLIPPED_FROM] = WHITE_DN
+def _means(light: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """Mean light around each pixel, uint16 array of shape (H, W); white where one of the pixels is saturated."""
+    mean = np.asarray(cv2.sepFilter2D(light, -1, KERNEL, KERNEL, borderType=cv2.BORDER_REFLECT_101), np.uint16)
+    if saturated.any():
+        mean[cv2.dilate(saturated.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = WHITE_DN
     return mean
 
 

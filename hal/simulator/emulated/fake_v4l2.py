@@ -11,7 +11,7 @@ import errno
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import msgspec
@@ -246,7 +246,12 @@ def encoded(picture: NDArray[np.uint8], stream: StreamFormat) -> bytes:
     return bytes(np.ascontiguousarray(picture[..., ::-1]).tobytes())
 
 
-def uvc_profile(profile: BoardProfile, switched_by_zoom: bool = False) -> BoardProfile:
+PixelFormat = Literal["MJPG", "YUYV", "RGB3"]
+
+
+def uvc_profile(
+    profile: BoardProfile, switched_by_zoom: bool = False, pixel_format: PixelFormat = "MJPG"
+) -> BoardProfile:
     """The twin's profile as that of a sensor on USB in the same world."""
     sensor = msgspec.structs.replace(
         profile.sensor, black_level_dn=0.0, white_level_dn=65535.0, exposure_step_us=EXPOSURE_UNIT_US
@@ -256,6 +261,7 @@ def uvc_profile(profile: BoardProfile, switched_by_zoom: bool = False) -> BoardP
         columns=sensor.columns,
         rows=sensor.rows,
         frame_period_us=PERIOD_US,
+        pixel_format=pixel_format,
         fixed=("focus",),
         gain_units=GAIN_UNITS,
         white_balance_k=4600,
@@ -264,10 +270,12 @@ def uvc_profile(profile: BoardProfile, switched_by_zoom: bool = False) -> BoardP
     return msgspec.structs.replace(profile, driver="uvc", sensor=sensor, uvc=uvc)
 
 
-def usb_sensor(bench: SimulatedScene, switched_by_zoom: bool = False) -> tuple[Hardware, FakeVideo]:
+def usb_sensor(
+    bench: SimulatedScene, switched_by_zoom: bool = False, pixel_format: PixelFormat = "MJPG"
+) -> tuple[Hardware, FakeVideo]:
     """A sensor on USB in the world `bench`, and what is below its drivers, to inspect and to break."""
     video = FakeVideo(bench, switched_by_zoom)
-    profile = uvc_profile(bench.profile, switched_by_zoom)
+    profile = uvc_profile(bench.profile, switched_by_zoom, pixel_format)
     if not switched_by_zoom:
         bench.drive(profile.currents_ma)
     button, operator = TwinButton(bench), TwinOperator(bench)

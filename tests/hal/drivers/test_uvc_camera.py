@@ -213,18 +213,25 @@ def test_pixel_formats_show_the_same_picture(letters: str) -> None:
     assert decoded(b"none", stream) is None
 
 
-def test_a_mosaic_holds_the_mean_light_of_each_colour_and_shows_saturation() -> None:
-    picture = np.zeros((4, 4, 3), np.uint8)
-    picture[:2, :2] = (10, 20, 30)
-    picture[:2, 2:] = (255, 100, 100)
-    picture[0, 2, 0] = 0
-    mosaic = mosaic_of(picture, "linear")
-    assert (mosaic[0, 0], mosaic[0, 1], mosaic[1, 0], mosaic[1, 1]) == (30 * 257, 20 * 257, 20 * 257, 10 * 257)
-    assert mosaic[1, 3] == WHITE_DN
-    assert mosaic[0, 2] == 100 * 257
+def test_a_mosaic_holds_the_mean_light_around_each_pixel_and_shows_saturation() -> None:
+    flat = mosaic_of(np.full((4, 4, 3), (10, 20, 30), np.uint8), "linear")
+    assert (flat[0, 0], flat[0, 1], flat[1, 0], flat[1, 1]) == (30 * 257, 20 * 257, 20 * 257, 10 * 257)
+    spot = np.zeros((8, 8, 3), np.uint8)
+    spot[4, 4] = 100
+    mosaic = mosaic_of(spot, "linear")
+    assert (mosaic[4, 4], mosaic[4, 5], mosaic[3, 4], mosaic[5, 5]) == (6425, 3212, 3212, 1606)
+    assert mosaic[2, 4] == mosaic[4, 6] == 0
+    spot[4, 4] = 255
+    assert (mosaic_of(spot, "linear") == WHITE_DN).sum() == 9
     grey = mosaic_of(np.full((2, 2, 3), 128, np.uint8), "srgb")
     assert abs(float(grey[0, 0]) / WHITE_DN - 0.2158) < 1e-3
-    assert mosaic_of(picture, "srgb").shape == (4, 4)
+
+
+def test_colours_of_a_mosaic_stay_where_they_were_seen() -> None:
+    ramp = np.tile(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (64, 1, 3))
+    mosaic = mosaic_of(ramp, "linear")
+    inner = mosaic[2:-2, 2:-2].astype(float) / 257.0
+    assert np.abs(inner - 3.0 * np.arange(2, 62)).max() < 0.01
 
 
 def test_a_damaged_jpeg_is_none_and_its_size_is_checked() -> None:
