@@ -88,6 +88,26 @@ def write_output(path: Path, data: bytes) -> None:
         raise OutputError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
 
 
+def check_output(path: Path) -> None:
+    """Refuse a place that no file can be written to, before minutes of work.
+
+    Raises
+    ------
+    OutputError
+        Names the place.
+    """
+    try:
+        if path.is_dir():
+            raise OutputError(f"{path} cannot be written: it is a folder; name a file")
+        nearest = next(folder for folder in path.absolute().parents if folder.exists())
+        if not nearest.is_dir():
+            raise OutputError(f"{path} cannot be written: {nearest} is no folder; choose another place")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise OutputError(f"{path} cannot be written: {nearest} is not yours to write; choose another place")
+
+
 def publish_directory(partial: Path, final: Path, synced: Collection[str] = ()) -> None:
     """Rename a finished temporary directory to its final name, durably, or leave no trace of it.
 

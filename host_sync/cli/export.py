@@ -10,8 +10,9 @@ from cyclopts import Parameter
 
 from device.bundles.scan import SCAN_MANIFEST
 from device.command_line import Folder
-from host_sync.cli.console import DONE, print_line
-from host_sync.errors import ExportError
+from device.errors import DeviceError
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
+from host_sync.errors import ExportError, HostError
 from host_sync.export.csv_profile import LineUm
 from host_sync.export.raw_scan import RawFormat, export_raw
 from host_sync.library.library import Library, default_library
@@ -25,8 +26,7 @@ RAW: Final = get_args(RawFormat)
 
 
 def export_command(
-    source: str,
-    *,
+    *sources: str,
     to: Annotated[tuple[ExportFormat, ...], Parameter(consume_multiple=True)],
     out: Folder,
     library: Folder | None = None,
@@ -38,9 +38,9 @@ def export_command(
 
     Parameters
     ----------
-    source
-        Folder that reconstruct wrote, or a GelSight TMD file; or a scan's id, its beginning or end, for
-        its newest result.
+    sources
+        Folders that reconstruct wrote, or GelSight TMD files; or scans by id, its beginning or end, or by the name of
+        the part, for the newest result of each.
     to
         gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
         are its raw frame, the counts as the sensor gave them.
@@ -56,11 +56,39 @@ def export_command(
     overwrite
         Replace files of the same name.
     """
-    forms = tuple(dict.fromkeys(to))
+    if not sources:
+        raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
+    failed = 0
+    for source in sources:
+        try:
+            written = _export_one(source, tuple(dict.fromkeys(to)), out, library, mesh_step, line_um, overwrite)
+        except (DeviceError, HostError) as error:
+            if len(sources) == 1:
+                raise
+            failed += 1
+            print_error(f"{source}: {error}", PARTLY)
+            continue
+        for path in written:
+            print_line(str(path))
+    if failed == len(sources):
+        return BAD_INPUT
+    return PARTLY if failed else DONE
+
+
+def _export_one(
+    source: str,
+    forms: tuple[ExportFormat, ...],
+    out: Path,
+    library: Path | None,
+    mesh_step: int | None,
+    line_um: LineUm | None,
+    overwrite: bool,
+) -> list[Path]:
+    """The files of one source."""
     place, scan = Path(source), None
     if os.sep not in source and not _is_surface(place):
         shelf = Library(library or default_library())
-        scan = shelf.find(source)
+        scan = shelf.named(source)
         if set(forms) - set(RAW):
             place = shelf.newest_result(scan)
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
@@ -68,9 +96,7 @@ def export_command(
     written = _export_surface(place, of_surface, out, mesh_step, line_um, overwrite) if of_surface else []
     if scan:
         written += [export_raw(scan, form, out, overwrite=overwrite) for form in raw]
-    for path in written:
-        print_line(str(path))
-    return DONE
+    return written
 
 
 def _export_surface(

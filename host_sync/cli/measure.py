@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from device.command_line import Folder
 from device.errors import DeviceError
-from device.io.atomic import write_output
+from device.io.atomic import check_output, write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.library.library import Library
@@ -92,6 +92,9 @@ def measure_command(
         "coverage_factor": coverage_factor,
     }
     chosen = chosen_recipe(recipe, {name: value for name, value in given.items() if value is not None})
+    for place in (json_file, csv, trend):
+        if place is not None and place != Path("-"):
+            check_output(place)  # before minutes of work
     done: list[Measurement] = []
     failed = False
     alone = json or csv == Path("-")

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from device.command_line import Folder
+from device.io.atomic import check_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, tell_of_compiling
 from host_sync.errors import HostError, RenderError
 
@@ -121,6 +122,7 @@ def render_command(
         raise RenderError("--frames must be 2 to 5000, --across 1 to 40")
     entries = _entries(results)
     still = look.still(turning=turntable)
+    check_output(out if contact_sheet or (len(entries) == 1 and out.suffix) else out / "picture.png")
     tell_of_compiling()
     if contact_sheet:
         return _write_sheet(entries, still, across, out)

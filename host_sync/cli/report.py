@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from device.command_line import Folder
 from device.errors import DeviceError
@@ -13,12 +14,21 @@ from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_li
 from host_sync.cli.measure import chosen_recipe, measured, result_folders
 from host_sync.errors import HostError, ResultError
 
+if TYPE_CHECKING:
+    from host_sync.report.content import Picture
+    from host_sync.report.template import Template
+
 MAX_NAME = 80
 NUMBERS_FILE = "numbers.csv"
 
 
 def report_command(
-    *results: Path, out: Folder, recipe: Path | None = None, library: Folder | None = None, force: bool = False
+    *results: Path,
+    out: Folder,
+    recipe: Path | None = None,
+    template: Path | None = None,
+    library: Folder | None = None,
+    force: bool = False,
 ) -> int:
     """Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.
 
@@ -30,12 +40,15 @@ def report_command(
         Folder for NAME.html and NAME.pdf of each result, and numbers.csv with all quantities.
     recipe
         TOML file of the measurement recipe.
+    template
+        TOML file with organisation, address, logo, operator, instrument, procedure, footer, and parts of the report.
     library
         Folder of pulled scans, each with its newest results.
     force
         Replace existing reports.
     """
     chosen = chosen_recipe(recipe, {})
+    style, logo = _template(template)
     folders = result_folders(results, library)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -56,7 +69,7 @@ def report_command(
 
         name = file_name(found.record.scan_id or found.record.name, taken)
         try:
-            report = compose(found)
+            report = compose(found, style, logo)
             pages = {".html": html_page(report).encode(), ".pdf": pdf_pages(report)}
             places = {ending: out / f"{name}{ending}" for ending in pages}
             _check_free(places.values(), replace=force)
@@ -68,6 +81,7 @@ def report_command(
             print_error(error, PARTLY)
         else:
             done.append(found)
+            failed = failed or bool(found.failed) or found.fails
     if done:
         from host_sync.measurement.measurement_text import as_csv
 
@@ -75,6 +89,15 @@ def report_command(
     if failed:
         return PARTLY if done else BAD_INPUT
     return DONE
+
+
+def _template(path: Path | None) -> tuple[Template | None, Picture | None]:
+    """The template of a file and its logo, before minutes of work."""
+    if path is None:
+        return None, None
+    from host_sync.report.template import read_template
+
+    return read_template(path)
 
 
 def file_name(text: str, taken: set[str]) -> str:

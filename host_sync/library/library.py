@@ -88,6 +88,27 @@ class Library:
         """
         return read_scan(self._find("scans", name))
 
+    def named(self, name: str) -> ScanBundle:
+        """The scan that `find` finds, or the only one whose part has that name.
+
+        Raises
+        ------
+        NoSuchBundle
+            None or several match.
+        RecordError
+            It is damaged.
+        """
+        try:
+            return self.find(name)
+        except NoSuchBundle as error:
+            parts = [scan for scan in self.scans().bundles if scan.record.annotations.part == name]
+            if not parts:
+                raise
+            if len(parts) > 1:
+                found = ", ".join(scan.scan_id for scan in parts)
+                raise NoSuchBundle(f"{len(parts)} scans are of the part {name}: name one of {found}") from error
+            return parts[0]
+
     def find_calibration(self, name: str) -> CalibrationBundle:
         """The calibration of that id, or the only one whose id begins or ends so; errors as for `find`."""
         return read_calibration(self._find("calibrations", name))

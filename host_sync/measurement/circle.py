@@ -29,6 +29,12 @@ MIN_STEP_SHARE: Final = 0.3
 """A ray counts if its step is at least this fraction of the median ray's, to the same side."""
 
 MIN_RAYS: Final = RAYS // 6
+MIN_AGREEING: Final = 0.6
+"""Least fraction of the rays with heights at both ends that show the step."""
+
+MAX_OFF_SHARE: Final = 0.06
+"""Largest median distance of the places from the circle, radii: edges that lie anywhere on their rays have 0.2."""
+
 OTHER_LEVELS: Final = (0.4, 0.6)
 """Levels that might be called the edge as well as half way: what they change is an uncertainty of the definition."""
 
@@ -91,13 +97,18 @@ def _once(z_um: Float32Array, pitch_um: float, centre: Float64Array, radius_um: 
     for ray in np.flatnonzero(used):
         edge[ray] = _crossing(along, (heights[ray] - outside[ray]) / step[ray], radius_um, level)
     known = np.isfinite(edge)
-    if known.sum() < MIN_RAYS or usual == 0.0:
-        raise MeasurementError(
-            f"no round edge near ({centre[0]:.0f}, {centre[1]:.0f}) µm with a radius of {radius_um:.0f} µm: draw the "
-            "circle along the edge"
-        )
+    problem = (
+        f"no round edge near ({centre[0]:.0f}, {centre[1]:.0f}) µm with a radius of {radius_um:.0f} µm: draw the "
+        "circle along the edge"
+    )
+    if known.sum() < max(MIN_RAYS, MIN_AGREEING * whole.sum()) or usual == 0.0:
+        raise MeasurementError(problem)
     column, row, radius, weight = _fitted(centre + edge[known, None] * way[known])
+    if not 0.0 < radius < np.inf or weight.sum() == 0.0:
+        raise MeasurementError(problem)
     distance = np.hypot(*(centre + edge[known, None] * way[known] - (column, row)).T)
+    if np.median(np.abs(distance - radius)) > MAX_OFF_SHARE * radius:
+        raise MeasurementError(problem)
     kept = distance[weight > 0.0]
     return Circle(column, row, radius, float(np.ptp(kept)), usual, kept.size / RAYS)
 

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.measurement_text import operations, shared_warnings
-from host_sync.report.content import Report, Table
+from host_sync.report.content import VERDICT_HEAD, Picture, Report, Table
 from host_sync.report.pictures import pictures_of
 from host_sync.report.provenance import Origin, hashed_files, origin_of
+from host_sync.report.template import Template
+from host_sync.results.doubts import check_standard
 
 
-def compose(measurement: Measurement) -> Report:
+def compose(measurement: Measurement, template: Template | None = None, logo: Picture | None = None) -> Report:
     """The report of a measurement.
+
+    template : whose report it is and which parts it has; all parts by default
 
     Raises
     ------
@@ -29,16 +37,40 @@ def compose(measurement: Measurement) -> Report:
     notes = list(measurement.notes)
     if origin.scan is None:
         notes.append("frame: not shown, because the result is not in a library beside its scan")
-    tables = (*_numbers(measurement), _calibration(measurement, origin), _hashes(measurement, origin))
-    return Report(
+    template = template or Template()
+    calibration, hashes = _calibration(measurement, origin), _hashes(measurement, origin)
+    report = Report(
         title=record.name,
         operations=operations(measurement.recipe),
-        facts=tuple((label, value) for label, value in _facts(measurement, origin) if value),
+        facts=tuple((label, value) for label, value in _facts(measurement, origin, template) if value),
         warnings=tuple(_warnings(measurement)),
-        pictures=tuple(pictures_of(measurement, origin.scan)),
-        tables=tables,
-        notes=tuple(notes),
+        pictures=tuple(pictures_of(measurement, origin.scan)) if "pictures" in template.parts else (),
+        tables=tuple(_numbers(measurement)),
+        notes=tuple(notes) if "notes" in template.parts else (),
+        appendix=tuple(
+            table for part, table in (("calibration", calibration), ("provenance", hashes)) if part in template.parts
+        ),
+        head=tuple(line for line in (template.organisation, template.address) if line),
+        logo=logo,
+        verdict=_verdict(measurement),
+        footer=template.footer,
     )
+    return replace(report, signature=_signature(report, hashes))
+
+
+def _verdict(measurement: Measurement) -> str:
+    """The worst verdict over all tolerances; one that was not measured is undecided."""
+    verdicts = {one.limits.verdict for one in measurement.quantities if one.limits is not None}
+    if len(measurement.recipe.tolerance) > sum(one.limits is not None for one in measurement.quantities):
+        verdicts.add("undecided")
+    return next((one for one in ("fail", "undecided", "pass") if one in verdicts), "")
+
+
+def _signature(report: Report, hashes: Table) -> str:
+    """SHA-256 of all that is stated in words and numbers, the files' hashes among it."""
+    stated = (report.title, report.head, report.operations, report.facts, report.warnings, report.verdict)
+    tables = [(table.title, table.head, table.rows, table.remarks) for table in (*report.tables, hashes)]
+    return hashlib.sha256(msgspec.json.encode((stated, tables, report.notes))).hexdigest()
 
 
 def _place(folder: Path, origin: Origin) -> Path:
@@ -50,12 +82,14 @@ def _place(folder: Path, origin: Origin) -> Path:
     return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else Path(*folder.parts[-2:])
 
 
-def _facts(measurement: Measurement, origin: Origin) -> Iterator[tuple[str, str]]:
+def _facts(measurement: Measurement, origin: Origin, template: Template) -> Iterator[tuple[str, str]]:
     record = measurement.record
     height = measurement.height
     rows, columns = height.z_um.shape
     yield "result", str(_place(measurement.folder, origin))
     yield "recipe", measurement.recipe.name
+    yield "procedure", template.procedure
+    yield "instrument", template.instrument
     if origin.scan is not None:
         scan = origin.scan.record
         yield "scan", scan.scan_id
@@ -65,11 +99,14 @@ def _facts(measurement: Measurement, origin: Origin) -> Iterator[tuple[str, str]
         for label, value in (
             ("job", notes.job),
             ("part", notes.part),
-            ("operator", notes.operator),
+            ("operator", template.operator or notes.operator),
             ("note", notes.note),
         ):
             yield label, value or ""
         yield "verdict at the press", f"{scan.verdict.level}: {scan.verdict.reason}"
+    else:
+        yield "operator", template.operator
+    yield "check standard", check_standard(measurement.folder, record)
     yield "frame set", record.frame_set or ""
     yield "gel", record.gel_id or ""
     yield "reconstructed", f"{record.written_utc} by {record.program}, method {record.method}"
@@ -94,9 +131,16 @@ def _numbers(measurement: Measurement) -> Iterator[Table]:
         title = f"{subject}: k = {first.coverage_factor}, {100.0 * first.masked_share:.2g} % masked"
         shared = shared_warnings(quantities)
         own = ["; ".join(warning for warning in one.warnings if warning not in shared) for one in quantities]
-        rows = tuple((one.name, one.number, warnings) for one, warnings in zip(quantities, own, strict=True))
         remarks = tuple(f"warning: {warning}" for warning in shared)
-        yield Table(title, ("number", "value ± uncertainty", "warnings"), rows, remarks)
+        if any(one.limits for one in quantities):
+            judged = tuple(
+                (one.name, one.number, one.limits.words if one.limits else "", words)
+                for one, words in zip(quantities, own, strict=True)
+            )
+            yield Table(title, ("number", "value ± uncertainty", VERDICT_HEAD, "warnings"), judged, remarks)
+        else:
+            rows = tuple((one.name, one.number, words) for one, words in zip(quantities, own, strict=True))
+            yield Table(title, ("number", "value ± uncertainty", "warnings"), rows, remarks)
 
 
 def _calibration(measurement: Measurement, origin: Origin) -> Table:

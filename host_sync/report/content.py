@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+VERDICT_HEAD: Final = "tolerance"
+"""Head of the column whose cells begin with a verdict."""
+
+VERDICTS: Final = ("pass", "fail", "undecided")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +36,12 @@ class Report:
     """One result's report.
 
     title : its name
+    head : lines above it, such as the organisation
+    logo : beside the head
+    verdict : pass, fail or undecided over all tolerances; empty without
+    signature : SHA-256 of everything that the report states, without pictures
+    footer : at the foot of every page
+    appendix : tables behind the numbers, such as the calibration
     operations : operations on the surface before the measurement
     facts : label and value, in order
     warnings : shown first
@@ -42,3 +54,9 @@ class Report:
     pictures: tuple[Picture, ...]
     tables: tuple[Table, ...]
     notes: tuple[str, ...]
+    appendix: tuple[Table, ...] = ()
+    head: tuple[str, ...] = ()
+    logo: Picture | None = None
+    verdict: str = ""
+    signature: str = ""
+    footer: str = ""

@@ -9,7 +9,7 @@ import base64
 from html import escape as escape_markup
 from typing import Final
 
-from host_sync.report.content import Picture, Report, Table
+from host_sync.report.content import VERDICT_HEAD, VERDICTS, Picture, Report, Table
 from host_sync.text import printable
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -28,6 +28,10 @@ figure { margin: 1rem 0; break-inside: avoid; } img { max-width: 100%; height: a
 figcaption { color: #555; font-size: 9pt; }
 .remark { font-size: 9pt; margin: 0.3rem 0; }
 .warning { border-left: 4px solid #b03020; padding: 0.3rem 0.8rem; background: #fbeeec; }
+.head { display: flex; gap: 1rem; align-items: center; border-bottom: 1px solid #ddd; padding-bottom: 0.6rem; }
+.head p { margin: 0; } .verdict { font-weight: 600; } p.verdict { padding: 0.3rem 0.8rem; border-left: 4px solid; }
+.pass { color: #1d5d33; } .fail { color: #8c2f1b; } .undecided { color: #7a4a00; }
+.signature code { font-size: 7.5pt; }
 tr { break-inside: avoid; } h2 { break-after: avoid; }
 @media print { body { margin: 0; max-width: none; } @page { size: A4; margin: 15mm; } }
 """
@@ -35,15 +39,23 @@ tr { break-inside: avoid; } h2 { break-after: avoid; }
 
 def html_page(report: Report) -> str:
     """The page."""
-    body = [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
+    body = _head(report)
+    body += [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
     body += [f'<p class="warning">Warning: {escape(warning)}</p>' for warning in report.warnings]
+    if report.verdict:
+        body.append(f'<p class="verdict {report.verdict}">Tolerances: {escape(report.verdict)}</p>')
     body.append(_facts(report.facts))
     body += [_figure(picture) for picture in report.pictures[:1]]
-    *numbers, calibration, hashes = report.tables
-    body += [_table(table) for table in numbers]
-    body.append(_list(report.notes))
+    body += [_table(table) for table in report.tables]
+    if report.notes:
+        body.append(_list(report.notes))
     body += [_figure(picture) for picture in report.pictures[1:]]
-    body += [_table(calibration), _table(hashes, "hashes")]
+    body += [_table(table, "hashes" if len(table.head) == 3 else "") for table in report.appendix]
+    body.append(
+        f'<p class="signature">SHA-256 of all that is stated above: <code>{escape(report.signature)}</code></p>'
+    )
+    if report.footer:
+        body.append(f'<p class="remark">{escape(report.footer)}</p>')
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
@@ -61,6 +73,24 @@ def escape(text: str) -> str:
     return escape_markup(printable(text))
 
 
+def _head(report: Report) -> list[str]:
+    """Logo and organisation."""
+    if report.logo is None and not report.head:
+        return []
+    logo = ""
+    if report.logo is not None:
+        data = base64.b64encode(report.logo.png).decode("ascii")
+        logo = f'<img src="data:image/png;base64,{data}" width="{report.logo.size[0] // 2}" alt="">'
+    words = "".join(f"<p>{escape(line)}</p>" for line in report.head)
+    return [f'<header class="head">{logo}<div>{words}</div></header>']
+
+
+def _cell(head: str, cell: str) -> str:
+    verdict = cell.partition(":")[0]
+    kind = f' class="verdict {verdict}"' if head == VERDICT_HEAD and verdict in VERDICTS else ""
+    return f"<td{kind}>{escape(cell)}</td>"
+
+
 def _facts(facts: tuple[tuple[str, str], ...]) -> str:
     rows = "\n".join(f'<tr><th scope="row">{escape(label)}</th><td>{escape(value)}</td></tr>' for label, value in facts)
     return f'<table class="facts">\n{rows}\n</table>'
@@ -76,7 +106,7 @@ def _figure(picture: Picture) -> str:
 
 def _table(table: Table, kind: str = "") -> str:
     head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.head)
-    rows = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    rows = "\n".join("<tr>" + "".join(map(_cell, table.head, row)) + "</tr>" for row in table.rows)
     name = f' class="{kind}"' if kind else ""
     title = f"<h2>{escape(table.title)}</h2>\n<table{name}>\n<thead><tr>{head}</tr></thead>"
     remarks = "".join(f'<p class="remark">{escape(remark)}</p>' for remark in table.remarks)

@@ -11,20 +11,23 @@ import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from device.bundles.scan import ScanBundle
 from device.imaging.flat_field import demosaic
 from device.surface.fields import Float32Array, HeightMap
-from host_sync.iso25178.material_ratio import MaterialRatioCurve
+from host_sync.iso25178.material_ratio import MaterialRatioCurve, core_line, core_parameters
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.render.figures import draw_relief
 from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import reduced
 from host_sync.report.content import Picture
+from host_sync.report.places import draw_places
 from host_sync.text import printable
 
 DPI: Final = 130
+MIN_CURVE: Final = 10
+"""Fewest valid pixels with a material ratio curve."""
+
 FRAME_PX: Final = 900
 GAMMA: Final = 1.0 / 2.2
 BRIGHT_PERCENTILE: Final = 99.5
@@ -53,22 +56,8 @@ def relief_picture(measurement: Measurement) -> Picture:
     """The whole height map, with the measured region and lines."""
     figure, axes = _figure(7.0, 5.2, grid=False)
     draw_relief(axes, measurement.height, "")
-    if measurement.recipe.region_um is not None:
-        left, top, right, bottom = (value / 1000.0 for value in measurement.recipe.region_um)
-        axes.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, color=_RED, linewidth=1.2))
-    recipe = measurement.recipe
-    lines = [(one.name, one.line.start_um, one.line.end_um) for one in measurement.profiles]
-    lines += [(step.name, step.from_um, step.to_um) for step in recipe.step]
-    lines += [(distance.name, distance.from_um, distance.to_um) for distance in recipe.distance]
-    for one in measurement.steps:
-        first, last = (np.array(place) / 1000.0 for place in (one.line.start_um, one.line.end_um))
-        for edge_um in one.edges_um:
-            column, row = first + (last - first) * (edge_um / one.line.length_um)
-            axes.plot([column], [row], "x", color=_RED, markersize=6)
-    for name, start, end in lines:
-        axes.plot(*([a / 1000.0, b / 1000.0] for a, b in zip(start, end, strict=True)), color=_RED, linewidth=1.2)
-        axes.annotate(_plain(name), (end[0] / 1000.0, end[1] / 1000.0), color=_RED, fontsize=8)
-    words = "Height map with the region and the lines that were measured; white is masked"
+    draw_places(axes, measurement)
+    words = "Height map with the places that were measured; white is masked"
     return _picture(figure, words + _doubtful([doubt.sentence for doubt in measurement.doubts]))
 
 
@@ -142,15 +131,28 @@ def _doubtful(doubts: Sequence[str]) -> str:
 
 
 def ratio_picture(measurement: Measurement) -> Picture:
-    """The areal material ratio curve."""
+    """The areal material ratio curve with the construction of Sk."""
     curve = MaterialRatioCurve.of(measurement.surface.z_um)
     share = np.linspace(0.0, 1.0, 400)
     figure, axes = _figure(7.0, 2.6)
     axes.plot(100.0 * share, [curve.height_um(float(one)) for one in share], color=_BLUE, linewidth=1.1)
+    words = "Material ratio curve of the scale-limited surface"
+    if curve.falling_um.size >= MIN_CURVE:
+        top, bottom = core_line(curve.falling_um)
+        core = core_parameters(curve)
+        axes.plot([0.0, 100.0], [top, bottom], color=_RED, linewidth=0.9, linestyle="--")
+        for height_um in (top, bottom):
+            axes.axhline(height_um, color=_RED, linewidth=0.6, linestyle=":")
+        axes.fill([0.0, 0.0, core["Smr1"]], [top, top + core["Spk"], top], color=_RED, alpha=0.2)
+        axes.fill([100.0, 100.0, core["Smr2"]], [bottom, bottom - core["Svk"], bottom], color=_RED, alpha=0.2)
+        words += (
+            f"; core line (dashed) over Sk {core['Sk']:.4g} µm, triangles of Spk {core['Spk']:.4g} µm and "
+            f"Svk {core['Svk']:.4g} µm at {core['Smr1']:.1f} % and {core['Smr2']:.1f} %"
+        )
     axes.set_xlabel("areal material ratio, %")
     axes.set_ylabel("height, µm")
     axes.set_xlim(0.0, 100.0)
-    return _picture(figure, "Material ratio curve of the scale-limited surface")
+    return _picture(figure, words)
 
 
 def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:

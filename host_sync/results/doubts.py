@@ -138,6 +138,15 @@ def _check_standards(folder: Path, calibration_id: str, bundle: str | None) -> I
         return
 
 
+def check_standard(folder: Path, record: ResultRecord) -> str:
+    """What certificates say of the calibration: "agrees: step 100, ball"; empty without one."""
+    for place in _certificate_places(folder, record.calibration_bundle):
+        found = _read_certificate(place)
+        if found is not None and found.calibration_id == record.calibration_id:
+            return f"{found.verdict}: {', '.join(one.name for one in found.specimens) or 'no specimen'}"
+    return ""
+
+
 def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterator[Path]:
     beside = folder.absolute().parent
     yield beside / CERTIFICATE_FILE

@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from device.bundles.raw_frame import write_raw
-from device.bundles.scan import ScanBundle, ScanRecord
+from device.bundles.scan import Annotations, ScanBundle, ScanRecord
 from device.store.store import BundleStore
 from hal.frame import BAYER_ORDERS, BayerOrder, RawFrame
 from host_sync.cli.main import main
@@ -91,3 +91,28 @@ def test_a_raw_frame_is_not_replaced_unasked(
     assert path.read_text() == "mine"
     assert export(scan, store, tmp_path, "dng", "--overwrite") == 0
     assert path.read_bytes().startswith(b"II*")
+
+
+def test_several_are_exported_by_id_and_by_the_name_of_the_part(
+    store: BundleStore,
+    scan_record: Callable[..., ScanRecord],
+    raw_frame: Callable[..., RawFrame],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    scans = []
+    for part in ("valve", "seal", "plate", "plate"):
+        frame = raw_frame(3, (64, 96))
+        record = msgspec.structs.replace(scan_record(store), shape=frame.shape, annotations=Annotations(part=part))
+        scans.append(store.publish_scan(record, lambda folder, frame=frame: write_raw(folder / "raw.tif", frame)))
+    command = ["export", "--to", "dng", "--library", str(store.root), "--out"]
+    assert main([*command, str(tmp_path / "a"), "valve", scans[1].scan_id]) == 0
+    assert {path.stem for path in (tmp_path / "a").iterdir()} == {scan.scan_id for scan in scans[:2]}
+    capsys.readouterr()
+    assert main([*command, str(tmp_path / "b"), "valve", "plate", "none"]) == 1
+    said = capsys.readouterr().err
+    assert f"2 scans are of the part plate: name one of {scans[2].scan_id}, {scans[3].scan_id}" in said
+    assert "holds no scan 'none'" in said
+    assert len(list((tmp_path / "b").iterdir())) == 1
+    assert main([*command, str(tmp_path / "c"), "plate"]) == 2
+    assert main([*command, str(tmp_path / "c")]) == 2

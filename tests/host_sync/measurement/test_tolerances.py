@@ -69,8 +69,11 @@ def test_a_circle_across_the_border_counts_where_it_is_seen(write_result: Write)
     assert any("of the circle only" in words for words in diameter.warnings)
 
 
-def test_without_an_edge_there_is_no_circle(write_result: Write) -> None:
-    found = measure_result(write_result(np.zeros(SHAPE)), Recipe(circle=(RIM,)))
+@pytest.mark.parametrize("shown", ["flat", "wave", "noise"])
+def test_without_an_edge_there_is_no_circle(shown: str, write_result: Write, wave: np.ndarray) -> None:
+    noise = np.random.default_rng(6).standard_normal(SHAPE)
+    surface = {"flat": np.zeros(SHAPE), "wave": wave, "noise": noise}[shown]
+    found = measure_result(write_result(surface), Recipe(circle=(RIM,)))
     assert found.failed == ("rim",)
     (only,) = [one for one in found.quantities if one.subject == "rim"]
     assert "no round edge" in only.warnings[0]

@@ -75,3 +75,15 @@ def test_the_command_draws_what_has_a_tolerance(
     assert "two results or more" in capsys.readouterr().err
     assert main(["measure", *folders, "--recipe", str(recipe), "--trend", str(tmp_path / "a.txt")]) == 2
     assert ".png, .pdf, .svg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--csv", "--json-file", "--trend"])
+def test_what_cannot_be_written_is_refused_before_any_work(
+    option: str, write_result: Callable[..., Path], wave: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(wave)
+    (folder / "height_um.tif").write_bytes(b"never read")
+    assert main(["measure", str(folder), option, "/dev/null/place.png"]) == 2
+    said = capsys.readouterr().err
+    assert "/dev/null/place.png cannot be written" in said
+    assert "height_um" not in said
