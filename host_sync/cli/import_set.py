@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from host_sync.importers.draft import Draft, Said
 
-Kind = Literal["gelsight", "gs_sdk", "py3dcal", "digit", "images"]
+Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "digit", "images"]
 SET_FILE: Final = "frameset.toml"
 
 
@@ -33,8 +33,8 @@ def import_command(
     Parameters
     ----------
     kind
-        gelsight: scan.yaml folders of the SDK and Mobile; gs_sdk: its calibration folder; py3dcal: its dataset; digit
-        and images: a folder of RGB images.
+        gelsight: scan.yaml folders of the SDK and Mobile; gs_sdk: its calibration folder; py3dcal: its dataset; taxim:
+        dataPack.npz beside its images; digit and images: a folder of RGB images.
     source
         The folder.
     out
@@ -61,6 +61,8 @@ def import_command(
     draft.write(path)
     lights = f" of {len(draft.lights)} lights" if draft.lights else ""
     print_line(f"{path}: {len(draft.presses)} presses and {len(draft.scans)} scans{lights}")
+    for note in draft.notes:
+        print_line(f"Note: {note}.")
     if not draft.reference:
         print_line("No frame of untouched skin is known: name it with --reference, or it is estimated from the frames.")
     if not draft.presses:
@@ -75,11 +77,13 @@ def _importer(kind: Kind) -> Callable[[Path, Said], Draft]:
     from host_sync.importers.ball_tables import import_gs_sdk, import_py3dcal
     from host_sync.importers.gelsight_scan import import_gelsight
     from host_sync.importers.image_folder import import_images
+    from host_sync.importers.taxim_pack import import_taxim
 
     importers: dict[Kind, Callable[[Path, Said], Draft]] = {
         "gelsight": import_gelsight,
         "gs_sdk": import_gs_sdk,
         "py3dcal": import_py3dcal,
+        "taxim": import_taxim,
         "digit": import_images,
         "images": import_images,
     }

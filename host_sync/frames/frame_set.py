@@ -93,16 +93,16 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     keyed = [("reference.image", reference)] if reference else []
     keyed += [(f"press[{i}].image", spec) for i, spec in enumerate(press_frames)]
     keyed += [(f"scan[{i}].image", scan.frame) for i, scan in enumerate(scans)]
-    shape = _common_shape(keyed, path)
-    lights = _light_names(file, keyed, path)
+    shape, channels = _common_form(keyed, path)
+    lights = _light_names(file, channels, path)
     presses = tuple(
         _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
     )
     return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans, lights)
 
 
-def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[int, int]:
-    """(H, W) of all frames, each checked to be an RGB image or grey ones of one size."""
+def _common_form(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[tuple[int, int], int]:
+    """(H, W) and channels of all frames, each checked to be an RGB image or grey ones of one size."""
     known: dict[Path, ImageInfo] = {}
     first_key, shape = "", (0, 0)
     for key, spec in frames:
@@ -124,7 +124,7 @@ def _common_shape(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[
                 f"{path}: {key}: has {_channels_of(counts[spec])} and {first_key} {counts[frames[0][1]]}: "
                 "name the same lights in every frame"
             )
-    return shape
+    return shape, counts[frames[0][1]]
 
 
 def _channels_of(count: int) -> str:
@@ -135,12 +135,13 @@ def _channels(spec: FrameSpec, known: dict[Path, ImageInfo]) -> int:
     return len(spec.images) if len(spec.images) > 1 else known[spec.images[0]].channels
 
 
-def _light_names(file: FileTable, frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[str, ...]:
-    """What the lights are called; FrameSetError where they are not as many as the images of a frame."""
+def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
+    """What the lights are called; FrameSetError where they are not as many as the channels of a frame."""
     names = tuple(f"{light.name} ({light.colour})" if light.colour else light.name for light in file.light)
-    count = len(frames[0][1].images)
-    if names and len(names) != (count if count > 1 else 3):
-        raise FrameSetError(f"{path}: light: {len(names)} lights are described and a frame has {count} images")
+    if names and len(names) != channels:
+        raise FrameSetError(
+            f"{path}: light: {len(names)} lights are described and a frame has {_channels_of(channels)}"
+        )
     return names
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
 CATALOGUE: Final = "catalog.csv"
 ANNOTATIONS: Final = "annotations/annotations.csv"
@@ -29,14 +29,16 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
     FrameSetError
         There is no catalogue, or none of its images is there.
     """
-    presses = []
+    presses, missing = [], []
     for row in _rows(source / CATALOGUE):
         folder, diameter = inside(source, row.get("experiment_reldir", "")), row.get("diameter(mm)", "")
         image = folder / "gelsight.png"
         if image.is_file():
             radius = said.ball_radius_mm or _positive(diameter, source / CATALOGUE) / 2.0
             presses.append(DraftPress((image,), radius, _label(folder / "label.npz")))
-    return _draft(source, said, presses, source / "background.png", said.pixel_pitch_um)
+        else:
+            missing.append(str(image.relative_to(source)))
+    return _draft(source, said, presses, missing, source / "background.png", said.pixel_pitch_um)
 
 
 def import_py3dcal(source: Path, said: Said) -> Draft:
@@ -58,15 +60,19 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     scale, radius_mm = facts.get("px_per_mm"), facts.get("probe_radius_mm")
     pitch_um = said.pixel_pitch_um or (1e3 / scale if isinstance(scale, int | float) and scale > 0 else None)
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)
-    presses = []
+    presses, missing = [], []
     for row in _rows(source / ANNOTATIONS):
         image = inside(source, f"probe_images/{next(iter(row.values()), '')}")
         if image.is_file():
             presses.append(DraftPress((image,), known))  # places are the probe's, not seen; the balls are found
-    return _draft(source, said, presses, source / "blank_images" / "blank.png", pitch_um)
+        else:
+            missing.append(str(image.relative_to(source)))
+    return _draft(source, said, presses, missing, source / "blank_images" / "blank.png", pitch_um)
 
 
-def _draft(source: Path, said: Said, presses: list[DraftPress], rest: Path, pitch_um: float | None) -> Draft:
+def _draft(
+    source: Path, said: Said, presses: list[DraftPress], missing: list[str], rest: Path, pitch_um: float | None
+) -> Draft:
     if not presses:
         raise FrameSetError(f"{source}: none of the listed images is there: fetch the folder whole")
     reference = said.reference or (rest if rest.is_file() else None)
@@ -79,6 +85,7 @@ def _draft(source: Path, said: Said, presses: list[DraftPress], rest: Path, pitc
         reference=(reference,) if reference else (),
         presses=tuple(presses),
         scans=tuple(scans),
+        notes=left_out(missing),
     )
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from device.io.atomic import write_output
 from host_sync.errors import FrameSetError
-from host_sync.frames.frame_set_file import Encoding
+from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, Encoding
+
+LONGEST_NAME: Final = 90
 
 Circle = tuple[float, float, float]
 """Centre (column, row) and radius of the trusted contact, pixels."""
@@ -51,6 +55,7 @@ class Draft:
 
     encoding : None where it is not known
     lights : of each grey image of a frame; empty for RGB images
+    notes : what the user should know of the folder, one sentence each
     """
 
     name: str
@@ -60,6 +65,7 @@ class Draft:
     presses: tuple[DraftPress, ...]
     scans: tuple[DraftScan, ...]
     lights: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def missing(self) -> list[str]:
         """Options that must be given, for what neither the files nor the user said."""
@@ -108,11 +114,35 @@ class Draft:
             if press.circles:
                 balls = ", ".join(f"{{ x = {x:.2f}, y = {y:.2f}, r = {r:.2f} }}" for x, y, r in press.circles)
                 lines.append(f"balls = [{balls}]")
-        for scan in self.scans:
-            lines += ["", "[[scan]]", f"name = {_text(scan.name)}", _image(scan.images, folder)]
+        for scan, name in zip(self.scans, result_names([scan.name for scan in self.scans]), strict=True):
+            lines += ["", "[[scan]]", f"name = {_text(name)}", _image(scan.images, folder)]
             if scan.height_map is not None:
                 lines.append(f"# the maker's height map: {_text(_relative(scan.height_map, folder))}")
         return lines
+
+
+def result_names(names: Sequence[str]) -> list[str]:
+    """Names of scans as `reconstruct` takes them for folders: other signs become hyphens, none comes twice."""
+    taken = {CALIBRATION_FOLDER}
+    found = []
+    for name in names:
+        plain = (
+            re.sub(r"^[^\w]+|[^\w()+-]+$", "", re.sub(r"[^\w .()+-]", "-", name))[:LONGEST_NAME].rstrip(" .") or "scan"
+        )
+        one, number = plain, 2
+        while one.casefold() in taken:
+            one, number = f"{plain}-{number}", number + 1
+        taken.add(one.casefold())
+        found.append(one)
+    return found
+
+
+def left_out(missing: Sequence[str]) -> tuple[str, ...]:
+    """A note on images that a table lists and the folder does not hold."""
+    if not missing:
+        return ()
+    count = "1 listed image is" if len(missing) == 1 else f"{len(missing)} listed images are"
+    return (f"{count} not there and left out, such as {missing[0]}: fetch the folder whole",)
 
 
 def inside(source: Path, name: str) -> Path:

@@ -1,7 +1,8 @@
 """Scan folders of GelSight's SDK and Mobile: `scan.yaml`, images, the maker's height map (TMD).
 
-A folder with annotated circles and a ball's radius is a calibration press. Its circles are drawn at the ball's equator,
-so that the trusted contact is at most 0.8 of the radius. A folder called flat... is untouched skin.
+Grey images, one a light, come from machine-vision cameras whose values are linear; how a single RGB image encodes light
+is not said. A folder with annotated circles and a ball's radius is a calibration press. Its circles are drawn at the
+ball's equator, so that the trusted contact is at most 0.8 of the radius. A folder called flat... is untouched skin.
 """
 
 from __future__ import annotations
@@ -58,14 +59,22 @@ def import_gelsight(source: Path, said: Said) -> Draft:
         raise FrameSetError(f"{source}: scans have pixel pitches of {span}: import them apart")
     pitch_um = said.pixel_pitch_um or (pitches[0] if pitches else None)
     count = len(scans[0].images)
+    lights = [image.stem for image in scans[0].images]
+    for scan in scans[1:]:
+        if count > 1 and [image.stem for image in scan.images] != lights:
+            raise FrameSetError(
+                f"{source}: images are called {', '.join(lights)} in {scans[0].folder.name} and "
+                f"{', '.join(image.stem for image in scan.images)} in {scan.folder.name}: which light is which is not "
+                "known; import them apart"
+            )
     return Draft(
         name=source.resolve().name,
         pixel_pitch_um=pitch_um,
-        encoding=said.encoding or "linear",
+        encoding=said.encoding or ("linear" if count > 1 else None),
         reference=reference.images if reference else (),
         presses=tuple(_press(scan, said.ball_radius_mm, pitch_um) for scan in pressed),
         scans=tuple(DraftScan(scan.folder.resolve().name, scan.images, scan.height_map) for scan in others),
-        lights=tuple(image.stem for image in scans[0].images) if count > 1 else (),
+        lights=tuple(lights) if count > 1 else (),
     )
 
 

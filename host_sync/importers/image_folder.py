@@ -34,14 +34,11 @@ def import_images(source: Path, said: Said) -> Draft:
     rest = said.reference or next((one for one in files if AT_REST.fullmatch(one.stem)), None)
     frames = [one for one in files if rest is None or one.resolve() != rest.resolve()]
     pressed = [one for one in frames if PRESSED.search(one.stem)]
-    names = [re.sub(r"[^\w .()+-]", "-", one.stem) for one in frames]
-    if len(set(map(str.casefold, names))) < len(names):
-        raise FrameSetError(f"{source}: two images have one name but for their ending: rename one")
     return Draft(
         name=source.resolve().name,
         pixel_pitch_um=said.pixel_pitch_um,
         encoding=said.encoding,
         reference=(rest,) if rest else (),
         presses=tuple(DraftPress((one,), said.ball_radius_mm) for one in pressed),
-        scans=tuple(DraftScan(name, (one,)) for name, one in zip(names, frames, strict=True)),
+        scans=tuple(DraftScan(one.stem, (one,)) for one in frames),
     )

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from host_sync.cli.main import main
+from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, load_frame_set
+from host_sync.importers.draft import result_names
 
 SHAPE = (60, 80)
 PUBLIC = os.environ.get("RETROGRAPH_PUBLIC", "")
@@ -81,10 +83,65 @@ def test_a_scan_without_scale_asks_for_it(tmp_path: Path, capsys: pytest.Capture
     scan(tmp_path / "one", 1)
     (tmp_path / "one" / "scan.yaml").write_text("images:\n  - image01.png\nmmperpixel: 0\n")
     assert run("gelsight", tmp_path / "one") == 2
-    assert "give --pixel-pitch-um" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "give --pixel-pitch-um" in told
+    assert "--encoding" in told
     assert not (tmp_path / "one" / "frameset.toml").exists()
-    assert run("gelsight", tmp_path / "one", "--pixel-pitch-um", 20) == 0
+    assert run("gelsight", tmp_path / "one", "--pixel-pitch-um", 20, "--encoding", "srgb") == 0
     assert loaded(tmp_path / "one" / "frameset.toml", calibrates=False).pixel_pitch_um == 20.0
+
+
+def test_names_of_scans_are_such_that_reconstruct_takes_them(tmp_path: Path) -> None:
+    for name in ("Scan #3", "Scan_3", "(1)", "calibration", "scan-3", "end. "):
+        scan(tmp_path / name, 3)
+    assert run("gelsight", tmp_path) == 0
+    found = [one.name for one in loaded(tmp_path / "frameset.toml", calibrates=False).scans]
+    assert found == ["1)", "Scan -3", "Scan_3", "calibration-2", "end", "scan-3"]
+    assert result_names(["a", "A", "a", "#", "x" * 200]) == ["a", "A-2", "a-3", "scan", "x" * 90]
+
+
+def test_scans_that_call_their_lights_differently_are_not_mixed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan(tmp_path / "a", 3)
+    scan(tmp_path / "b", 3)
+    listed = (tmp_path / "b" / "scan.yaml").read_text()
+    (tmp_path / "b" / "image01.png").rename(tmp_path / "b" / "north.png")
+    (tmp_path / "b" / "scan.yaml").write_text(listed.replace("image01", "north"))
+    assert run("gelsight", tmp_path) == 2
+    assert "which light is which is not known" in capsys.readouterr().err
+
+
+def test_a_pack_of_taxim_keeps_its_contacts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image(tmp_path / "frame_0.png")
+    names = [f"frame_{number}.png" for number in range(1, 8)]
+    for name in names[:-1]:
+        image(tmp_path / name)
+    pack = {"touch_center": [[40, 30]] * 7, "touch_radius": [9] * 7, "names": names, "imgs": np.zeros((7, 2, 2, 3))}
+    np.savez(tmp_path / "dataPack.npz", **{key: np.array(value) for key, value in pack.items()})
+    assert run("taxim", tmp_path) == 2
+    told = capsys.readouterr().err
+    assert all(f"--{name}" in told for name in ("pixel-pitch-um", "ball-radius-mm", "encoding"))
+    options = ("--pixel-pitch-um", 29.5, "--ball-radius-mm", 2, "--encoding", "srgb")
+    assert run("taxim", tmp_path, *options) == 0
+    assert "1 listed image is not there and left out, such as frame_7.png" in capsys.readouterr().out
+    found = loaded(tmp_path / "frameset.toml")
+    assert [one.name for one in found.scans] == ["frame_1", "frame_6"]
+    assert found.reference is not None
+    assert found.presses[0].balls is not None
+    assert found.presses[0].balls[0].contact_radius_px == 9.0
+    np.savez(tmp_path / "dataPack.npz", names=np.array(names))
+    assert run("taxim", tmp_path, *options) == 2
+    assert "is no data pack of Taxim" in capsys.readouterr().err
+
+
+def test_names_of_lights_are_as_many_as_an_images_channels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image(tmp_path / "one.png", grey=True)
+    lights = "".join(f'[[light]]\nname = "{name}"\n' for name in "abc")
+    scans = '[[scan]]\nname = "one"\nimage = "one.png"\n'
+    (tmp_path / "set.toml").write_text(f'name = "x"\npixel_pitch_um = 1\nencoding = "linear"\n{lights}{scans}')
+    with pytest.raises(FrameSetError, match="3 lights are described and a frame has 1 channel"):
+        loaded(tmp_path / "set.toml", calibrates=False)
 
 
 def test_scans_of_different_lights_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,7 +201,7 @@ def test_a_folder_of_images_is_read_by_its_names(tmp_path: Path) -> None:
     assert [one.name for one in found.scans] == ["ball-1", "ball-2", "key"]
 
 
-@pytest.mark.parametrize("kind", ["gelsight", "gs_sdk", "py3dcal", "digit"])
+@pytest.mark.parametrize("kind", ["gelsight", "gs_sdk", "py3dcal", "taxim", "digit"])
 def test_an_empty_folder_is_refused(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(kind, tmp_path, "--pixel-pitch-um", 30, "--encoding", "srgb") == 2
     assert capsys.readouterr().err.count("\n") <= 3
@@ -156,7 +213,14 @@ def test_an_empty_folder_is_refused(kind: str, tmp_path: Path, capsys: pytest.Ca
     ("kind", "folder", "options", "presses", "scans", "lights"),
     [
         ("gelsight", "gelsightinc+sdkdemo/testdata/OEMData", (), 4, 5, 6),
-        ("gelsight", "gelsightinc+sdkdemo/testdata/FingerData", ("--ball-radius-mm", "1.5875"), 2, 3, 0),
+        (
+            "gelsight",
+            "gelsightinc+sdkdemo/testdata/FingerData",
+            ("--ball-radius-mm", "1.5875", "--encoding", "linear"),
+            2,
+            3,
+            0,
+        ),
         ("gelsight", "gelsightinc+sdkdemo/testdata/HandheldData", (), 0, 1, 6),
         ("gelsight", "gelsightinc+gsmatlab/demo/groove", (), 0, 1, 6),
         ("gs_sdk", "skleff1994+gs_sdk/calibration/data", ("--pixel-pitch-um", "63.4", "--encoding", "srgb"), 51, 11, 0),
