@@ -34,6 +34,11 @@ class Options:
 Given = Annotated[Options, Parameter(parse=False)]
 """How a command receives these options."""
 
+GivenSimulated = Annotated[Options, Parameter(parse=False)]
+"""The same of a command that is about a simulated handheld, as its parameter `simulated`: the board is the twin unless
+one is named.
+"""
+
 
 def print_line(line: str) -> None:
     """Print a line to standard output at once."""

@@ -23,6 +23,7 @@ from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.profile_files import profile_names
 
 HARDWARE: Final = 3
+SIMULATED_BOARD: Final = "twin"
 BOARD_HELP: Final = (
     f"Board profile: one of {', '.join(profile_names())}, or a .toml file; by default {VARIABLE}, {BOARD_FILE} or "
     f"{DEFAULTS_FILE} names it."
@@ -80,10 +81,12 @@ def launch(
     elif words and not words[0].startswith("-") and words[0] not in app:
         return _fail(unknown_command(words[0], app), BAD_ARGUMENTS)
     command, given, hidden = app.parse_args(words, exit_on_error=False, print_error=False)
-    if "options" not in hidden:
-        command(*given.args, **given.kwargs)
-        return None
-    code: int = command(*given.args, **given.kwargs, options=Options(chosen_board(board), store))
+    extra = {}
+    if "options" in hidden:
+        extra["options"] = Options(chosen_board(board), store)
+    elif "simulated" in hidden:
+        extra["simulated"] = Options(board or SIMULATED_BOARD, store)
+    code: int | None = command(*given.args, **given.kwargs, **extra)
     return code
 
 

@@ -11,16 +11,22 @@ from pathlib import Path
 
 import pytest
 
+import device.cli.demo
 import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
 from device.cli.board import chosen_board
 from device.cli.commands import OLD_COMMANDS
+from device.cli.demo import folder_name
 from device.cli.main import app, main
+from device.instrument.demo_faults import DemoFaults
+from device.instrument.instrument import Instrument
 from device.pairing.card import leave_host_card, read_device_card
 from device.pairing.exchange import HostCard
 from device.store.store import BundleStore
+from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock
 from hal.errors import BoardProfileError
+from hal.hardware import Hardware
 
 
 def refusal(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
@@ -279,3 +285,26 @@ def test_status_list_and_selftest_answer_in_json_too(
     assert {finding["state"] for finding in findings} == {"ok"}
     assert main([*retroscan, "list"]) == 0
     assert scanned["scan"] in capsys.readouterr().out
+
+
+def test_the_demonstration_takes_the_options_before_it_and_ends_with_the_screens_code(
+    calibrated_root: Path,
+    tmp_path: Path,
+    small_board: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shown: list[tuple[Path, str]] = []
+
+    def show(instrument: Instrument, hardware: Hardware, folder: Path, faults: DemoFaults) -> int:
+        shown.append((folder, hardware.profile.name))
+        return 5
+
+    store = shutil.copytree(calibrated_root, tmp_path / "store")
+    monkeypatch.setattr(device.cli.demo, "require_terminal", lambda: None)
+    monkeypatch.setattr(device.cli.demo, "show_screens", show)
+    assert main(["--board", str(small_board), "--store", str(store), "demo"]) == 5
+    assert main(["--board", str(small_board), "--store", str(tmp_path), "demo", "--store", str(store)]) == 5
+    assert shown == [(store, load_board_profile(str(small_board)).name)] * 2
+    assert "is no simulated handheld" in refusal(capsys, ["--board", "pi5-imx296", "demo"], 2)
+    assert folder_name("twin") != folder_name("twin-distant")
