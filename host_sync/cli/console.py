@@ -7,13 +7,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import msgspec
 from cyclopts import Parameter
 
 from host_sync.kernels.cache import holds_kernels, prune_cache
 from host_sync.text import printable
+
+if TYPE_CHECKING:
+    from host_sync.kernels.compile_time import CompileTime
 
 DONE: Final = 0
 PARTLY: Final = 1
@@ -66,8 +69,25 @@ OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]
 """A file to write; - is standard output."""
 
 
+_COMPILE_TIMES: Final[list[CompileTime]] = []
+"""What measures the compiling of this run, once it was announced."""
+
+
 def tell_of_compiling() -> None:
-    """Write one line to a terminal when this run will compile; not to a log or pipe."""
+    """Write one line to a terminal when this run will compile; not to a log or pipe.
+
+    `tell_compile_time` then says how long it took.
+    """
     prune_cache()
-    if sys.stderr.isatty() and not holds_kernels():
-        sys.stderr.write("retrosync: the first run compiles for this machine and takes a minute or two longer\n")
+    if sys.stderr.isatty() and not holds_kernels() and not _COMPILE_TIMES:
+        sys.stderr.write("retrosync: this first run compiles for this machine, about a minute; later runs do not\n")
+        from host_sync.kernels.compile_time import CompileTime  # here, because it loads the compiler
+
+        _COMPILE_TIMES.append(CompileTime())
+
+
+def tell_compile_time() -> None:
+    """Write how long the compiling took that was announced, if any was."""
+    while _COMPILE_TIMES:
+        taken_s = _COMPILE_TIMES.pop().total_s
+        sys.stderr.write(f"retrosync: {taken_s:.0f} s of this run were compiling; the result is kept for later runs\n")

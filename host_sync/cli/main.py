@@ -16,7 +16,7 @@ from device.command_line import add_commands, make_app, sentence
 from device.errors import DeviceError
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS
-from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
 from host_sync.errors import HostError, SourceError
 
 app = make_app(
@@ -41,6 +41,7 @@ def run(command: Callable[[], int | None]) -> int:
         with signals_as_keyboard_interrupt(signal.SIGTERM):
             result = command()
         sys.stdout.flush()
+        tell_compile_time()
     except SourceError as error:
         return print_error(error, CONNECTION)
     except (DeviceError, HostError) as error:
