@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Final
@@ -17,6 +19,7 @@ from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.console import DONE, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.view import view_command
 from host_sync.errors import HostError
+from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library
 
 if TYPE_CHECKING:
@@ -53,16 +56,17 @@ def demo_command(
     began_s = time.monotonic()
     card, library = out / "card", Library(out / "library")
     handheld = ("--board", board, "--store", str(card))
-    print_line("The handheld is calibrated with twelve presses of a ball (simulated).")
-    _retroscan(*handheld, "calibrate")
-    for name in OBJECTS:
-        print_line(f"The {name} is pressed into the gel; a push of the button scans.")
-        _retroscan(*handheld, "scan", "--object", name, "--part", name)
+    tell_of_compiling()
+    with _compiling_meanwhile():
+        print_line("The handheld is calibrated with twelve presses of a ball (simulated).")
+        _retroscan(*handheld, "calibrate")
+        for name in OBJECTS:
+            print_line(f"The {name} is pressed into the gel; a push of the button scans.")
+            _retroscan(*handheld, "scan", "--object", name, "--part", name)
     report = pull(DirectorySource(card), library)
     if report.failed:
         raise HostError(f"not pulled: {report.failed}")
     print_line("The workstation has pulled the scans and verified every byte. It calibrates and reconstructs.")
-    tell_of_compiling()
     with status_spinner() as tell:
         rows = _reconstruct(library, tell)
         tell("drawing")
@@ -76,6 +80,20 @@ def demo_command(
         print_line(f"Page: retrosync view {library.root}")
         return DONE
     return view_command(library.root)
+
+
+@contextmanager
+def _compiling_meanwhile() -> Iterator[None]:
+    """On the first run, compile on a thread while the handheld's program works."""
+    if holds_kernels():
+        yield
+        return
+    from host_sync.integration.compile_ahead import compile_integration
+
+    with ThreadPoolExecutor(1) as pool:
+        compiled = pool.submit(compile_integration)
+        yield
+        compiled.result()
 
 
 def _retroscan(*arguments: str) -> None:

@@ -35,6 +35,8 @@ from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, MayLift, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
+from host_sync.integration.compile_ahead import compile_integration
+from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
@@ -97,7 +99,8 @@ def main() -> int:
         ProcessPoolExecutor(len(ACTS), context, _begin, (stage,)) as pool,
         Progress(*columns, console=console) as progress,
     ):
-        acts = [pool.submit(_perform, act, out) for act in ACTS]
+        compiling = None if holds_kernels() else ACTS[-1]
+        acts = [pool.submit(_perform, act, out, compiles=act is compiling) for act in ACTS]
         tasks = {act.title: progress.add_task("", total=None, title=act.title) for act in ACTS}
         _show(stage, acts, tasks, progress)
         chapters = [chapter for act in acts for chapter in act.result()]
@@ -127,13 +130,19 @@ def _begin(stage: Stage) -> None:
     STAGES.append(stage)
 
 
-def _perform(act: Act, out: Path) -> list[Chapter]:
-    """One instrument from its calibration to the errors of its scans; runs in a process of its own."""
+def _perform(act: Act, out: Path, *, compiles: bool) -> list[Chapter]:
+    """One instrument from its calibration to the errors of its scans; runs in a process of its own.
+
+    compiles : the solver's kernels first, which the other process would else compile too; the rest comes from that one
+    """
     (stage,) = STAGES
 
     def tell(words: str) -> None:
         stage.steps.put((act.title, words))
 
+    if compiles:
+        tell("compile for this machine, only once")
+        compile_integration()
     library = Library(out / "library")
     scanned, card = _play(act, out / "card" / act.board, tell)
     tell("pull from the card, every byte verified")

@@ -69,16 +69,16 @@ def test_the_time_of_compiling_is_counted_once_for_nested_kernels() -> None:
     assert clock.total_s == before_s
 
 
-@njit
+@njit(cache=False)
 def doubled(number: int) -> int:
     return 2 * number
 
 
-@njit
+@njit(cache=False)
 def twice(number: int) -> int:
     return 2 * number
 
 
-@njit
+@njit(cache=False)
 def redoubled(number: int) -> int:
     return 2 * twice(number)
