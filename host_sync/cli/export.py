@@ -13,6 +13,7 @@ from device.command_line import Folder
 from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
 from host_sync.errors import ExportError, HostError
+from host_sync.export.choices import ExportChoices
 from host_sync.export.csv_profile import LineUm
 from host_sync.export.raw_scan import RawFormat, export_raw
 from host_sync.library.library import Library, default_library
@@ -31,6 +32,7 @@ def export_command(
     out: Folder,
     library: Folder | None = None,
     mesh_step: int | None = None,
+    base_mm: float | None = None,
     line_um: LineUm | None = None,
     overwrite: bool = False,
 ) -> int:
@@ -50,6 +52,8 @@ def export_command(
         Folder of the library; ~/Retrograph by default.
     mesh_step
         Row and column step of meshes.
+    base_mm
+        Thickness of a base that makes an STL watertight, for printing; open by default.
     line_um
         Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
         middle row when not given.
@@ -58,10 +62,11 @@ def export_command(
     """
     if not sources:
         raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
+    choices = ExportChoices(mesh_step, line_um, overwrite, base_mm)
     failed = 0
     for source in sources:
         try:
-            written = _export_one(source, tuple(dict.fromkeys(to)), out, library, mesh_step, line_um, overwrite)
+            written = _export_one(source, tuple(dict.fromkeys(to)), out, library, choices)
         except (DeviceError, HostError) as error:
             if len(sources) == 1:
                 raise
@@ -80,9 +85,7 @@ def _export_one(
     forms: tuple[ExportFormat, ...],
     out: Path,
     library: Path | None,
-    mesh_step: int | None,
-    line_um: LineUm | None,
-    overwrite: bool,
+    choices: ExportChoices,
 ) -> list[Path]:
     """The files of one source."""
     place, scan = Path(source), None
@@ -93,9 +96,9 @@ def _export_one(
             place = shelf.newest_result(scan)
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
     of_surface = tuple(form for form in forms if form not in raw)
-    written = _export_surface(place, of_surface, out, mesh_step, line_um, overwrite) if of_surface else []
+    written = _export_surface(place, of_surface, out, choices) if of_surface else []
     if scan:
-        written += [export_raw(scan, form, out, overwrite=overwrite) for form in raw]
+        written += [export_raw(scan, form, out, overwrite=choices.overwrite) for form in raw]
     return written
 
 
@@ -103,19 +106,16 @@ def _export_surface(
     place: Path,
     forms: tuple[ExportFormat, ...],
     out: Path,
-    mesh_step: int | None,
-    line_um: LineUm | None,
-    overwrite: bool,
+    choices: ExportChoices,
 ) -> list[Path]:
     # Pillow and the writers are loaded here, so that other commands start without them.
     from host_sync.export.source_surface import read_surface
-    from host_sync.export.surface_export import ExportChoices, SurfaceFormat, export_surface
+    from host_sync.export.surface_export import SurfaceFormat, export_surface
     from host_sync.export.tmd import read_tmd
 
     if "dng" in forms:
         raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")
     surface = read_surface(place) if place.is_dir() else read_tmd(place)
-    choices = ExportChoices(mesh_step, line_um, overwrite)
     return list(export_surface(surface, cast(tuple[SurfaceFormat, ...], forms), out, choices))
 
 

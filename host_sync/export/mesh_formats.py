@@ -16,21 +16,26 @@ import msgspec
 import numpy as np
 
 from host_sync.export.mesh import Mesh, vertex_colours
+from host_sync.export.solid import blocks, solid
 from host_sync.export.source_surface import ascii_line
 from host_sync.render.colormap import linear_light
 
 MM: Final = 1e-3
 
 
-def write_stl(file: BinaryIO, mesh: Mesh, name: str) -> None:
-    """Write the mesh as an open surface in binary STL."""
+def write_stl(file: BinaryIO, mesh: Mesh, name: str, base_mm: float | None = None) -> None:
+    """Write the mesh in binary STL: as an open surface, or watertight with a base of this thickness."""
+    if base_mm is None:
+        places, count, parts = np.concatenate(list(mesh.places(MM))), mesh.triangles, mesh.corners()
+    else:
+        places, faces = solid(mesh, base_mm)
+        count, parts = len(faces), blocks(faces)
     # Readers take a header that begins with "solid" for text.
     said = ", ".join(part for part in ("Retrograph, mm", mesh.doubtful, name) if part)
     file.write(ascii_line(said)[:80].ljust(80))
-    file.write(struct.pack("<I", mesh.triangles))
-    places = np.concatenate(list(mesh.places(MM)))
+    file.write(struct.pack("<I", count))
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    for corners in mesh.corners():
+    for corners in parts:
         facets = np.zeros(len(corners), facet)
         facets["corners"] = places[corners]
         sides = np.diff(places[corners].astype(np.float64), axis=1)

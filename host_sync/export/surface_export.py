@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
 
 from host_sync.export.array_formats import write_float_tiff, write_npz, write_png16, write_png_scale
-from host_sync.export.csv_profile import LineUm, pixels_on_line, write_csv_profile
+from host_sync.export.choices import ExportChoices
+from host_sync.export.csv_profile import pixels_on_line, write_csv_profile
 from host_sync.export.gwy import write_gwy
 from host_sync.export.mesh import Mesh, grid_mesh
 from host_sync.export.mesh_formats import write_glb, write_obj, write_ply, write_stl
 from host_sync.export.publishing import Writer, check_free, publish, withdraw
+from host_sync.export.solid import solid
 from host_sync.export.source_surface import SourceSurface, doubts_path
 from host_sync.export.surface_formats import write_al3d, write_gsf, write_sdf, write_sur
 from host_sync.export.tmd import write_tmd
@@ -48,20 +49,6 @@ _MESHES: Final[dict[str, Callable[[BinaryIO, Mesh, str], None]]] = {
     "obj": write_obj,
     "glb": write_glb,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ExportChoices:
-    """Options of an export.
-
-    mesh_step : row and column step of meshes; None takes all pixels and refuses a field that is too large
-    line_um : line of the CSV profile; None takes the middle row
-    overwrite : replace files of the same name
-    """
-
-    mesh_step: int | None = None
-    line_um: LineUm | None = None
-    overwrite: bool = False
 
 
 def export_surface(
@@ -104,6 +91,9 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
         elif form == "csv":
             pixels_on_line(surface, choices.line_um)
             writers[".csv"] = _bound(write_csv_profile, surface, choices.line_um)
+        elif form == "stl" and choices.base_mm is not None:
+            solid(cast(Mesh, mesh), choices.base_mm)  # refused before anything is written
+            writers[".stl"] = _bound(write_stl, cast(Mesh, mesh), surface.name, choices.base_mm)
         else:
             writers[f".{form}"] = _bound(_MESHES[form], cast(Mesh, mesh), surface.name)
         if form == "png":

@@ -16,6 +16,9 @@ import pytest
 
 from device.surface.fields import Float32Array
 from host_sync.cli.main import main
+from host_sync.export.choices import ExportChoices
+from host_sync.export.source_surface import SourceSurface
+from host_sync.export.surface_export import export_surface
 
 PITCH_UM, ROWS = 12.0, 37
 UNIT_UM = {"ply": 1e3, "stl": 1e3, "obj": 1e3, "glb": 1e6}
@@ -168,3 +171,37 @@ def test_a_step_that_leaves_nothing_is_refused(
     assert main(["export", str(result), "--to", "obj", "--out", str(tmp_path / "out"), "--mesh-step", step]) == 2
     assert "step" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("shown", ["whole", "holes", "touching"])
+def test_a_base_makes_it_watertight(shown: str, tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    row, column = np.mgrid[:30, :40].astype(np.float32)
+    z_um = 100.0 * np.sin(row / 6.0) * np.cos(column / 8.0)
+    if shown != "whole":
+        z_um[5:9, 5:12] = z_um[0, 30:33] = np.nan
+    if shown == "touching":
+        z_um[9:14, 12:18] = z_um[20, 20] = z_um[22, 22] = np.nan
+    surface = SourceSurface(name="part", z_um=z_um.astype(np.float32), pitch_um=20.0)
+    (path,) = export_surface(surface, ["stl"], tmp_path, ExportChoices(base_mm=1.5))
+    solid = trimesh.load_mesh(path)
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    assert solid.volume > 0.0
+    low, high = solid.bounds
+    assert high[2] == pytest.approx(np.nanmax(z_um) / 1e3, abs=1e-4)
+    assert low[2] == pytest.approx(np.nanmin(z_um) / 1e3 - 1.5, abs=2e-3)
+    if shown == "whole":
+        middle = (z_um[:-1, :-1] + z_um[1:, 1:] + z_um[:-1, 1:] + z_um[1:, :-1]) / 4.0
+        expected = (middle / 1e3 - low[2]).sum() * 0.02**2
+        assert solid.volume == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("base_mm", ["0", "-1", "nan", "1e9"])
+def test_a_base_without_a_thickness_is_refused(
+    base_mm: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out")
+    assert main(["export", str(result), "--to", "stl", "--out", out, "--base-mm", base_mm]) == 2
+    assert "a base is up to" in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*"))
