@@ -11,8 +11,10 @@ from device.acquisition.capture import CaptureSettings, capture_with_faults
 from device.acquisition.precise_capture import PreciseCapture, capture_precisely, frames_stored
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
+from device.bundles.check import CHECK_FILE, CheckRecord, CheckStandard
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
+from device.bundles.record import Identity, encode_record
 from device.bundles.scan import (
     Annotations,
     CaptureMode,
@@ -28,8 +30,10 @@ from device.imaging.ambient import ambient_fraction, without_ambient
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
 from device.quality.verdict import Evidence
+from device.quick_look.check_measure import CheckNotMeasured, measure_standard
 from device.quick_look.files import write_quick_look
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
+from device.store.checks import judged_check, read_checks, write_check
 from device.store.store import BundleStore
 from hal.frame import RawFrame
 from hal.hardware import Hardware
@@ -234,23 +238,43 @@ class Scanner:
         changes = self.health.light_change_since(assessed.press.frame.sensor_timestamp_ns)
         return None not in changes.values()
 
-    def publish(self, assessed: Assessment, annotations: Annotations) -> ScanOutcome:
+    def publish(
+        self, assessed: Assessment, annotations: Annotations, standard: CheckStandard | None = None
+    ) -> ScanOutcome:
         """Judge an assessed press, with the lights as measured since where its frame did not show them, and publish it.
+
+        standard : the check standard that was pressed, if one was
 
         Raises
         ------
         StoreError
             The disk is full; nothing is left behind.
+        CheckNotMeasured
+            The press does not show the check standard; nothing is stored.
         """
         frame, evidence, look = assessed.press.frame, assessed.evidence, assessed.quick_look
         if assessed.awaits_lift:
             evidence = evidence.with_light_change(self.health.light_change_since(frame.sensor_timestamp_ns))
         press = assessed.press
-        record = self._record(press, annotations, evidence.verdict())
+        check = last = self.last_check()
+        measured_um = 0.0
+        if standard:
+            if look is None:
+                raise CheckNotMeasured(f"the check standard was not measured: {assessed.fault}")
+            measured_um = measure_standard(standard.kind, look)
+        identity = self._store.next_identity("scans")
+        if standard:
+            calibration_id, now = self._calibration.calibration_id, self._store.wall_time()
+            check = judged_check(self._store.root, standard, identity, calibration_id, now, measured_um)
+        if check is not None and not check.passed:
+            evidence = evidence.with_failed_check(check.sentence)
+        record = self._record(press, annotations, evidence.verdict(), identity, check)
         exposures, beside = record.exposures, press.precise
 
         def write(directory: Path) -> None:
             write_raw(directory / record.raw_file, frame)
+            if check is not None and check.scan_id == record.scan_id:
+                (directory / CHECK_FILE).write_bytes(encode_record(check))
             if exposures.dark_file and beside.dark:
                 write_raw(directory / exposures.dark_file, beside.dark)
             for light, name in exposures.alone_files.items():
@@ -258,7 +282,15 @@ class Scanner:
             if look:
                 write_quick_look(directory, look.height)
 
-        return ScanOutcome(self._store.publish_scan(record, write), look, assessed.fault)
+        bundle = self._store.publish_scan(record, write)
+        if check is not None and check is not last:
+            write_check(self._store.root, check)
+        return ScanOutcome(bundle, look, assessed.fault)
+
+    def last_check(self) -> CheckRecord | None:
+        """The last check of the check standard with this calibration."""
+        mine = [one for one in read_checks(self._store.root) if one.calibration_id == self._calibration.calibration_id]
+        return mine[-1] if mine else None
 
     def _look_at_untouched_skin(self) -> None:
         """Measure the lights once the operator has lifted, within `LIFT_PATIENCE_S`."""
@@ -274,11 +306,19 @@ class Scanner:
     def _frame_under(self, currents_ma: Mapping[str, float]) -> RawFrame:
         return capture_with_faults(self._hardware, replace(self._plan, currents_ma=currents_ma)).frame
 
-    def _record(self, press: RawCapture, annotations: Annotations, verdict: VerdictRecord) -> ScanRecord:
+    def _record(
+        self,
+        press: RawCapture,
+        annotations: Annotations,
+        verdict: VerdictRecord,
+        identity: Identity,
+        check: CheckRecord | None,
+    ) -> ScanRecord:
         profile, frame, faults = self._hardware.profile, press.frame, press.precise.capture.light_faults
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
-            identity=self._store.next_identity("scans"),
+            identity=identity,
+            check=check,
             wall_time=self._store.wall_time(),
             board=profile.name,
             pixel_pitch_um=profile.sensor.pixel_pitch_um,

@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from device.bundles.bundle import Bundle, check_files, read_record
+from device.bundles.check import CheckRecord
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.record import (
     BundleId,
@@ -116,6 +117,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     calibration_id : the calibration that was active, or None
     light_faults : reported by the light driver while the lights were on; None when it cannot report
     exposures : what the raw frame is made of, and the frames under other lights
+    check : the last check of the check standard with this calibration; this scan itself if it has its id
     files : hash and size of every file beside the manifest; filled in by the store
     """
 
@@ -136,6 +138,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     light_faults: Annotated[tuple[LightFaultRecord, ...], msgspec.Meta(max_length=100)] | None = None
     raw_file: FileName = "raw.tif"
     exposures: ExposuresRecord = ExposuresRecord()
+    check: CheckRecord | None = None
     files: Files = msgspec.field(default_factory=dict)
 
     @property

@@ -12,6 +12,7 @@ from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
+from device.bundles.check import CheckStandard
 from device.errors import DeviceError
 from device.imaging.exposure import Brightness
 from device.instrument.events import Failed, Info, ZeroChecked, show
@@ -21,6 +22,7 @@ from device.instrument.state import CalibrationState, GelState, HealthState, Sta
 from device.quality.thresholds import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
+from device.store.checks import read_checks, read_standard, write_standard
 from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
 from device.store.store import BundleStore
@@ -94,6 +96,39 @@ class ActiveSetup:
             age_s = calibration_age_s(self._scanner.calibration, self._store)
             self._states.update(calibration=replace(self._states.state.calibration, age_s=age_s))
 
+    def report_check(self) -> None:
+        """Update the check standard and its checks in the state."""
+        root, calibration = self._store.root, self._states.state.calibration.calibration_id
+        checks = tuple(check for check in read_checks(root) if check.calibration_id == calibration)
+        self._states.update(check=replace(self._states.state.check, standard=read_standard(root), checks=checks))
+        self.report_due()
+
+    def report_due(self) -> None:
+        """Update whether today's check is still to be made."""
+        check, today = self._states.state.check, self._store.wall_time().astimezone().date()
+        done = any(one.checked.astimezone().date() == today for one in check.checks)
+        is_due = check.standard is not None and self._scanner is not None and not done
+        self._states.update(check=replace(check, is_due=is_due))
+
+    def set_standard(self, standard: CheckStandard) -> None:
+        """Enter another check standard."""
+        try:
+            write_standard(self._store.root, standard)
+        except DeviceError as error:
+            self._fail(str(error))
+        self.report_check()
+
+    def begin_check(self) -> None:
+        """The next press is of the check standard; once more: it is not."""
+        self.report_check()
+        check = self._states.state.check
+        if check.standard is None:
+            self._fail("no check standard was entered: enter it in Set-up")
+            return
+        self._states.update(check=replace(check, is_next=not check.is_next))
+        words = "The next press is a scan again." if check.is_next else f"Press {check.standard.name}, then push."
+        self._states.publish(Info(words))
+
     def prepare(self) -> None:
         """Load the store's active calibration for the mounted gel, or record why that fails."""
         self._scanner = self._baseline = self._zero = None
@@ -115,6 +150,7 @@ class ActiveSetup:
         self._baseline = BaselineScheduler(scanner.health, self._executor)
         self._live.begin(scanner.plan, scanner.health.guide_model)
         self._states.update(calibration=state)
+        self.report_check()
         self.report_health()
 
     def check_baseline(self, live: LiveFrame) -> None:

@@ -93,6 +93,14 @@ class ZeroChecked:
 
 
 @dataclass(frozen=True, slots=True)
+class Checked:
+    """The check standard was pressed: whether it passed, and the figures in a sentence."""
+
+    passed: bool
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
 class SelfTested:
     """A finding of the self-test; the last one has `ended`."""
 
@@ -129,6 +137,7 @@ Event = (
     | Info
     | CalibrationStep
     | ZeroChecked
+    | Checked
     | SelfTested
     | PairingChanged
     | ButtonPushed

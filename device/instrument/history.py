@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from device.bundles.check import CheckRecord, doubt_of_checks
 from device.bundles.scan import Annotations, ScanBundle, VerdictRecord, read_scan
 from device.errors import RecordError
 from device.io.folder import Folder
 from device.io.tiff import read_page
 from device.quick_look.files import HEIGHT_FILE
 from device.quick_look.solver import quick_look_binning
+from device.store.checks import read_checks
 from device.store.eviction import acknowledged_scans
 from device.store.marks import ScanMark, read_mark
 from device.store.store import BundleStore
@@ -26,6 +28,7 @@ class ScanEntry:
 
     offloaded : a workstation has acknowledged its copy
     mark : the operator's later mark; None without one
+    doubt : the failed check of the check standard that makes it doubtful; empty without one
     """
 
     scan_id: str
@@ -37,6 +40,7 @@ class ScanEntry:
     annotations: Annotations
     offloaded: bool
     mark: ScanMark | None
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,8 @@ def read_history(store: BundleStore) -> History:
     listing = store.scans()
     offloaded = {scan.scan_id for scan in acknowledged_scans(store.root)}
     newest_first = sorted(listing.bundles, key=lambda scan: scan.record.identity.counter, reverse=True)
-    entries = (_entry(store.root, scan, scan.scan_id in offloaded) for scan in newest_first)
+    checks = read_checks(store.root)
+    entries = (_entry(store.root, scan, scan.scan_id in offloaded, checks) for scan in newest_first)
     return History(tuple(entries), tuple(bundle.reason for bundle in listing.damaged))
 
 
@@ -82,8 +87,11 @@ def read_quick_look(store: BundleStore, scan_id: str) -> HeightMap | None:
     return HeightMap(z_um, bundle.record.pixel_pitch_um * quick_look_binning(bundle.record.shape))
 
 
-def _entry(root: Path, scan: ScanBundle, offloaded: bool) -> ScanEntry:
+def _entry(root: Path, scan: ScanBundle, offloaded: bool, checks: tuple[CheckRecord, ...]) -> ScanEntry:
     record = scan.record
+    failed = doubt_of_checks(
+        record.identity.counter, (check for check in checks if check.calibration_id == record.calibration_id)
+    )
     return ScanEntry(
         scan_id=record.scan_id,
         counter=record.identity.counter,
@@ -94,4 +102,5 @@ def _entry(root: Path, scan: ScanBundle, offloaded: bool) -> ScanEntry:
         annotations=record.annotations,
         offloaded=offloaded,
         mark=read_mark(root, record.scan_id),
+        doubt=failed.sentence if failed else "",
     )

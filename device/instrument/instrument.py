@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any, ParamSpec, Self, TypeVar
 
+from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup, gel_state
@@ -133,6 +134,14 @@ class Instrument:
     def run_selftest(self) -> None:
         """Test every part; findings come as `SelfTested`."""
         self._worker.enqueue(InstrumentWorker.selftest)
+
+    def set_standard(self, standard: CheckStandard) -> None:
+        """Enter the check standard; its history stays."""
+        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.set_standard(standard)))
+
+    def begin_check(self) -> None:
+        """The next press is of the check standard, and is judged; once more: it is not."""
+        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.begin_check))
 
     def zero_check(self) -> None:
         """Take a frame of untouched skin; `ZeroChecked` says how flat it reads."""

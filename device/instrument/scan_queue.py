@@ -17,12 +17,14 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeVar
 
 from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
+from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.instrument.button import ButtonWatch
 from device.instrument.events import (
     REFUSALS,
     CaptureDone,
+    Checked,
     Failed,
     Info,
     PressRefused,
@@ -62,6 +64,7 @@ class Pending:
 
     scanner: Scanner
     annotations: Annotations
+    standard: CheckStandard | None
     until_ns: int
     assessing: Future[tuple[Assessment, float]]
     publishing: Future[tuple[ScanOutcome, float]] | None = None
@@ -153,7 +156,10 @@ class ScanQueue:
         scanner, taken = press
         until_ns = taken.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
         assessing = self._timed(lambda: scanner.assess(taken))
-        self._works.append(Pending(scanner, self._states.state.sticky, until_ns, assessing))
+        state = self._states.state
+        standard = state.check.standard if state.check.is_next else None
+        self._states.update(check=replace(state.check, is_next=False))
+        self._works.append(Pending(scanner, state.sticky, standard, until_ns, assessing))
         self._states.update(processing=len(self._works))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
@@ -199,8 +205,8 @@ class ScanQueue:
         if pending.publishing is None:
             if waits and self._must_wait(pending, assessed):
                 return None
-            scanner, annotations = pending.scanner, pending.annotations
-            pending.publishing = self._timed(lambda: scanner.publish(assessed, annotations))
+            scanner, annotations, standard = pending.scanner, pending.annotations, pending.standard
+            pending.publishing = self._timed(lambda: scanner.publish(assessed, annotations, standard))
         if not pending.publishing.done():
             return None
         outcome, more_ms = pending.publishing.result()
@@ -288,6 +294,8 @@ class ScanQueue:
             sentence=f"{record.verdict.level}: {record.verdict.reason}",
         )
         now_ns = self._hardware.clock.monotonic_ns()
+        if record.check is not None and record.check.scan_id == record.scan_id:
+            self._states.publish(Checked(record.check.passed, f"C{record.check.sentence[1:]}."))
         self._states.publish(ScanFinished(now_ns, record.scan_id, record.verdict, height, fault, cpu_ms))
         # An operator who is already pushing again must not wait for the cue to end.
         if not self._button.is_waiting():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.acquisition.guided_calibration import CalibrationProgress
+from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.reading import GuideReading
 from device.imaging.exposure import Brightness
@@ -106,6 +107,17 @@ class LastScan:
 
 
 @dataclass(frozen=True, slots=True)
+class CheckState:
+    """The check standard (None: none was entered), its checks with the active calibration, oldest first, whether
+    today's is due, and whether the next press is one."""
+
+    standard: CheckStandard | None = None
+    checks: tuple[CheckRecord, ...] = ()
+    is_due: bool = False
+    is_next: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class PairingState:
     """The pairing window: the code to type on the workstation and its end (ns of the instrument's clock), or how it
     ended."""
@@ -148,6 +160,7 @@ class InstrumentState:
     last: LastScan | None = None
     guide: CalibrationProgress | None = None
     pairing: PairingState | None = None
+    check: CheckState = field(default_factory=CheckState)
     sentence: str = ""
 
 

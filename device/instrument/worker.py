@@ -201,6 +201,7 @@ class InstrumentWorker:
     def _serve(self) -> None:
         if self._scans.collect():
             self._active.report_health()
+            self._active.report_check()
         if self._fault:
             self._recover()
         elif self._run:
@@ -283,6 +284,7 @@ class InstrumentWorker:
         self.states.update(scans_left=self._active.scans_left())
         self._raise_alarms()
         self._active.report_age()
+        self._active.report_due()
         if self._is_open and not self._run:
             self._active.follow()
 

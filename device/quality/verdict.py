@@ -41,6 +41,7 @@ class InstrumentContext:
     contact_fraction, depth_fraction, tilt_deg, tilt_towards : of the press, as the press guide measures them; see
         `PressFigures`
     covers_field : whether a gentle object covers the whole field, so that its contact cannot be measured
+    failed_check : the last check of the check standard, if it failed
     """
 
     motion: float | None = None
@@ -53,6 +54,7 @@ class InstrumentContext:
     tilt_deg: float | None = None
     tilt_towards: str = ""
     covers_field: bool = False
+    failed_check: str = ""
 
     @property
     def figures(self) -> dict[str, float | None]:
@@ -137,6 +139,10 @@ class Evidence:
         """The same with another measurement of the lights."""
         return replace(self, known=replace(self.known, light_change=change))
 
+    def with_failed_check(self, sentence: str) -> Evidence:
+        """The same after a failed check of the check standard."""
+        return replace(self, known=replace(self.known, failed_check=sentence))
+
     def verdict(self) -> VerdictRecord:
         """The verdict's level, reason and figures."""
         metrics, known = self.metrics, self.known
@@ -202,6 +208,8 @@ def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
     if known.motion is not None and known.motion > MOTION_DOUBTFUL:
         yield "doubtful", f"the contact moved during the exposure ({known.motion:.0%} of intensity): hold still"
     yield from drift_complaints(known.light_change, known.reference_change)
+    if known.failed_check:
+        yield "doubtful", known.failed_check
     if known.defect_fraction is not None and known.defect_fraction > MAX_DEFECTS:
         yield "doubtful", f"{known.defect_fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from device.bundles.calibration import CalibrationRecord
+from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.raw_frame import RawHeader
 from device.bundles.receipt import Receipt
 from device.bundles.record import Record
@@ -37,6 +38,8 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     RegistryFile,
     StickyAnnotations,
     Settings,
+    CheckStandard,
+    CheckRecord,
 )
 
 

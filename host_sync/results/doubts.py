@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
 
+from device.bundles.check import CHECK_FILE, CheckRecord, doubt_of_checks
+from device.bundles.record import Identity
+from device.bundles.scan import SCAN_MANIFEST
 from device.calibration.coverage import SECTORS, sector_indices
 from device.surface.fields import Float64Array
 from host_sync.results.doubt import Doubt, DoubtKind
@@ -30,12 +34,15 @@ DRIFT_CHECKS: Final = frozenset({"light levels", "light position", "untouched sk
 CERTIFICATE_FILE: Final = "certificate.json"
 MAX_CERTIFICATE_BYTES: Final = 16_000_000
 _NO_ZERO: Final = "no zero"
+StructT = TypeVar("StructT", bound=msgspec.Struct)
+
 _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 
 
 def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
     """The doubts of a result in its folder, with those that a certificate of its calibration raises."""
-    return (*record_doubts(record), *_check_standards(folder, record.calibration_id, record.calibration_bundle))
+    certified = _check_standards(folder, record.calibration_id, record.calibration_bundle)
+    return (*record_doubts(record), *certified, *_device_checks(folder, record))
 
 
 def video_doubts(folder: Path, record: SequenceRecord) -> tuple[Doubt, ...]:
@@ -130,7 +137,7 @@ class _Certificate(msgspec.Struct, frozen=True):
 def _check_standards(folder: Path, calibration_id: str, bundle: str | None) -> Iterator[Doubt]:
     """What certificates beside the result or its calibration say of the calibration that it was made with."""
     for place in _certificate_places(folder, bundle):
-        found = _read_certificate(place)
+        found = _decoded(place, _Certificate)
         if found is None or found.calibration_id != calibration_id or found.verdict != "does not agree":
             continue
         names = ", ".join(one.name for one in found.specimens if one.agrees is False) or "a check standard"
@@ -141,10 +148,52 @@ def _check_standards(folder: Path, calibration_id: str, bundle: str | None) -> I
 def check_standard(folder: Path, record: ResultRecord) -> str:
     """What certificates say of the calibration: "agrees: step 100, ball"; empty without one."""
     for place in _certificate_places(folder, record.calibration_bundle):
-        found = _read_certificate(place)
+        found = _decoded(place, _Certificate)
         if found is not None and found.calibration_id == record.calibration_id:
             return f"{found.verdict}: {', '.join(one.name for one in found.specimens) or 'no specimen'}"
     return ""
+
+
+class _ScanManifest(msgspec.Struct, frozen=True):
+    """What is read of a scan's manifest."""
+
+    identity: Identity
+    calibration_id: str | None = None
+    check: CheckRecord | None = None
+
+
+def _device_checks(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
+    """What the handheld's checks of its check standard say of a result in a library, also those after its scan."""
+    scan = folder.absolute().parent.parent
+    if record.scan_id is None or scan.name != record.scan_id:
+        return
+    manifest = _decoded(scan / SCAN_MANIFEST, _ScanManifest)
+    if manifest is None:
+        return
+    try:
+        known = _checks_in(scan.parent, scan.parent.stat().st_mtime_ns)
+    except OSError:
+        return
+    checks = {check.scan_id: check for check in (*known, *((manifest.check,) if manifest.check else ()))}
+    mine = (check for check in checks.values() if check.calibration_id == manifest.calibration_id)
+    if failed := doubt_of_checks(manifest.identity.counter, mine):
+        yield Doubt("failed check standard", failed.sentence)
+
+
+@lru_cache(maxsize=4)
+def _checks_in(scans: Path, _changed_ns: int) -> tuple[CheckRecord, ...]:
+    """Every check among the scans of a library; read again once a scan comes or goes."""
+    found = (_decoded(path, CheckRecord) for path in scans.glob(f"*/{CHECK_FILE}"))
+    return tuple(check for check in found if check is not None)
+
+
+def _decoded(path: Path, kind: type[StructT]) -> StructT | None:
+    try:
+        if not path.is_file() or path.stat().st_size > MAX_CERTIFICATE_BYTES:
+            return None
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, ValueError):
+        return None
 
 
 def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterator[Path]:
@@ -154,12 +203,3 @@ def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterato
     if calibration_bundle and re.fullmatch(_BUNDLE, calibration_bundle):
         bundle = beside.parent.parent.parent / "calibrations" / calibration_bundle / "results"
         yield from sorted(bundle.glob(f"*/{CERTIFICATE_FILE}"))
-
-
-def _read_certificate(place: Path) -> _Certificate | None:
-    try:
-        if not place.is_file() or place.stat().st_size > MAX_CERTIFICATE_BYTES:
-            return None
-        return msgspec.json.decode(place.read_bytes(), type=_Certificate)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-        return None

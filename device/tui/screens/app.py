@@ -18,6 +18,7 @@ from device.instrument.events import (
     ButtonPushed,
     CalibrationStep,
     CaptureDone,
+    Checked,
     Event,
     Failed,
     Info,
@@ -125,6 +126,7 @@ class RetroscanApp(App[str]):
         self._live_rate = FrameRateLimiter(1.0 / UPDATES_PER_S)
         self._due_s: float | None = None
         self._demonstrated = 0
+        self._last_event: Event | None = None
         theme = theme_for(depth)
         self.register_theme(theme)
         self.theme = theme.name
@@ -238,8 +240,11 @@ class RetroscanApp(App[str]):
 
     async def _handle(self, event: Event) -> None:
         self.notice = notice_for(event) or self.notice
+        last, self._last_event = self._last_event, event
         match event:
-            case PressSeen() | ScanFinished(fault="") | CalibrationStep(progress=CalibrationProgress(is_over=False)):
+            case PressSeen() | CalibrationStep(progress=CalibrationProgress(is_over=False)):
+                self.notice = None
+            case ScanFinished(fault="") if not isinstance(last, Checked):
                 self.notice = None
             case ButtonPushed(held_long=held_long):
                 await self._pushed(held_long)
@@ -317,6 +322,8 @@ def notice_for(event: Event) -> Notice | None:
         case Info(sentence=sentence):
             return Notice(sentence)
         case ZeroChecked(passed=passed, sentence=sentence):
+            return Notice(sentence, "success" if passed else "error")
+        case Checked(passed=passed, sentence=sentence):
             return Notice(sentence, "success" if passed else "error")
         case PairingChanged(sentence=sentence):
             return Notice(sentence)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from device.acquisition.selftest import Finding
+from device.bundles.check import UNITS, CheckRecord
 from device.instrument.pairing_run import NetworkInfo
-from device.instrument.state import CalibrationState, HealthState, InstrumentState, PairingState
+from device.instrument.state import CalibrationState, CheckState, HealthState, InstrumentState, PairingState
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.text import age_text, hanging, percent_text, shortened
 from hal.interfaces import PowerReading
@@ -88,6 +89,38 @@ def pairing_panel(pairing: PairingState, network: NetworkInfo | None, now_ns: in
     return "\n".join([*lines, "", _labelled(_network_lines(network, columns), columns)])
 
 
+CHART_ROWS: Final = 7
+
+
+def check_panel(check: CheckState, columns: int) -> str:
+    """The check standard, today's state, and a chart of its history: a column a check, the certified value amid."""
+    standard = check.standard
+    if standard is None:
+        return "Enter the certified ball, step or roughness specimen that shows each day that results are right."
+    unit, factor = UNITS[standard.kind]
+    value, tolerance = standard.value_um / factor, standard.tolerance_um / factor
+    words = "Press it, then push the button." if check.is_next else "due today" if check.is_due else "done today"
+    lines = [f"{standard.name}: {standard.kind}, {value:g} ± {tolerance:g} {unit} ({words})", ""]
+    if not check.checks:
+        return "\n".join([*lines, "No check with this calibration yet."])
+    shown = check.checks[-max(columns - 14, 4) :]
+    reach = max(max(abs(one.measured_um - one.value_um) for one in shown), max(one.limit_um for one in shown))
+    for row in range(CHART_ROWS, -CHART_ROWS - 1, -2):
+        at = reach * row / CHART_ROWS
+        cells = "".join(_chart_cell(one, row, reach) for one in shown)
+        label = f"{(standard.value_um + at) / factor:8.4g}"
+        lines.append(f"{label} │{cells}")
+    last = check.checks[-1]
+    return "\n".join([*lines, "", "o passed, x failed, newest right", hanging(f"Last: {last.sentence}", columns, 6)])
+
+
+def _chart_cell(check: CheckRecord, row: int, reach: float) -> str:
+    """A check's sign if its deviation falls into this row of the chart."""
+    place = (check.measured_um - check.value_um) / reach * CHART_ROWS
+    inside = row - 1 <= place < row + 1 or (row == CHART_ROWS and place >= row)
+    return ("o" if check.passed else "x") if inside else " "
+
+
 def selftest_panel(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
     """The findings so far, each with its state."""
     lines = [
@@ -142,6 +175,8 @@ def state_text(state: InstrumentState, columns: int) -> str:
         parts.insert(1, f"{state.processing} processing")
     if state.health.level != "good" and state.health.sentence:
         parts.insert(0, f"! {screen_advice(state.health.sentence)}")
+    if state.check.is_due:
+        parts.insert(0, "check due: Set-up")
     parts[:0] = [f"! {alarm}" for alarm in state.alarms]
     return shortened(" · ".join(part for part in parts if part), columns)
 

@@ -73,6 +73,8 @@ class ScanScreen(InstrumentScreen):
         self._cue.update(cue_text(state))
         self._cue.set_class(_is_ready(state), "-ready")
         auto = " · auto-shutter on" if state.auto_shutter else ""
+        if state.check.is_next and state.check.standard:
+            auto += f" · next: check of {state.check.standard.name}"
         self._sticky.update(f"{sticky_text(state.sticky)}{_MODE_WORDS[state.settings.capture]}{auto}")
         self._show_last(state)
 

@@ -176,14 +176,16 @@ def scan_line(entry: ScanEntry) -> str:
     """One line of the history: number, verdict, mark, whether it was offloaded, part."""
     mark = entry.mark.opinion or "" if entry.mark else ""
     sent = "yes" if entry.offloaded else ""
-    return f"{entry.counter:>4} {entry.verdict.level:<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
+    level = "doubtful" if entry.doubt and entry.verdict.level == "good" else entry.verdict.level
+    return f"{entry.counter:>4} {level:<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
 
 
 def details_of(entry: ScanEntry) -> str:
     """Verdict, annotations, time, offload state and note of a scan."""
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
+    doubt = f"! {entry.doubt}\n" if entry.doubt and entry.doubt != entry.verdict.reason else ""
     return (
-        f"{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
+        f"{doubt}{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
         f"{local_time(entry.wall_time)} · {sent}{note}"
     )

@@ -11,6 +11,7 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
 from textual.widgets import Static
 
+from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
@@ -20,14 +21,14 @@ from device.store.registry import RegisteredCalibration
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
-from device.tui.screens.panels import instrument_panel, pairing_panel, selftest_panel
+from device.tui.screens.panels import check_panel, instrument_panel, pairing_panel, selftest_panel
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
 from device.tui.widgets.line_list import ChoiceList
 
 Read = TypeVar("Read")
 
 
-ActionName = Literal["back", "facts", "pair", "test", "zero", "gel", "calibrations", "off"]
+ActionName = Literal["back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "off"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,9 @@ class SetupAction:
     title: str
     meaning: str
 
+
+STANDARD_HINT: Final = "As its certificate says; the same unit for both"
+MAX_STANDARD_UM: Final = 1e5
 
 GEL_HINT: Final = "Lower-case letters, digits and hyphens, for example the number on the gel's frame"
 
@@ -60,6 +64,7 @@ SETUP_ACTIONS: Final = (
         "Measures how flat the untouched skin reads: run it each morning, and when results look wrong.\n"
         "Touch nothing with the gel. Enter takes a frame; no scan is stored.",
     ),
+    SetupAction("check", "Check standard", ""),
     SetupAction(
         "gel",
         "Change gel",
@@ -122,6 +127,8 @@ class SetUpScreen(InstrumentScreen):
                 self._selftest(True)
             case "zero":
                 self.instrument.zero_check()
+            case "check":
+                self._check()
             case "gel":
                 self._read(self._known_gels, self._ask_for_gel)
             case "calibrations":
@@ -156,6 +163,8 @@ class SetUpScreen(InstrumentScreen):
             return pairing_panel(state.pairing, self._network, self.retroscan.now_ns(), columns)
         if chosen.name == "test" and (findings or running):
             return selftest_panel(findings, running, columns)
+        if chosen.name == "check":
+            return check_panel(state.check, columns)
         return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns)
 
     def _read(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
@@ -173,6 +182,36 @@ class SetUpScreen(InstrumentScreen):
     def _show_network(self, network: NetworkInfo) -> None:
         self._network = network
         self.show_body(self.instrument.state)
+
+    def _check(self) -> None:
+        """Check now, or enter another check standard."""
+        standard = self.instrument.state.check.standard
+        if standard is None:
+            self._ask_for_standard(1)
+            return
+        now = "Do not check" if self.instrument.state.check.is_next else f"Press {standard.name} now"
+        self.app.push_screen(ChoiceDialog("Check standard", [now, "Enter another standard"]), self._ask_for_standard)
+
+    def _ask_for_standard(self, chosen: int | None) -> None:
+        if chosen == 0:
+            self.instrument.begin_check()
+            self.app.call_later(self.retroscan.go, "scan")
+        elif chosen == 1:
+            kinds = [f"{kind}, {unit}" for kind, (unit, _) in UNITS.items()]
+            self.app.push_screen(ChoiceDialog("What is certified?", kinds), self._ask_for_value)
+
+    def _ask_for_value(self, chosen: int | None) -> None:
+        if chosen is None:
+            return
+        kind = tuple(UNITS)[chosen]
+        what = {"ball": "Radius", "step": "Height", "roughness": "Ra"}[kind]
+        fields = {"Name": kind, f"{what}, {UNITS[kind][0]}": "", "±": ""}
+        dialog = FieldsDialog("Check standard", fields, STANDARD_HINT, lambda texts: _standard_complaint(kind, texts))
+        self.app.push_screen(dialog, partial(self._set_standard, kind))
+
+    def _set_standard(self, kind: StandardKind, fields: dict[str, str] | None) -> None:
+        if fields is not None:
+            self.instrument.set_standard(_standard(kind, fields))
 
     def _known_gels(self) -> list[str]:
         """Gels that were mounted here, or have a calibration here."""
@@ -215,6 +254,24 @@ class SetUpScreen(InstrumentScreen):
     def _power_off(self, yes: bool | None) -> None:
         if yes:
             self.instrument.power_off()
+
+
+def _standard(kind: StandardKind, fields: dict[str, str]) -> CheckStandard:
+    name, value, tolerance = fields.values()
+    factor = UNITS[kind][1]
+    value_um, tolerance_um = (factor * float(text.replace(",", ".")) for text in (value, tolerance))
+    return CheckStandard(name=name or kind, kind=kind, value_um=value_um, tolerance_um=tolerance_um)
+
+
+def _standard_complaint(kind: StandardKind, fields: dict[str, str]) -> str:
+    """What is wrong with a check standard's figures; empty if nothing is."""
+    try:
+        standard = _standard(kind, fields)
+    except ValueError:
+        return f"write numbers, for example 3 and 0.002, in {UNITS[kind][0]}"
+    if not 0.0 < standard.value_um <= MAX_STANDARD_UM or not 0.0 <= standard.tolerance_um < standard.value_um:
+        return "the value must be above 0 and its ± smaller than it"
+    return ""
 
 
 def _thickness_mm(fields: dict[str, str]) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 Stage = Any
 
-ACTIONS = ("back", "facts", "pair", "test", "zero", "gel", "calibrations", "off")
+ACTIONS = ("back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "off")
 
 
 async def _choose(stage: Stage, action: str) -> None:

@@ -1,0 +1,141 @@
+"""A check standard measured in a quick look: radius of a ball, height of a step, Ra of a roughness specimen."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from device.bundles.check import StandardKind
+from device.errors import DeviceError
+from device.quick_look.measures import levelled, mean_line
+from device.quick_look.solver import QuickLook
+from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap
+
+SMOOTH_PX: Final = 5
+INNER: Final = 0.75
+"""Fraction of the radius of its steepest ring within which a ball is fitted: beyond, the skin leaves it."""
+
+MIN_PIXELS: Final = 60
+ROUNDS: Final = 8
+GAP_UM: Final = 250.0
+REACH_UM: Final = 900.0
+STRIP_UM: Final = 1000.0
+"""A step is fitted between these distances from its edge, in a strip this wide to both sides: nearer the skin bridges
+the edge, farther away the quick look drifts."""
+
+EDGE_WEIGHT: Final = 6
+"""The edge lies where the slope, to this power, does."""
+
+MIN_STEP: Final = 3.0
+"""A step must stand out of what its two faces leave by this factor."""
+
+NO_STEP: Final = "no step was found: press it so that its edge crosses the middle of the field"
+ROUGHNESS_CUTOFF_UM: Final = 800.0
+MIDDLE: Final = 0.5
+STEP_MIDDLE: Final = 0.3
+"""Fractions of the field, in each direction, that a roughness specimen or the two faces of a step must cover."""
+
+
+class CheckNotMeasured(DeviceError):
+    """The quick look does not show the check standard."""
+
+
+def measure_standard(kind: StandardKind, look: QuickLook) -> float:
+    """Value of a check standard, µm.
+
+    Raises
+    ------
+    CheckNotMeasured
+        It does not show; says what to do.
+    """
+    match kind:
+        case "ball":
+            return ball_radius_um(look.gradients, look.height)
+        case "step":
+            return step_um(look.height)
+        case "roughness":
+            return roughness_um(look.height)
+
+
+def ball_radius_um(slopes: GradientField, height: HeightMap) -> float:
+    """Radius of the pressed ball: sine of slope grows with the distance from its top as 1 / R."""
+    steep = 1.0 / np.sqrt(1.0 + slopes.p.astype(np.float64) ** 2 + slopes.q.astype(np.float64) ** 2)
+    across, down = slopes.p * steep, slopes.q * steep
+    row, column = np.unravel_index(int(np.argmax(_smooth(height.z_um))), height.z_um.shape)
+    rows, columns = np.mgrid[: height.z_um.shape[0], : height.z_um.shape[1]]
+    centre: tuple[float, float] = float(row), float(column)
+    distance = np.hypot(rows - centre[0], columns - centre[1])
+    sine = np.hypot(across, down)
+    rings = distance.astype(int)
+    counted = np.bincount(rings.ravel(), slopes.valid.ravel().astype(float))
+    mean = np.bincount(rings.ravel(), (sine * slopes.valid).ravel()) / np.maximum(counted, 1.0)
+    edge_px = float(np.argmax(np.where(counted > 0, mean, 0.0)))
+    radius_um = float("nan")
+    for _ in range(ROUNDS):
+        inside = slopes.valid & (np.hypot(rows - centre[0], columns - centre[1]) < INNER * edge_px)
+        if inside.sum() < MIN_PIXELS:
+            raise CheckNotMeasured("no ball was found: press the ball of the check standard in the middle of the field")
+        x, y = columns[inside].astype(np.float64), rows[inside].astype(np.float64)
+        ones, zeros = np.ones(x.size), np.zeros(x.size)
+        # across = a - k x, down = b - k y
+        design = np.concatenate([np.stack([-x, ones, zeros], -1), np.stack([-y, zeros, ones], -1)])
+        (k, a, b), *_ = np.linalg.lstsq(design, np.concatenate([across[inside], down[inside]]), rcond=None)
+        if not k > 0.0:
+            raise CheckNotMeasured("no ball was found: press the ball of the check standard")
+        centre, radius_um = (float(b / k), float(a / k)), float(height.pitch_um / k)
+    return radius_um
+
+
+def step_um(height: HeightMap) -> float:
+    """Height of the step whose edge crosses the middle of the field: two parallel lines beside the edge."""
+    part = _middle(height.z_um, STEP_MIDDLE)
+    down, across = np.gradient(_smooth(part))
+    weight = np.hypot(down, across) ** EDGE_WEIGHT
+    total = float(weight.sum())
+    if not total > 0.0:
+        raise CheckNotMeasured(NO_STEP)
+    rows, columns = np.mgrid[: part.shape[0], : part.shape[1]]
+    row, column = float((weight * rows).sum()) / total, float((weight * columns).sum()) / total
+    steep = np.maximum(weight ** (1.0 / EDGE_WEIGHT), 1e-12)
+    unit = np.stack([down / steep, across / steep], -1)
+    _, vectors = np.linalg.eigh(np.einsum("hw,hwi,hwj->ij", weight, unit, unit))
+    normal = vectors[:, -1]
+    beside = ((rows - row) * normal[0] + (columns - column) * normal[1]) * height.pitch_um
+    along = ((rows - row) * -normal[1] + (columns - column) * normal[0]) * height.pitch_um
+    near = np.isfinite(part) & (np.abs(along) < STRIP_UM)
+    used = near & (np.abs(beside) > GAP_UM) & (np.abs(beside) < REACH_UM)
+    if min((used & (beside > 0.0)).sum(), (used & (beside < 0.0)).sum()) < MIN_PIXELS:
+        raise CheckNotMeasured(NO_STEP)
+    side = np.sign(beside[used])
+    design = np.stack([beside[used], along[used], np.ones(side.size), side], -1)
+    fitted, *_ = np.linalg.lstsq(design, part[used].astype(np.float64), rcond=None)
+    residual = float(np.std(design @ fitted - part[used]))
+    rise = 2.0 * abs(float(fitted[3]))
+    if not rise > MIN_STEP * residual:
+        raise CheckNotMeasured(NO_STEP)
+    return rise
+
+
+def roughness_um(height: HeightMap) -> float:
+    """Ra over the middle of the field: mean over its rows and columns with a cut-off of 0.8 mm."""
+    part = levelled(_middle(height.z_um, MIDDLE)).astype(np.float64)
+    cutoff = ROUGHNESS_CUTOFF_UM / height.pitch_um
+    found = [float(np.nanmean(np.abs(line - mean_line(line, cutoff)))) for line in part if np.isfinite(line).any()]
+    if not found:
+        raise CheckNotMeasured("the middle of the field has no heights: press the roughness specimen again")
+    return float(np.mean(found))
+
+
+def _smooth(z_um: Float32Array) -> Float64Array:
+    """Box mean over `SMOOTH_PX` pixels."""
+    side = np.ones(SMOOTH_PX) / SMOOTH_PX
+    padded = np.pad(np.nan_to_num(z_um).astype(np.float64), SMOOTH_PX // 2, mode="edge")
+    down = np.apply_along_axis(np.convolve, 0, padded, side, "valid")
+    return np.asarray(np.apply_along_axis(np.convolve, 1, down, side, "valid"))
+
+
+def _middle(z_um: Float32Array, fraction: float) -> Float32Array:
+    rows, columns = z_um.shape
+    top, left = round(rows * (1.0 - fraction) / 2.0), round(columns * (1.0 - fraction) / 2.0)
+    return z_um[top : rows - top, left : columns - left]

@@ -1,0 +1,168 @@
+"""Numbers read from a quick look: level, roughness of an area or a line, and two points against each other.
+
+The formulas are those of the workstation (ISO 25178-2, ISO 21920-2, ISO 16610-31), with numpy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, HeightMap
+
+CUTOFFS_UM: Final = (250.0, 800.0, 2500.0)
+SECTIONS: Final = 5
+"""A roughness profile has five cut-off lengths, of the largest cut-off that fits."""
+
+_ALPHA: Final = float(np.sqrt(np.log(2.0) / np.pi))
+_REACH: Final = 5.0
+_MIN_DETERMINANT: Final = 1e-6
+_LOCAL_PX: Final = 2
+
+Point = tuple[float, float]
+"""Row and column, pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Roughness:
+    """Mean and total height, µm: Sa and Sz of an area, Ra and Rz of a line; `cutoff_um` is None without a filter."""
+
+    mean_um: float
+    total_um: float
+    cutoff_um: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The second point against the first.
+
+    dz_um, distance_um, angle_deg : height, distance in the plane, slope of the line between them
+    dz_sigma_um, distance_sigma_um, angle_sigma_deg : standard uncertainties from noise, flatness and the pixels; None
+        where the flatness of untouched skin was not measured. The calibration's scale is not in them.
+    """
+
+    dz_um: float
+    distance_um: float
+    angle_deg: float
+    dz_sigma_um: float | None
+    distance_sigma_um: float
+    angle_sigma_deg: float | None
+
+
+def levelled(z_um: Float32Array) -> Float32Array:
+    """Heights above their least-squares plane: float32 array of shape (H, W), NaN where invalid."""
+    row, column = np.nonzero(np.isfinite(z_um))
+    if row.size < 3:
+        return z_um
+    design = np.stack([column, row, np.ones(row.size)], axis=-1).astype(np.float64)
+    plane, *_ = np.linalg.lstsq(design, z_um[row, column].astype(np.float64), rcond=None)
+    down, across = np.mgrid[: z_um.shape[0], : z_um.shape[1]]
+    return np.asarray(z_um - (across * plane[0] + down * plane[1] + plane[2]), np.float32)
+
+
+def areal_roughness(z_um: Float32Array) -> Roughness:
+    """Sa and Sz of an area about its mean; level it first."""
+    seen = z_um[np.isfinite(z_um)].astype(np.float64)
+    if not seen.size:
+        return Roughness(float("nan"), float("nan"))
+    seen -= seen.mean()
+    return Roughness(float(np.abs(seen).mean()), float(seen.max() - seen.min()))
+
+
+def line_between(height: HeightMap, start: Point, end: Point) -> Float64Array:
+    """Heights (µm) along the line between two points, interpolated, a pixel apart: float64 array of shape (N,)."""
+    rows, columns = height.z_um.shape
+    count = max(round(float(np.hypot(end[0] - start[0], end[1] - start[1]))) + 1, 2)
+    row = np.clip(np.linspace(start[0], end[0], count), 0.0, rows - 1.0)
+    column = np.clip(np.linspace(start[1], end[1], count), 0.0, columns - 1.0)
+    top, left = np.minimum(row.astype(int), rows - 2), np.minimum(column.astype(int), columns - 2)
+    down, right = row - top, column - left
+    z = height.z_um.astype(np.float64)
+    upper = z[top, left] * (1.0 - right) + z[top, left + 1] * right
+    lower = z[top + 1, left] * (1.0 - right) + z[top + 1, left + 1] * right
+    return np.asarray(upper * (1.0 - down) + lower * down)
+
+
+def line_roughness(z_um: Float64Array, step_um: float) -> Roughness:
+    """Ra and Rz of a line with the largest cut-off of which it holds five; of the levelled line (Pa, Pz) if none fits.
+
+    z_um : heights `step_um` apart
+    """
+    length_um = step_um * (z_um.size - 1)
+    cutoff_um = max((one for one in CUTOFFS_UM if SECTIONS * one <= length_um), default=None)
+    place = np.arange(z_um.size, dtype=np.float64)
+    if cutoff_um is None:
+        seen = np.isfinite(z_um)
+        if seen.sum() < 2:
+            return Roughness(float("nan"), float("nan"))
+        heights = z_um - np.polyval(np.polyfit(place[seen], z_um[seen], 1), place)
+        return _of_profile(heights, 1, None)
+    return _of_profile(z_um - mean_line(z_um, cutoff_um / step_um), SECTIONS, cutoff_um)
+
+
+def mean_line(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
+    """Gaussian mean line, of first order at ends and holes (ISO 16610-31): float64 array of shape (N,)."""
+    sigma = _ALPHA * cutoff_samples / np.sqrt(2.0 * np.pi)
+    reach = max(int(np.ceil(_REACH * sigma)), 1)
+    x = np.arange(-reach, reach + 1) / sigma
+    weight = np.exp(-0.5 * x * x)
+    valid = np.isfinite(z_um)
+    if not valid.any():
+        return z_um.copy()
+    level = float(z_um[valid].mean())
+    filled, ones = np.where(valid, z_um - level, 0.0), valid.astype(np.float64)
+
+    def around(values: Float64Array, power: int) -> Float64Array:
+        return np.convolve(values, (weight / weight.sum() * x**power)[::-1])[reach : reach + values.size]
+
+    n, first, second = (around(ones, power) for power in range(3))
+    z0, z1 = (around(filled, power) for power in range(2))
+    n = np.maximum(n, 1e-9)
+    determinant = n * second - first * first
+    spans = determinant > _MIN_DETERMINANT * n * n
+    line = (z0 * second - z1 * first) / np.where(spans, determinant, 1.0)
+    return np.where(valid, np.where(spans, line, z0 / n) + level, np.nan)
+
+
+def difference(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> Difference:
+    """The second point against the first.
+
+    flatness_um : rms of untouched skin's heights, as the zero check measures it; None if not measured
+    """
+    (z0, noise0), (z1, noise1) = _at(height, first), _at(height, second)
+    pitch = height.pitch_um
+    distance_um = pitch * float(np.hypot(second[0] - first[0], second[1] - first[1]))
+    dz_um = z1 - z0
+    distance_sigma_um = pitch / float(np.sqrt(6.0))  # two points, each uniform over a pixel
+    dz_sigma_um = None if flatness_um is None else float(np.sqrt(2.0 * flatness_um**2 + noise0**2 + noise1**2))
+    angle = float(np.degrees(np.arctan2(dz_um, distance_um))) if distance_um else float("nan")
+    angle_sigma = None
+    if dz_sigma_um is not None and distance_um:
+        square = distance_um**2 + dz_um**2
+        parts = distance_um * dz_sigma_um, dz_um * distance_sigma_um
+        angle_sigma = float(np.degrees(np.hypot(*parts) / square))
+    return Difference(dz_um, distance_um, angle, dz_sigma_um, distance_sigma_um, angle_sigma)
+
+
+def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None) -> Roughness:
+    heights = heights - np.nanmean(heights) if np.isfinite(heights).any() else heights
+    parts = [part[np.isfinite(part)] for part in np.array_split(heights, sections)]
+    spans = [float(part.max() - part.min()) for part in parts if part.size]
+    if not spans:
+        return Roughness(float("nan"), float("nan"), cutoff_um)
+    return Roughness(float(np.nanmean(np.abs(heights))), float(np.mean(spans)), cutoff_um)
+
+
+def _at(height: HeightMap, point: Point) -> tuple[float, float]:
+    """Mean height of the pixels around a point and its standard error, µm, about their own plane."""
+    row, column = round(point[0]), round(point[1])
+    part = height.z_um[
+        max(row - _LOCAL_PX, 0) : row + _LOCAL_PX + 1, max(column - _LOCAL_PX, 0) : column + _LOCAL_PX + 1
+    ]
+    seen = np.isfinite(part)
+    if not seen.any():
+        return float("nan"), float("nan")
+    noise = float(np.nanstd(levelled(part))) / float(np.sqrt(seen.sum()))
+    return float(height.z_um[row, column]), noise

@@ -1,0 +1,101 @@
+"""The check standard of an instrument and the history of its checks: small files in `checks/`."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Final
+
+from device.bundles.check import CheckRecord, CheckStandard, StandardKind
+from device.bundles.record import Identity, decode_record, encode_record, read_small
+from device.errors import RecordError, StoreError
+from device.io.atomic import replace_file
+from device.io.os_errors import explain_os_error
+
+CHECKS: Final = "checks"
+STANDARD_FILE: Final = "standard.json"
+_REMEDY: Final = "remove it, and enter the check standard again"
+
+OWN_SHARE: Final[dict[StandardKind, float]] = {"ball": 0.12, "step": 0.15, "roughness": 0.4}
+"""Relative error of the quick look itself, allowed beyond the standard's ±: it reads balls that are pressed gently up
+to 10 % large, steps up to 10 % low where the skin bridges them, and fine roughness low."""
+
+DRIFT_SHARE: Final[dict[StandardKind, float]] = {"ball": 0.05, "step": 0.05, "roughness": 0.1}
+"""Allowed change since the first check with a calibration: what pressing elsewhere and deeper changes."""
+
+
+def read_standard(root: Path) -> CheckStandard | None:
+    """The check standard; None when none was entered or its file is damaged."""
+    path = root / CHECKS / STANDARD_FILE
+    if not path.exists():
+        return None
+    try:
+        return decode_record(read_small(path, _REMEDY), CheckStandard, path, _REMEDY)
+    except RecordError:
+        return None
+
+
+def write_standard(root: Path, standard: CheckStandard) -> None:
+    """Store the check standard durably; the history stays.
+
+    Raises
+    ------
+    StoreError
+        The disk refused.
+    """
+    _write(root / CHECKS / STANDARD_FILE, encode_record(standard))
+
+
+def read_checks(root: Path) -> tuple[CheckRecord, ...]:
+    """Every check, oldest first; damaged ones are left out."""
+    found = []
+    for path in (root / CHECKS).glob("*.json"):
+        if path.name == STANDARD_FILE:
+            continue
+        try:
+            found.append(decode_record(read_small(path, _REMEDY), CheckRecord, path, _REMEDY))
+        except RecordError:
+            continue
+    return tuple(sorted(found, key=lambda check: check.counter))
+
+
+def write_check(root: Path, check: CheckRecord) -> None:
+    """Store a check durably. Errors as for `write_standard`."""
+    _write(root / CHECKS / f"{check.scan_id}.json", encode_record(check))
+
+
+def judged_check(
+    root: Path, standard: CheckStandard, identity: Identity, calibration_id: str, checked: datetime, measured_um: float
+) -> CheckRecord:
+    """The result of a check, compared with the certificate and the first passed check with this calibration."""
+    first = next(
+        (
+            check
+            for check in read_checks(root)
+            if check.calibration_id == calibration_id
+            and (check.kind, check.value_um, check.name) == (standard.kind, standard.value_um, standard.name)
+            and check.passed
+        ),
+        None,
+    )
+    return CheckRecord(
+        scan_id=identity.id,
+        counter=identity.counter,
+        checked=checked,
+        calibration_id=calibration_id,
+        name=standard.name,
+        kind=standard.kind,
+        value_um=standard.value_um,
+        limit_um=standard.tolerance_um + OWN_SHARE[standard.kind] * standard.value_um,
+        measured_um=measured_um,
+        first_um=first.measured_um if first else None,
+        drift_limit_um=DRIFT_SHARE[standard.kind] * standard.value_um if first else None,
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.parent.mkdir(exist_ok=True)
+        replace_file(path, data)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error

@@ -1,0 +1,140 @@
+"""The check standard by the whole instrument: pressed, judged, kept, and what a failed check makes doubtful."""
+
+from datetime import timedelta
+
+import pytest
+
+from device.bundles.check import CheckStandard, StandardKind
+from device.instrument.events import Checked, Failed, ScanFinished
+from device.instrument.instrument import Instrument
+from device.store.checks import read_checks
+from device.store.store import BundleStore
+from hal.hardware import Hardware
+from hal.interfaces import ButtonPress
+from hal.simulator.bench import SimulatedScene
+from hal.simulator.scene import Press
+from hal.simulator.surfaces import Block, Sinusoid, Sphere, Step, Surface
+
+STANDARDS: dict[StandardKind, tuple[CheckStandard, Surface, float]] = {
+    "ball": (CheckStandard(name="ball 3", kind="ball", value_um=3000.0, tolerance_um=2.0), Sphere(3.0), 0.5),
+    "step": (
+        CheckStandard(name="step 100", kind="step", value_um=100.0, tolerance_um=0.5),
+        Step(Block(4.5, 3.5), 0.1, 0.15),
+        0.5,
+    ),
+    "roughness": (
+        CheckStandard(name="Ra 3", kind="roughness", value_um=3.0, tolerance_um=0.1),
+        Sinusoid(Block(8.0, 6.0), 0.5, 0.0075),
+        0.45,
+    ),
+}
+
+
+def pressed(
+    instrument: Instrument, bench: SimulatedScene, surface: Surface, depth_mm: float, place: tuple[float, float]
+) -> list[Checked | ScanFinished | Failed]:
+    """What becomes of a push on an object, which is then lifted."""
+    for _ in range(24):
+        instrument.step()
+    instrument.take_events()
+    bench.place(Press(surface, place, 0.0, depth_mm))
+    bench.schedule_button(ButtonPress(bench.clock.monotonic_ns() + 100_000_000, 0.05))
+    for _ in range(12):
+        instrument.step()
+    bench.place(None)
+    found: list[Checked | ScanFinished | Failed] = []
+    for _ in range(600):
+        instrument.step()
+        found += [event for event in instrument.take_events() if isinstance(event, Checked | ScanFinished | Failed)]
+        if any(isinstance(event, ScanFinished | Failed) for event in found):
+            return found
+    raise AssertionError("nothing came of the push")
+
+
+def checked(
+    instrument: Instrument, bench: SimulatedScene, surface: Surface, depth_mm: float, place: tuple[float, float]
+) -> Checked:
+    instrument.begin_check()
+    instrument.step()
+    assert instrument.state.check.is_next
+    found = pressed(instrument, bench, surface, depth_mm, place)
+    assert not instrument.state.check.is_next
+    return next(event for event in found if isinstance(event, Checked))
+
+
+@pytest.mark.parametrize("kind", STANDARDS)
+def test_a_right_standard_passes_at_any_place_and_a_wrong_one_fails(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, kind: StandardKind
+) -> None:
+    standard, surface, depth_mm = STANDARDS[kind]
+    with Instrument(hardware, calibrated) as instrument:
+        instrument.set_standard(standard)
+        instrument.step()
+        assert instrument.state.check.is_due
+        for place in ((0.0, 0.0), (0.6, -0.4), (-0.5, 0.3)):
+            result = checked(instrument, bench, surface, depth_mm, place)
+            assert result.passed, result.sentence
+        assert not instrument.state.check.is_due
+        assert len(instrument.state.check.checks) == 3
+        instrument.set_standard(
+            CheckStandard(name="other", kind=kind, value_um=2.0 * standard.value_um, tolerance_um=1.0)
+        )
+        wrong = checked(instrument, bench, surface, depth_mm, (0.0, 0.0))
+        assert not wrong.passed
+        assert "FAILED" in wrong.sentence
+    for check in read_checks(calibrated.root):
+        assert check.passed == (check.name == standard.name)
+
+
+def test_a_drifted_instrument_fails_and_makes_scans_since_the_last_good_check_doubtful(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    standard, surface, depth_mm = STANDARDS["ball"]
+    coin = (Sphere(4.0), 0.5, (0.0, 0.0))
+    with Instrument(hardware, calibrated) as instrument:
+        instrument.set_standard(standard)
+        instrument.step()
+        pressed(instrument, bench, *coin)
+        assert checked(instrument, bench, surface, depth_mm, (0.0, 0.0)).passed
+        pressed(instrument, bench, *coin)
+        assert [entry.doubt for entry in instrument.history().scans] == ["", "", ""]
+        assert not checked(instrument, bench, Sphere(2.7), depth_mm, (0.0, 0.0)).passed
+        (after,) = [event for event in pressed(instrument, bench, *coin) if isinstance(event, ScanFinished)]
+        assert after.verdict.level == "doubtful"
+        assert "check of ball 3 FAILED" in after.verdict.reason
+        doubted = [bool(entry.doubt) for entry in instrument.history().scans]
+        assert doubted == [True, True, True, False, False]
+        assert checked(instrument, bench, surface, depth_mm, (0.0, 0.0)).passed
+        pressed(instrument, bench, *coin)
+        assert [bool(entry.doubt) for entry in instrument.history().scans][:2] == [False, False]
+    checks = [scan.record.check for scan in calibrated.scans().bundles]
+    assert checks[0] is None
+    assert all(check is not None for check in checks[1:])
+
+
+def test_a_press_that_does_not_show_the_standard_says_so_and_stores_nothing(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    with Instrument(hardware, calibrated) as instrument:
+        instrument.set_standard(STANDARDS["step"][0])
+        instrument.begin_check()
+        instrument.step()
+        found = pressed(instrument, bench, Sphere(3.0), 0.5, (0.0, 0.0))
+        assert any(isinstance(event, Failed) and "no step was found" in event.sentence for event in found)
+    assert read_checks(calibrated.root) == ()
+    assert not calibrated.scans().bundles
+
+
+def test_the_check_is_due_again_the_next_day(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    standard, surface, depth_mm = STANDARDS["ball"]
+    with Instrument(hardware, calibrated) as instrument:
+        instrument.set_standard(standard)
+        instrument.step()
+        checked(instrument, bench, surface, depth_mm, (0.0, 0.0))
+        assert not instrument.state.check.is_due
+        bench.clock.sleep(timedelta(days=1).total_seconds())
+        for _ in range(3):
+            instrument.step()
+        assert instrument.state.check.is_due

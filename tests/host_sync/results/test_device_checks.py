@@ -1,0 +1,61 @@
+"""A handheld's failed check of its check standard is a doubt of the results since the last good one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from device.bundles.check import CHECK_FILE, CheckRecord
+from device.bundles.record import encode_record
+from device.bundles.scan import ScanBundle, ScanRecord
+from device.store.store import BundleStore
+from host_sync.results.doubts import result_doubts
+from host_sync.results.record import ResultRecord
+
+CALIBRATION = "rg-cal"
+
+
+def check_of(record: ScanRecord, measured_um: float) -> CheckRecord:
+    return CheckRecord(
+        scan_id=record.scan_id,
+        counter=record.identity.counter,
+        checked=record.wall_time,
+        calibration_id=CALIBRATION,
+        name="ball 3",
+        kind="ball",
+        value_um=3000.0,
+        limit_um=300.0,
+        measured_um=measured_um,
+    )
+
+
+@pytest.fixture
+def library(store: BundleStore, scan_record: Callable[..., ScanRecord], raw_frame: Callable[..., object]) -> list[str]:
+    """Ids of five scans: a good check, a scan, a failed check, a scan that another calibration was used for, a scan."""
+    ids = []
+    for number in range(5):
+        record = scan_record(store, "other-cal" if number == 3 else CALIBRATION)
+        check = check_of(record, 3050.0 if number == 0 else 3500.0) if number in (0, 2) else None
+        record = msgspec.structs.replace(record, check=check)
+
+        def write(directory: Path, check: CheckRecord | None = check) -> None:
+            (directory / "raw.tif").write_bytes(b"x")
+            if check:
+                (directory / CHECK_FILE).write_bytes(encode_record(check))
+
+        ids.append(ScanBundle(store.publish_scan(record, write).directory, record).scan_id)
+    return ids
+
+
+def test_scans_since_the_last_good_check_are_doubtful(store: BundleStore, library: list[str]) -> None:
+    found = []
+    for scan_id in library:
+        folder = store.root / "scans" / scan_id / "results" / "one"
+        record = ResultRecord(name="one", rows=4, columns=4, pixel_pitch_um=1.0, scan_id=scan_id, height_zero="skin")
+        found.append([doubt.sentence for doubt in result_doubts(folder, record)])
+    assert found[0] == []
+    assert found[3] == []
+    for number in (1, 2, 4):
+        (sentence,) = found[number]
+        assert sentence.startswith("failed check standard: check of ball 3 FAILED: 3.5 mm, 3 ± 0.3 mm expected")
