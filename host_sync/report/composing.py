@@ -103,7 +103,7 @@ def _facts(measurement: Measurement, origin: Origin, template: Template) -> Iter
             ("note", notes.note),
         ):
             yield label, value or ""
-        yield "check standard", scan.check.sentence if scan.check else ""
+        yield "last check at the press", scan.check.sentence if scan.check else ""
         yield "verdict at the press", f"{scan.verdict.level}: {scan.verdict.reason}"
     else:
         yield "operator", template.operator
