@@ -72,7 +72,8 @@ def calibrate(
         guide.add_frame(frame)
         if guide.progress.complaint:
             tell(f"  {guide.progress.complaint}.")
-    tell(guide.progress.instruction)
+    if guide.progress.phase != "failed":  # its error says the same
+        tell(guide.progress.instruction)
     return finish(hardware, store, plan, guide)
 
 

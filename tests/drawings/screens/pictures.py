@@ -27,6 +27,9 @@ from tests.drawings.screens.terminal_picture import terminal_picture
 
 SIZE = (100, 30)
 BALL_RADIUS_MM = 3.0
+UNTOUCHED_STEPS = 30
+"""Live frames of untouched skin before a press, in which the lights are measured."""
+
 STILL_STEPS = 40
 
 
@@ -61,10 +64,10 @@ async def play(instrument: Instrument, root: Path, depth: ColourDepth, out: Path
     async with app.run_test(size=SIZE) as pilot:
         player = Player(app, instrument, out)
         instrument.set_sticky(Annotations(job="J-7", part="coin", operator="Mia"))
-        await pilot.press("d")
-        await player.live(2)
-        instrument.press()
+        await player.live(UNTOUCHED_STEPS)
+        await pilot.press("d")  # the operator presses a coin, pushes the button and lifts
         await player.live(STILL_STEPS)
+        await player.live(UNTOUCHED_STEPS)
         await pilot.pause()
         player.save("screen-scan" if depth == "full" else f"screen-scan-{depth}")
         if depth != "full":
