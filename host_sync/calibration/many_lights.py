@@ -10,11 +10,12 @@ import numpy as np
 
 from device.balls.sphere import Ball
 from device.errors import CalibrationError
-from device.imaging.flat_field import LinearFrame
+from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
 from host_sync.lights.light_groups import CHANNELS, Group, choose_groups, find_light_groups, in_group
+from host_sync.uncertainty.joined_error import JoinedMaps, joined_slope_error
 
 
 def calibrate_lights(
@@ -57,7 +58,14 @@ def calibrate_lights(
     balls: list[tuple[Ball, ...]] = [press.balls for press in first.presses]
     lights = find_light_groups(groups, list(zip(frames, balls, strict=True)), flat_field, light_names)
     digest = hashlib.sha256("".join(one.calibration_id for one in found).encode()).hexdigest()[:12]
-    return replace(first, calibration_id=digest, lights=lights, beside=tuple(found[1:]))
+    tell("measuring the slope error of all lights")
+    images = [
+        [flat_field_correct(in_group(frame, group), own.flat_field) for group, own in zip(groups, found, strict=True)]
+        for frame in frames
+    ]
+    maps = JoinedMaps(tuple(own.inverse.map for own in found))
+    error = joined_slope_error(first.slope_error, images, balls, maps)
+    return replace(first, calibration_id=digest, lights=lights, beside=tuple(found[1:]), slope_error=error)
 
 
 def _flat_field(groups: Sequence[Group], found: Sequence[Calibration], count: int) -> Float32Array:

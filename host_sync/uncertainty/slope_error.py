@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple, Protocol
 
 import cv2
 import msgspec
@@ -24,7 +24,6 @@ import numpy as np
 from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.inflation import held_out_inflation
@@ -106,6 +105,28 @@ def measure_slope_error(
     )
 
 
+class ReadsSlopes(Protocol):
+    """What reads slopes of intensities; an inverse map, or several together."""
+
+    def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
+        """Slopes p and q, float64 array of shape (N, 2)."""
+        ...
+
+
+class ErrorByTilt(NamedTuple):
+    """Tilt of the surface (degrees), and the error from pixel to pixel and over a patch there (degrees)."""
+
+    tilt_deg: tuple[float, ...]
+    pixel_deg: tuple[float, ...]
+    patch_deg: tuple[float, ...]
+
+
+def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
+    """What is read wrong of the balls that were pressed."""
+    tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, reads))), strict=True)
+    return ErrorByTilt(tilt, pixel, patch)
+
+
 def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
     """Middle tilt of each band that balls show, and its pixel and patch part, degrees."""
     tilts, pixels, patches = [np.zeros(0)], [np.zeros((2, 0))], [np.zeros((2, 0))]
@@ -182,7 +203,7 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
 
 
-def _ball_errors(presses: Pressed, inverse_map: InverseMap) -> Iterator[_BallError]:
+def _ball_errors(presses: Pressed, inverse_map: ReadsSlopes) -> Iterator[_BallError]:
     """The slope error of each ball that shows enough faithful pixels."""
     for image, balls in presses:
         for ball in balls:

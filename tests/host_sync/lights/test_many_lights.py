@@ -12,10 +12,10 @@ from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.flat_field import SATURATED, LinearFrame
 from device.surface.fields import GradientField
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.calibrate import Calibration, calibrate
 from host_sync.calibration.many_lights import calibrate_lights
 from host_sync.calibration_file.typed_members import as_members, from_members
-from host_sync.lights.light_groups import choose_groups, joined
+from host_sync.lights.light_groups import choose_groups, in_group, joined
 from host_sync.reconstruction.pipeline import reconstruct
 
 SIX = 6
@@ -91,6 +91,29 @@ def test_six_lights_are_nearer_the_truth_than_three(six: Calibration) -> None:
     ordinary = calibrated(3)
     assert ordinary.lights is None
     assert slope_error(six, SIX) < 0.8 * slope_error(ordinary, 3)
+
+
+def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibration) -> None:
+    presses_of_six = presses(SIX)
+    assert six.lights is not None
+    group = six.lights.groups[0]
+    own = [replace(press, frame=in_group(press.frame, group)) for press in presses_of_six]
+    first = calibrate(own, in_group(lit(np.zeros(SHAPE), SIX, 99), group), PITCH_UM).slope_error
+    shares = np.array(six.slope_error.pixel_deg) / first.pixel_deg
+    assert np.all(shares < 0.85)  # independent noise of two groups: 0.71
+    assert np.all(shares > 0.55)
+    assert six.slope_error.tilt_deg == first.tilt_deg
+
+
+def test_three_lights_take_the_path_of_an_rgb_frame_bit_for_bit() -> None:
+    rest = lit(np.zeros(SHAPE), 3, 99)
+    by_lights, alone = calibrate_lights(presses(3), rest, PITCH_UM), calibrate(presses(3), rest, PITCH_UM)
+    assert by_lights.calibration_id == alone.calibration_id
+    assert by_lights.lights is None
+    frame = lit(press_px(*balls()[0]), 3, 300)
+    found, wanted = (reconstruct(frame, calibration, "scan") for calibration in (by_lights, alone))
+    for one, other in ((found.height.z_um, wanted.height.z_um), (found.sigma_um, wanted.sigma_um), (found.p, wanted.p)):
+        assert one.tobytes() == other.tobytes()
 
 
 def test_a_calibration_of_six_lights_is_read_back_as_it_was_written(six: Calibration) -> None:
