@@ -71,6 +71,16 @@ COMMANDS: Final = (
         (
             "retrosync search --job 'J-17*' --verdict good --since 2026-01-31",
             "retrosync search --part housing-3 --json",
+            "retrosync search valve --tag worn --save worn-valves",
+        ),
+    ),
+    Command(
+        "label",
+        "host_sync.cli.library:label_command",
+        "Give scans a name, tags or a note; without any, print what they have.",
+        (
+            "retrosync label valve-3 --name 'valve 3, before' --tag worn reference",
+            "retrosync label valve-3 --note 'edge chipped at six o clock'",
         ),
     ),
     Command(

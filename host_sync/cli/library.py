@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import fields
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +17,8 @@ from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_json, print_line, status_spinner
 from host_sync.cli.devices import known_devices
 from host_sync.errors import HostError
-from host_sync.library.index import Query, damaged_bundles, search
+from host_sync.library.index import Hit, Query, damaged_bundles, search
+from host_sync.library.labels import Label, label_scan, read_labels, save_search
 from host_sync.library.library import Library, default_library
 from host_sync.library.set_aside import list_set_aside
 from host_sync.library.verification import adopt as add_to_record
@@ -24,7 +27,7 @@ from host_sync.offload.resolve import open_source
 
 
 def search_command(
-    *,
+    *text: str,
     library: Folder | None = None,
     job: str | None = None,
     part: str | None = None,
@@ -34,12 +37,19 @@ def search_command(
     device: str | None = None,
     since: date | None = None,
     until: date | None = None,
+    name: str | None = None,
+    tag: str | None = None,
+    note: str | None = None,
+    save: str | None = None,
+    saved: str | None = None,
     json: bool = False,
 ) -> int:
     """List scans of a library; texts may use * and ?.
 
     Parameters
     ----------
+    text
+        Words that stand anywhere in what is known of a scan.
     library
         Folder of the library; ~/Retrograph by default.
     job
@@ -58,22 +68,112 @@ def search_command(
         First day, by the device's clock.
     until
         Last day, by the device's clock.
+    name
+        Name that `retrosync label` gave.
+    tag
+        One of its tags.
+    note
+        Its note.
+    save
+        Keep these conditions under a name.
+    saved
+        Use the conditions that were saved under this name; others are added.
     json
         Print one JSON document instead of lines.
     """
     if since is not None and until is not None and since > until:
         raise HostError(f"--since {since} is later than --until {until}: swap them")
-    query = Query(job, part, operator, verdict, gel, device, since, until)
     target = Library(library or default_library())
+    query = Query(job, part, operator, verdict, gel, device, since, until, name, tag, note, " ".join(text) or None)
+    if saved is not None:
+        query = _with_saved(query, target, saved)
+    if save is not None:
+        given = {one.name: str(value) for one in fields(query) if (value := getattr(query, one.name)) is not None}
+        save_search(target, save, given)
     hits, damaged = search(target, query), damaged_bundles(target)
     if json:
         print_json({"library": target.root, "scans": hits, "damaged": damaged})
         return PARTLY if damaged else DONE
-    for hit in hits:
-        print_line("  ".join((hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel)))
+    for line in _aligned(hits):
+        print_line(line)
     for reason in damaged:
         print_error(reason, PARTLY)
     return PARTLY if damaged else DONE
+
+
+COLUMNS = ("SCAN", "TAKEN", "VERDICT", "JOB", "PART", "GEL", "OPERATOR", "NAME", "TAGS", "NOTE")
+WIDEST = 40
+
+
+def _aligned(hits: Sequence[Hit]) -> list[str]:
+    """A header and a line per scan, in columns; nothing without scans."""
+    rows = [
+        (
+            hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel, hit.operator or "-",
+            hit.name or "-", ",".join(hit.tags) or "-", " ".join(hit.note.split()) or "-",
+        )
+        for hit in hits
+    ]  # fmt: skip
+    every = [COLUMNS, *rows] if rows else []
+    widths = [min(WIDEST, max(len(row[at]) for row in every)) for at in range(len(COLUMNS))] if rows else []
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in every]
+
+
+def _with_saved(query: Query, library: Library, name: str) -> Query:
+    """A query with the conditions of a saved search that it does not state itself."""
+    searches = read_labels(library.root).searches
+    if name not in searches:
+        known = ", ".join(searches) or "none is saved"
+        raise HostError(f"no search is saved as {name!r} ({known}): save one with --save")
+    own = {one.name: value for one in fields(query) if (value := getattr(query, one.name)) is not None}
+    kept: dict[str, Any] = {**searches[name], **own}
+    for day in ("since", "until"):
+        if isinstance(kept.get(day), str):
+            kept[day] = date.fromisoformat(kept[day])
+    return Query(**{one.name: kept[one.name] for one in fields(Query) if one.name in kept})
+
+
+def label_command(
+    *scans: str,
+    library: Folder | None = None,
+    name: str | None = None,
+    tag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    untag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    note: str | None = None,
+) -> int:
+    """Give scans a name, tags or a note; without any, print what they have.
+
+    Scans themselves stay as they are.
+
+    Parameters
+    ----------
+    scans
+        Scans by id, its beginning or end, or by the name of the part.
+    library
+        Folder of the library; ~/Retrograph by default.
+    name
+        Name of the scan in lists and in the viewer; an empty text removes it.
+    tag
+        Tags to add.
+    untag
+        Tags to remove.
+    note
+        Note; an empty text removes it.
+    """
+    target = Library(library or default_library())
+    if not scans:
+        raise HostError("name the scans to label: retrosync label SCAN --tag worn")
+    found = [target.named(one).scan_id for one in scans]
+    if name and len(found) > 1:
+        raise HostError("a name is for one scan: give several a tag")
+    changes = name is not None or note is not None or tag or untag
+    for scan_id in found:
+        if changes:
+            label = label_scan(target, scan_id, name=name, tag=tag, untag=untag, note=note)
+        else:
+            label = read_labels(target.root).scans.get(scan_id, Label())
+        print_line("  ".join((scan_id, label.name or "-", ",".join(label.tags) or "-", label.note or "-")))
+    return DONE
 
 
 def list_command(*, library: Folder | None = None, set_aside: bool = False, json: bool = False) -> int:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ from device.bundles.calibration import CalibrationBundle, read_calibration
 from device.bundles.layout import MANIFESTS, BundleKind, bundle_ids
 from device.bundles.scan import read_scan
 from device.errors import RecordError
+from host_sync.library.labels import Label, read_labels
 from host_sync.library.library import AnyBundle, Library
 
 INDEX_FILE: Final = "index.sqlite3"
@@ -36,6 +38,8 @@ CREATE INDEX file_by_hash ON file (sha256);
 class Query:
     """Conditions on a scan; None matches everything. Texts may use * and ? and ignore case.
 
+    name, tag, note : of the label that people gave it
+    text : words that stand somewhere in what is known of it, each
     since, until : days by the device's own clock, which may be wrong; both inclusive
     """
 
@@ -47,11 +51,18 @@ class Query:
     device: str | None = None
     since: date | None = None
     until: date | None = None
+    name: str | None = None
+    tag: str | None = None
+    note: str | None = None
+    text: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """A scan that matches a query; `taken` is by the device's clock, `reason` is the verdict's."""
+    """A scan that matches a query; `taken` is by the device's clock, `reason` is the verdict's.
+
+    name, tags, note : its label
+    """
 
     scan_id: str
     taken: str
@@ -62,6 +73,9 @@ class Hit:
     operator: str | None
     device: str
     reason: str
+    name: str = ""
+    tags: tuple[str, ...] = ()
+    note: str = ""
 
 
 def search(library: Library, query: Query) -> list[Hit]:
@@ -79,7 +93,23 @@ def search(library: Library, query: Query) -> list[Hit]:
     clauses += [f"substr(taken, 1, 10) {'>=' if name == 'since' else '<='} :{name}" for name in days]
     # Only column names from this file are put into the text; every value is a parameter.
     sql = f"SELECT {_HIT} FROM bundle WHERE {' AND '.join(clauses)} ORDER BY device, counter"  # noqa: S608
-    return [Hit(*row) for row in _ask(library, sql, given | days)]
+    labels = read_labels(library.root).scans
+    hits = (_labelled(Hit(*row), labels.get(str(row[0]), Label())) for row in _ask(library, sql, given | days))
+    return [hit for hit in hits if _answers(hit, query)]
+
+
+def _labelled(hit: Hit, label: Label) -> Hit:
+    return replace(hit, name=label.name, tags=label.tags, note=label.note)
+
+
+def _answers(hit: Hit, query: Query) -> bool:
+    """Whether a hit meets the conditions on its label and on its text."""
+    for wanted, values in ((query.name, (hit.name,)), (query.tag, hit.tags), (query.note, (hit.note,))):
+        if wanted is not None and not any(fnmatchcase(one.casefold(), wanted.casefold()) for one in values if one):
+            return False
+    facts = (hit.scan_id, hit.taken, hit.verdict, hit.job, hit.part, hit.gel, hit.operator, hit.device, hit.reason)
+    known = "\n".join(str(one) for one in (*facts, hit.name, *hit.tags, hit.note) if one).casefold()
+    return all(word.casefold() in known for word in (query.text or "").split())
 
 
 def damaged_bundles(library: Library) -> list[str]:

@@ -184,7 +184,9 @@ def _answers(entry: Entry, words: tuple[str, ...]) -> bool:
     hit = entry.hit
     known = [entry.title, entry.kind, entry.record.name if entry.record else "", entry.folder.name]
     if hit is not None:
-        facts = (hit.scan_id, hit.taken, hit.verdict, hit.job, hit.part, hit.gel, hit.operator, hit.device)
+        facts: tuple[str | None, ...] = (hit.scan_id, hit.taken, hit.verdict, hit.job, hit.part, hit.gel)
+        facts += (hit.operator, hit.device, hit.name)
+        facts += (*hit.tags, hit.note)
         known += [fact for fact in facts if fact]
     text = "\n".join(known).casefold()
     return all(word.casefold() in text for word in words)

@@ -124,7 +124,7 @@ def result_entry(folder: Path, scan: Path | None = None, hit: Hit | None = None)
     return Entry(
         key=key_of(folder),
         kind="video" if is_video else "result",
-        title=(hit.part or title) if hit else title,
+        title=(hit.name or hit.part or title) if hit else title,
         heights=heights,
         shape=(record.rows, record.columns),
         pitch_um=record.pixel_pitch_um,
@@ -161,7 +161,7 @@ def quick_look_entry(scan: Path, hit: Hit, pixel_pitch_um: float, frame_shape: t
     return Entry(
         key=key_of(scan),
         kind="quick look",
-        title=hit.part or hit.scan_id,
+        title=hit.name or hit.part or hit.scan_id,
         heights=heights,
         shape=shape,
         pitch_um=pitch_um,

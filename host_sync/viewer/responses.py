@@ -75,6 +75,8 @@ def entry_info(entry: Entry) -> dict[str, Any]:
             "operator": hit.operator,
             "gel": hit.gel,
             "device": hit.device,
+            "tags": [readable(tag) for tag in hit.tags],
+            "note": readable(hit.note),
         }
     return info
 

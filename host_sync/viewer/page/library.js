@@ -29,6 +29,7 @@ class LibraryPage {
           .map(([value, words]) => h("option", { value }, words)))],
         ["job", "Job", h("input", { type: "text", autocomplete: "off" })],
         ["part", "Part", h("input", { type: "text", autocomplete: "off" })],
+        ["tag", "Tag", h("input", { type: "text", autocomplete: "off" })],
         ["gel", "Gel", h("input", { type: "text", autocomplete: "off" })],
         ["operator", "Operator", h("input", { type: "text", autocomplete: "off" })],
         ["since", "From day", h("input", { type: "date" })],
@@ -83,7 +84,7 @@ class LibraryPage {
 
   card(entry) {
     const facts = [entry.kind === "result" ? null : entry.kind, moment(entry.taken),
-      entry.job && `job ${entry.job}`, `${length(entry.columns * entry.pitch_um)} × ${length(entry.rows * entry.pitch_um)}`];
+      entry.job && `job ${entry.job}`, entry.tags?.length ? entry.tags.map((tag) => `#${tag}`).join(" ") : null, `${length(entry.columns * entry.pitch_um)} × ${length(entry.rows * entry.pitch_um)}`];
     const warned = entry.doubts.length ? entry.doubts.map((words) => words.split(":")[0]).join(", ") : null;
     const box = h("input", { type: "checkbox", checked: this.chosen.has(entry.key), "aria-label": `Compare ${entry.title}`,
       onchange: () => this.tick(entry, box) });

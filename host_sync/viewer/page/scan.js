@@ -186,6 +186,7 @@ function aboutSection(facts) {
     ["Kind", { result: "Reconstruction", video: "Video", "quick look": "Quick look of the device (reduced)" }[facts.kind]],
     ["Scan", facts.scan_id], ["Taken", moment(facts.taken)], ["Verdict", facts.verdict && `${facts.verdict}: ${facts.reason}`],
     ["Job", facts.job], ["Part", facts.part], ["Operator", facts.operator], ["Gel", facts.gel], ["Device", facts.device],
+    ["Tags", facts.tags?.join(", ")], ["Note", facts.note],
     ["Size", `${facts.columns} × ${facts.rows} pixels, ${length(facts.columns * facts.pitch_um)} × ${length(facts.rows * facts.pitch_um)}`],
     ["Pixel pitch", micrometres(facts.pitch_um)],
     ["Heights", Number.isFinite(record.height_min_um) ? `${micrometres(record.height_min_um)} to ${micrometres(record.height_max_um)}` : null],

@@ -161,7 +161,7 @@ def test_what_a_record_says_never_moves_the_terminal(
     assert main(["search", "--library", str(library.root)]) == 0
     said = capsys.readouterr().out
     assert r"\x1b]0;owned\x07\x1b[2J  a\nb\u202ec µ" in said
-    assert said.count("\n") == 1
+    assert said.count("\n") == 2  # a header and the scan
 
 
 def test_verifying_names_rot_copies_strangers_and_what_is_unfinished(

@@ -1,0 +1,118 @@
+"""What people write about scans after they were pulled: a name, tags, a note; and searches that they keep.
+
+Bundles are not touched: labels lie in `labels.json` of the library, by scan, and may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+
+from device.io.atomic import replace_file
+from host_sync.errors import LibraryError
+from host_sync.library.library import Library
+
+LABELS_FILE: Final = "labels.json"
+MAX_BYTES: Final = 64 << 20
+
+Name = Annotated[str, msgspec.Meta(max_length=120)]
+Tag = Annotated[str, msgspec.Meta(min_length=1, max_length=60, pattern=r"^[^\s,]+$")]
+Note = Annotated[str, msgspec.Meta(max_length=4000)]
+
+
+class Label(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The label of one scan."""
+
+    name: Name = ""
+    tags: tuple[Tag, ...] = ()
+    note: Note = ""
+
+
+class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The whole file.
+
+    scans : labels by scan id
+    searches : conditions by the name that a search was saved under
+    """
+
+    schema: str = "retrograph.labels/1"
+    scans: dict[str, Label] = {}
+    searches: dict[str, dict[str, str]] = {}
+
+
+def read_labels(root: Path) -> Labels:
+    """The labels of a library; empty without a file.
+
+    Raises
+    ------
+    LibraryError
+        The file is damaged.
+    """
+    path = root / LABELS_FILE
+    try:
+        if not path.is_file():
+            return Labels()
+        data = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
+        return msgspec.json.decode(data, type=Labels)
+    except OSError as error:
+        raise LibraryError(f"{path}: cannot be read ({error.strerror}): move it away") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LibraryError(f"{path}: is damaged ({error}): mend it, or move it away") from error
+
+
+def label_scan(
+    library: Library,
+    scan_id: str,
+    *,
+    name: str | None = None,
+    tag: Iterable[str] = (),
+    untag: Iterable[str] = (),
+    note: str | None = None,
+) -> Label:
+    """Change the label of a scan and return it; None and nothing leave a part as it is, an empty text removes it.
+
+    Raises
+    ------
+    LibraryError
+        A text is too long, a tag has a blank or comma, or the library cannot be written.
+    """
+    with library.writing():
+        labels = read_labels(library.root)
+        old = labels.scans.get(scan_id, Label())
+        gone = set(untag)
+        tags = tuple(dict.fromkeys(one for one in (*old.tags, *tag) if one not in gone))
+        given = {"name": old.name if name is None else name, "tags": tags, "note": old.note if note is None else note}
+        try:
+            new = msgspec.convert(given, Label)
+        except msgspec.ValidationError as error:
+            raise LibraryError(f"{error}: tags are words without blanks and commas; names are short") from error
+        scans = {**labels.scans, scan_id: new}
+        if new == Label():
+            del scans[scan_id]
+        _write(library, msgspec.structs.replace(labels, scans=scans))
+    return new
+
+
+def save_search(library: Library, name: str, conditions: dict[str, str]) -> None:
+    """Keep a search under a name; one without conditions is removed.
+
+    Raises
+    ------
+    LibraryError
+        The library cannot be written.
+    """
+    with library.writing():
+        labels = read_labels(library.root)
+        searches = {**labels.searches, name: conditions}
+        if not conditions:
+            searches.pop(name)
+        _write(library, msgspec.structs.replace(labels, searches=searches))
+
+
+def _write(library: Library, labels: Labels) -> None:
+    data = msgspec.json.format(msgspec.json.encode(labels), indent=2)
+    with library.translating("written"):
+        replace_file(library.root / LABELS_FILE, data)
