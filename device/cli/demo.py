@@ -24,7 +24,9 @@ FOLDER: Final = "retroscan-demo"
 
 
 def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
-    """Show the screens over a simulated handheld; key f switches its faults. Returns the exit code.
+    """Show the screens over a simulated handheld; key f switches its faults.
+
+    Returns the exit code.
 
     Its first start calibrates it, which takes about half a minute.
 
