@@ -133,6 +133,8 @@ def _button(hardware: Hardware, held: ExitStack) -> Finding:
 
 def _light_driver(hardware: Hardware, held: ExitStack) -> Finding:
     held.enter_context(hardware.lights)
+    if hardware.profile.lights_always_on:
+        return Finding("light driver", "ok", f"{', '.join(hardware.lights.names)} are always on and cannot be switched")
     return Finding("light driver", "ok", f"the driver of {', '.join(hardware.lights.names)} answers, lights are off")
 
 

@@ -87,6 +87,7 @@ def test_the_selftest_tests_each_channel(sensor: tuple[Hardware, FakeVideo]) -> 
     findings = {finding.part: finding for finding in selftest(hardware)}
     assert {finding.state for finding in findings.values()} <= {"ok", "skipped"}
     assert findings["darkness"].sentence == "the lights of this sensor are always on"
+    assert "always on and cannot be switched" in findings["light driver"].sentence
     assert "all lights on" in findings["light blue"].sentence
     video.bench.drive({})
     assert {f.state for f in selftest(hardware) if f.part.startswith("light ") and f.part != "light driver"} == {
