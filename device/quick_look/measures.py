@@ -17,7 +17,7 @@ SECTIONS: Final = 5
 """A roughness profile has five cut-off lengths, of the largest cut-off that fits."""
 
 _ALPHA: Final = float(np.sqrt(np.log(2.0) / np.pi))
-_REACH: Final = 5.0
+_REACH: Final = 4.0
 _MIN_DETERMINANT: Final = 1e-6
 _LOCAL_PX: Final = 2
 

@@ -30,8 +30,13 @@ class Room:
     depth: ColourDepth
 
 
-def height_picture(height: HeightMap, room: Room, cursor: ProfileCursor | None = None) -> CellGrid:
-    """Cells that fill the room: the relief as large as possible, with scale, bar and profile where they fit."""
+def height_picture(
+    height: HeightMap, room: Room, cursor: ProfileCursor | None = None, origin: tuple[int, int] = (0, 0)
+) -> CellGrid:
+    """Cells that fill the room: the relief as large as possible, with scale, bar and profile where they fit.
+
+    origin : row and column of the first pixel in the whole map, for the stated position
+    """
     heights = HeightRange.of(height.z_um)
     cells = CellGrid.empty(room.rows, room.columns, room.depth)
     rows, columns = relief_shape(height, room, cursor)
@@ -42,7 +47,11 @@ def height_picture(height: HeightMap, room: Room, cursor: ProfileCursor | None =
     if _is_small(room):
         return cells
     cells.blit(0, columns, legend_cells(heights, rows, room.depth))
-    words = reading(height, cursor) if cursor else length_bar(height.pitch_um * height.z_um.shape[1] / columns, columns)
+    words = (
+        reading(height, cursor, origin)
+        if cursor
+        else length_bar(height.pitch_um * height.z_um.shape[1] / columns, columns)
+    )
     cells.write(rows, 0, words)
     if cursor and _fits_profile(room):
         bars = profile_cells(profile_um(height, cursor), cursor.point, PROFILE_ROWS, columns, room.depth)

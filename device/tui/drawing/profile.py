@@ -56,14 +56,18 @@ def profile_um(height: HeightMap, cursor: ProfileCursor) -> Float32Array:
     return np.asarray(across[round(cursor.line * (len(across) - 1))], np.float32)
 
 
-def reading(height: HeightMap, cursor: ProfileCursor) -> str:
-    """Position and height at the cursor's point, such as "x 3.20 mm  y 6.10 mm  z 41.5 µm"."""
+def reading(height: HeightMap, cursor: ProfileCursor, origin: tuple[int, int] = (0, 0)) -> str:
+    """Position and height at the cursor's point, such as "x 3.20 mm  y 6.10 mm  z 41.5 µm".
+
+    origin : row and column of the map's first pixel in the whole
+    """
     rows, columns = height.z_um.shape
     along_row = cursor.axis == "row"
     row = round((cursor.line if along_row else cursor.point) * (rows - 1))
     column = round((cursor.point if along_row else cursor.line) * (columns - 1))
     z_um = float(height.z_um[row, column])
-    x_mm, y_mm = column * height.pitch_um / 1e3, row * height.pitch_um / 1e3
+    x_mm = (column + origin[1]) * height.pitch_um / 1e3
+    y_mm = (row + origin[0]) * height.pitch_um / 1e3
     return f"x {x_mm:.2f} mm  y {y_mm:.2f} mm  z {f'{z_um:.1f} µm' if np.isfinite(z_um) else 'not measured'}"
 
 

@@ -32,6 +32,7 @@ from device.instrument.events import (
 )
 from device.instrument.instrument import Instrument
 from device.tui.drawing.cells import ColourDepth
+from device.tui.drawing.measure_text import measure_text
 from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.calibration import CalibrationScreen
 from device.tui.screens.panels import ProgramInfo
@@ -209,6 +210,12 @@ class RetroscanApp(App[str]):
             shown = False
         if not shown:
             self.report_failure("This terminal has no graphics (sixel, kitty): use foot, kitty or xterm -ti vt340")
+
+    async def on_height_view_measured(self, event: HeightView.Measured) -> None:
+        """Show what lies between two points of a quick look."""
+        flatness_um = self.instrument.state.health.flat_residual_um
+        self.notice = Notice(measure_text(event.height, event.first, event.second, flatness_um))
+        await self.show_state()
 
     def demonstrate(self) -> None:
         """Let the twin's operator press the next object."""

@@ -10,6 +10,7 @@ from textual.events import Click
 from textual.geometry import Size
 from textual.message import Message
 
+from device.quick_look.measures import Point, levelled
 from device.surface.fields import HeightMap
 from device.tui.drawing.cells import CellGrid, ColourDepth
 from device.tui.drawing.height_picture import Room, height_picture, picture_rows, relief_shape, sentence_cells
@@ -17,6 +18,10 @@ from device.tui.drawing.profile import ProfileCursor
 from device.tui.widgets.cells_view import CellsView
 
 _STEP: Final = 1.0 / 48.0
+_CURSOR_ACTIONS: Final = frozenset({"turn", "move", "hold", "level", "zoom"})
+
+MIN_SHOWN_PX: Final = 16
+"""Zoomed in as far as possible, so many pixels of the quick look are shown on its shorter side."""
 
 
 class HeightView(CellsView, can_focus=True):
@@ -26,6 +31,10 @@ class HeightView(CellsView, can_focus=True):
         Binding("p", "profile", "profile"),
         Binding("v", "view", "picture", show=False),
         Binding("t", "turn", "turn it", show=False),
+        Binding("c", "hold", "hold point, measure from it", show=False),
+        Binding("l", "level", "level", show=False),
+        Binding("plus", "zoom(2)", "zoom in", show=False, key_display="+"),
+        Binding("minus", "zoom(0.5)", "zoom out", show=False, key_display="-"),
         Binding("up", "move(-1, 0)", show=False),
         Binding("down", "move(1, 0)", show=False),
         Binding("left", "move(0, -1)", show=False),
@@ -44,22 +53,35 @@ class HeightView(CellsView, can_focus=True):
 
         height: HeightMap
 
+    @dataclass
+    class Measured(Message):
+        """The point that was held and the present one, rows and columns in pixels of the map."""
+
+        height: HeightMap
+        first: Point
+        second: Point
+
     def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
         super().__init__(depth, below, id=id)
         self._height: HeightMap | None = None
         self._sentence = ""
         self._cursor: ProfileCursor | None = None
+        self._held: Point | None = None
+        self._level: HeightMap | None = None
+        self._zoom = 1.0
 
     def show(self, height: HeightMap | None, sentence: str = "") -> None:
         """Show a map, or the sentence that says why it is missing."""
         if height is self._height and sentence == self._sentence:
             return
         self._height, self._sentence = height, sentence
+        self._held, self._level, self._zoom = None, None, 1.0
         self._redraw()
 
     def action_profile(self) -> None:
         """Show or hide the profile."""
         self._cursor = None if self._cursor else ProfileCursor()
+        self._held, self._zoom = None, 1.0
         self.post_message(self.ProfileSwitched(self._cursor is not None))
         self._redraw()
 
@@ -74,41 +96,118 @@ class HeightView(CellsView, can_focus=True):
             self._cursor = self._cursor.turned()
             self._redraw()
 
+    def action_hold(self) -> None:
+        """Hold the point, so that later ones are measured against it; again: let it go."""
+        self._held = None if self._held else self._point()
+        self._measure()
+
+    def action_level(self) -> None:
+        """Show and measure heights above the map's mean plane, or as they are again."""
+        if self._height is not None:
+            raw = self._height
+            self._level = None if self._level else HeightMap(levelled(raw.z_um), raw.pitch_um)
+            self._redraw()
+            self._measure()
+
+    def action_zoom(self, factor: float) -> None:
+        """Show less of the map about the cursor, down to single pixels, or more."""
+        if self._height is not None:
+            most = max(min(self._height.z_um.shape) / MIN_SHOWN_PX, 1.0)
+            self._zoom = min(max(self._zoom * factor, 1.0), most)
+            self._redraw()
+
     def action_move(self, down: int, right: int) -> None:
         """Move the cursor's point by a step."""
         if self._cursor:
             across, along = (down, right) if self._cursor.axis == "row" else (right, down)
-            self._cursor = self._cursor.moved(across * _STEP, along * _STEP)
+            step = _STEP / self._zoom
+            self._cursor = self._cursor.moved(across * step, along * step)
             self._redraw()
+            self._measure()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable the cursor's keys only while it is shown."""
         if action == "profile":
             return self._height is not None
-        return self._cursor is not None if action in {"turn", "move"} else super().check_action(action, parameters)
+        return self._cursor is not None if action in _CURSOR_ACTIONS else super().check_action(action, parameters)
 
     def on_click(self, event: Click) -> None:
         """Move the cursor to the touched place of the relief."""
         if self._height is None:
             return
-        cursor = self._cursor or ProfileCursor()
-        rows, columns = relief_shape(self._height, self.room(self.size.height, self.size.width), cursor)
+        cursor, shown = self._cursor or ProfileCursor(), self._shown()
+        rows, columns = relief_shape(shown, self.room(self.size.height, self.size.width), cursor)
         row, column = event.y / max(rows - 1, 1), event.x / max(columns - 1, 1)
         if row <= 1.0 and column <= 1.0:
+            row, column = self._whole(row, column)
             line, point = (row, column) if cursor.axis == "row" else (column, row)
             self._cursor = ProfileCursor(cursor.axis, line, point)
             self._redraw()
+            self._measure()
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
         """The picture's height, so that the next widget follows directly."""
         room = self.room(max(container.height - self._below, 1), max(width, 1))
-        return room.rows if self._height is None else picture_rows(self._height, room, self._cursor)
+        return room.rows if self._height is None else picture_rows(self._shown(), room, self._cursor)
 
     def draw(self, room: Room) -> CellGrid:
         """The picture of the map, or the sentence."""
         if self._height is None:
             return sentence_cells(self._sentence, room)
-        return height_picture(self._height, room, self._cursor)
+        origin = self._window()[:2] if self._zoom > 1.0 else (0, 0)
+        return height_picture(self._shown(), room, self._shown_cursor(), origin)
+
+    def _map(self) -> HeightMap:
+        """The map, levelled if that is wanted."""
+        found = self._level or self._height
+        if found is None:
+            raise ValueError("there is no map")
+        return found
+
+    def _point(self) -> Point:
+        """The cursor's point, row and column in pixels of the map."""
+        cursor = self._cursor or ProfileCursor()
+        row, column = (cursor.line, cursor.point) if cursor.axis == "row" else (cursor.point, cursor.line)
+        rows, columns = self._map().z_um.shape
+        return float(round(row * (rows - 1))), float(round(column * (columns - 1)))
+
+    def _window(self) -> tuple[int, int, int, int]:
+        """First row and column, and size, of what is shown: about the cursor, within the map."""
+        rows, columns = self._map().z_um.shape
+        height, width = max(round(rows / self._zoom), 2), max(round(columns / self._zoom), 2)
+        row, column = self._point()
+        top = min(max(round(row) - height // 2, 0), rows - height)
+        left = min(max(round(column) - width // 2, 0), columns - width)
+        return top, left, height, width
+
+    def _shown(self) -> HeightMap:
+        """The part of the map that is shown."""
+        found = self._map()
+        if self._zoom <= 1.0:
+            return found
+        top, left, height, width = self._window()
+        return HeightMap(found.z_um[top : top + height, left : left + width], found.pitch_um)
+
+    def _shown_cursor(self) -> ProfileCursor | None:
+        """The cursor on the part that is shown."""
+        if self._cursor is None or self._zoom <= 1.0:
+            return self._cursor
+        (row, column), (top, left, height, width) = self._point(), self._window()
+        down, right = (row - top) / max(height - 1, 1), (column - left) / max(width - 1, 1)
+        line, point = (down, right) if self._cursor.axis == "row" else (right, down)
+        return ProfileCursor(self._cursor.axis, line, point)
+
+    def _whole(self, row: float, column: float) -> tuple[float, float]:
+        """A place on the shown part, fractions, as fractions of the whole map."""
+        if self._zoom <= 1.0:
+            return row, column
+        top, left, height, width = self._window()
+        rows, columns = self._map().z_um.shape
+        return (top + row * (height - 1)) / max(rows - 1, 1), (left + column * (width - 1)) / max(columns - 1, 1)
+
+    def _measure(self) -> None:
+        if self._held is not None and self._held != self._point():
+            self.post_message(self.Measured(self._map(), self._held, self._point()))
 
     def _redraw(self) -> None:
         self.redraw(layout=True)
