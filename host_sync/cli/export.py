@@ -34,6 +34,7 @@ def export_command(
     mesh_step: int | None = None,
     base_mm: float | None = None,
     line_um: LineUm | None = None,
+    sigma: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Export a result's surface, or the raw frame of a scan, for other programs.
@@ -57,12 +58,15 @@ def export_command(
     line_um
         Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
         middle row when not given.
+    sigma
+        Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file:
+        gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv hold it beside the heights in any case.
     overwrite
         Replace files of the same name.
     """
     if not sources:
         raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
-    choices = ExportChoices(mesh_step, line_um, overwrite, base_mm)
+    choices = ExportChoices(mesh_step, line_um, overwrite, base_mm, sigma)
     failed = 0
     for source in sources:
         try:

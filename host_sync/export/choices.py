@@ -14,6 +14,7 @@ class ExportChoices:
     mesh_step : row and column step of meshes; None takes all pixels and refuses a field that is too large
     line_um : line of the CSV profile; None takes the middle row
     overwrite : replace files of the same name
+    sigma : also write the uncertainty, as a file of its own, where a format has no place for it
     base_mm : thickness of a base that makes STL watertight; None leaves it open
     """
 
@@ -21,3 +22,4 @@ class ExportChoices:
     line_um: LineUm | None = None
     overwrite: bool = False
     base_mm: float | None = None
+    sigma: bool = False

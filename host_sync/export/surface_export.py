@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
 
+import numpy as np
+
+from host_sync.errors import ExportError
 from host_sync.export.array_formats import write_float_tiff, write_npz, write_png16, write_png_scale
 from host_sync.export.choices import ExportChoices
 from host_sync.export.csv_profile import pixels_on_line, write_csv_profile
@@ -28,6 +32,9 @@ MAX_NAME: Final = 120
 """Longest file name without suffix, bytes."""
 LITTLE_ROOM: Final = frozenset({"tmd", "stl", "al3d"})
 """Formats that hold no text of any length: doubts are marked there, and stand in a text file beside."""
+ONE_LAYER: Final = frozenset({"gsf", "x3p", "sur", "sdf", "al3d", "tmd"})
+"""Formats of one surface a file: an uncertainty goes into a second file."""
+
 PERMITTED: Final = "-_.+ "
 DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
 
@@ -96,11 +103,35 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
             writers[".stl"] = _bound(write_stl, cast(Mesh, mesh), surface.name, choices.base_mm)
         else:
             writers[f".{form}"] = _bound(_MESHES[form], cast(Mesh, mesh), surface.name)
+        if choices.sigma and form in ONE_LAYER:
+            writers[f".sigma.{form}"] = _bound(_FIELDS[form], _sigma_of(surface))
+            if form in LITTLE_ROOM and surface.doubts:
+                writers[doubts_path(Path(f".sigma.{form}")).name] = _bound(_write_doubts, surface)
         if form == "png":
             writers[".png.json"] = _bound(write_png_scale, surface)
         if form in LITTLE_ROOM and surface.doubts:
             writers[doubts_path(Path(f".{form}")).name] = _bound(_write_doubts, surface)
     return writers
+
+
+def _sigma_of(surface: SourceSurface) -> SourceSurface:
+    """The uncertainty as a surface of its own.
+
+    Raises
+    ------
+    ExportError
+        The result has none.
+    """
+    if surface.sigma_um is None or not np.isfinite(surface.sigma_um).any():
+        raise ExportError(f"{surface.name}: has no uncertainty to export: reconstruct it with this version")
+    what = "standard uncertainty of the height (k = 1)"
+    return replace(
+        surface,
+        name=f"{surface.name}: sigma",
+        z_um=surface.sigma_um,
+        sigma_um=None,
+        origin="; ".join(part for part in (what, surface.origin) if part),
+    )
 
 
 def _write_doubts(file: BinaryIO, surface: SourceSurface) -> None:

@@ -14,6 +14,7 @@ import tifffile
 from PIL import Image
 
 from device.surface.fields import Float32Array
+from host_sync.cli.main import main
 
 PITCH_UM = 12.0
 TOLERANCE_UM = {"gwy": 1e-12, "x3p": 1e-6, "sur": 1e-7, "sdf": 1e-12, "al3d": 1e-6}
@@ -131,3 +132,21 @@ def test_csv_along_a_slanted_line_has_the_pixels_own_values(exported: Export, z_
         else:
             assert np.float32(line["height_um"]) == expected
     assert lines[0]["height_um"] == ""
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("form", ["x3p", "sur", "sdf", "al3d"])
+def test_the_uncertainty_is_a_surface_of_its_own(
+    form: str, result: Path, sigma_um: Float32Array, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    surfalize = pytest.importorskip("surfalize", reason="surfalize is not installed")
+    out = tmp_path / "out"
+    assert main(["export", str(result), "--to", form, "--out", str(out), "--sigma"]) == 0
+    assert {path.name for path in out.iterdir()} == {f"part-7.{form}", f"part-7.sigma.{form}"}
+    found = surfalize.Surface.load(str(out / f"part-7.sigma.{form}"))
+    assert np.array_equal(np.isnan(found.data), np.isnan(sigma_um))
+    assert np.nanmax(np.abs(found.data - sigma_um)) < 1e-6
+    (result / "height_sigma_um.tif").unlink()
+    assert main(["export", str(result), "--to", form, "--out", str(tmp_path / "none"), "--sigma"]) == 2
+    assert "has no uncertainty to export" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
