@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from device.shutdown import keep_types_at_exit
+from host_sync.blas_threads import one_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -168,7 +169,8 @@ def calibrate(
         pixel_pitch_um,
         paper=paper,
     )
-    return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))
+    with one_blas_thread():
+        return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))
 
 
 def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = False) -> KeptCalibration:
@@ -190,7 +192,8 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = 
     from host_sync.frames.frame_set import load_frame_set
 
     cache = CalibrationCache.of_user() if cached else None
-    return Calibrator(cache, paper=paper).of_frame_set(load_frame_set(Path(path)))
+    with one_blas_thread():
+        return Calibrator(cache, paper=paper).of_frame_set(load_frame_set(Path(path)))
 
 
 def load_calibration(path: str | Path) -> KeptCalibration:
@@ -244,7 +247,8 @@ def reconstruct(
 
     name = Path(str(image)).stem if isinstance(image, str | Path) else "image"
     frame = _frame(image, encoding or calibration.facts.encoding or "linear")
-    found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
+    with one_blas_thread():
+        found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
     if out is not None:
         write_result(Path(out), found, calibration.calibration, name)
     return Result(
