@@ -147,6 +147,12 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "compare",
+        "host_sync.cli.compare:compare_command",
+        "Compare a result with another height map of the same pixels, such as the maker's TMD file of the scan.",
+        ("retrosync compare results/groove scan/heightmap.tmd",),
+    ),
+    Command(
         "measure",
         "host_sync.cli.measure:measure_command",
         "Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.",
