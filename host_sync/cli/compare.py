@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from host_sync.cli.console import DONE, print_line, print_note
+from host_sync.cli.console import DONE, print_line
 
 if TYPE_CHECKING:
     from host_sync.results.reader import ResultSurface
@@ -32,7 +32,7 @@ def compare_command(result: Path, other: Path) -> int:
         f"{found.mean_um:.4g} µm, over {found.compared:.0%} of the pixels, a plane taken off"
     )
     for warning in surface.record.warnings:
-        print_note(f"retrosync: {surface.record.name}: {warning}")
+        print_line(f"{surface.record.name}: {warning}")
     return DONE
 
 
