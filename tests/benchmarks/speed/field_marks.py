@@ -1,0 +1,109 @@
+"""The handheld's start, processor time at rest and memory on the twin in real time, without the twin's own part.
+
+usage: python -m tests.benchmarks.speed.field_marks STORE
+
+STORE holds a calibration of the twin (`retroscan --board twin --store STORE calibrate`). It takes three minutes: the
+lights go off after two. Time and processor time of exposing frames, and the memory of the scene, are subtracted.
+"""
+
+from __future__ import annotations
+
+import time
+
+BEGAN_S = time.monotonic()
+
+import asyncio  # noqa: E402
+import os  # noqa: E402
+import sys  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+from hal.board_profile import load_board_profile  # noqa: E402
+from hal.clock import SystemClock  # noqa: E402
+from hal.frame import CameraSettings, RawFrame  # noqa: E402
+from hal.simulator.bench import SimulatedScene  # noqa: E402
+from hal.simulator.hardware import twin_hardware  # noqa: E402
+
+SETTLE_S = 5.0
+MEASURED_S = 10.0
+
+
+class TimedScene(SimulatedScene):
+    """A world that keeps count of what it costs: `spent_s` wall time, `cpu_s` processor time."""
+
+    spent_s = 0.0
+    cpu_s = 0.0
+
+    def expose(self, index: int, began_ns: int, settings: CameraSettings) -> RawFrame:
+        """The frame, timed."""
+        wall_s, cpu_s = time.monotonic(), time.thread_time()
+        try:
+            return super().expose(index, began_ns, settings)
+        finally:
+            self.spent_s += time.monotonic() - wall_s
+            self.cpu_s += time.thread_time() - cpu_s
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, MB."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+async def load_of(bench: TimedScene) -> float:
+    """Fraction of a core that the instrument and its screens take, without the scene's."""
+    began_s, cpu_s, twin_s = time.monotonic(), time.process_time(), bench.cpu_s
+    await asyncio.sleep(MEASURED_S)
+    used_s = time.process_time() - cpu_s - (bench.cpu_s - twin_s)
+    return used_s / (time.monotonic() - began_s)
+
+
+async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float) -> None:
+    """Start the screens over the instrument, and print every mark."""
+    from device.acquisition.sd_notify import SdNotify
+    from device.cli.screens import InstrumentThread
+    from device.cli.service import ServiceReport
+    from device.instrument.instrument import Instrument
+    from device.store.store import BundleStore
+    from device.tui.screens.app import RetroscanApp
+    from device.tui.screens.panels import ProgramInfo
+
+    hardware = twin_hardware(bench)
+    instrument = Instrument(hardware, BundleStore(store_folder, hardware.clock))
+    report = ServiceReport(SdNotify.from_environment({}), hardware.clock)
+    with InstrumentThread(instrument, report) as thread:
+        program, sensor = ProgramInfo("0", store_folder), bench.profile.sensor
+        app = RetroscanApp(instrument, program, "full", sensor, True, lambda: thread.has_ended)
+        shown = asyncio.create_task(app.run_async(headless=True, size=(100, 30)))
+        while instrument.state.live is None or not app.is_running:
+            await asyncio.sleep(0.01)
+        started_s = time.monotonic() - BEGAN_S - rendered_s - bench.spent_s
+        sys.stdout.write(f"start to live picture: {started_s:.2f} s (mark 2.5)\n")
+        await asyncio.sleep(SETTLE_S)
+        app.simulate_key("4")
+        await asyncio.sleep(1.0)
+        sys.stdout.write(f"Set-up, lights on: {await load_of(bench):.1%} of a core (mark 5 %)\n")
+        sys.stdout.write(f"resident: {resident_mb() - scene_mb:.0f} MB (mark 180)\n")
+        sys.stdout.flush()
+        while instrument.state.live is not None:
+            await asyncio.sleep(1.0)
+        sys.stdout.write(f"Set-up, asleep: {await load_of(bench):.1%} of a core (mark 2 %)\n")
+        app.exit()
+        await shown
+
+
+def main() -> None:
+    """Print every mark."""
+    before_s = time.monotonic()
+    profile = load_board_profile("twin")
+    before_mb = resident_mb()
+    bench = TimedScene(profile, SystemClock(), 1)
+    bench.drive(profile.currents_ma)
+    bench.expose(0, bench.clock.monotonic_ns(), profile.camera.settings)
+    scene_mb = resident_mb() - before_mb
+    rendered_s = time.monotonic() - before_s
+    bench.spent_s = bench.cpu_s = 0.0
+    asyncio.run(measure(bench, Path(sys.argv[1]), scene_mb, rendered_s))
+
+
+if __name__ == "__main__":
+    main()
