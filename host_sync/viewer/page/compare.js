@@ -151,8 +151,20 @@ class ComparePage {
     this.side.hidden = index === 1;
     this.alone.hidden = index === 0;
     if (index === 1 && !this.single) this.openDifference();
+    this.sameView(index);
     this.panelBox.firstChild.replaceWith((index === 1 ? this.singlePanel : this.panel).element);
     announce(index === 1 ? "The difference, second minus first" : "Side by side");
+  }
+
+  /** The difference lies on the grid of the first: both show the same place, whichever is turned to. */
+  sameView(index) {
+    const [from, to] = index === 1 ? [this.stages[0], this.single] : [this.single, this.stages[0]];
+    if (!from?.relief || !to?.relief) return;
+    const { centre, zoom, distance, azimuth, elevation, space } = from.relief.eye;
+    Object.assign(to.relief.eye, { centre: { ...centre }, zoom, distance, azimuth, elevation, space });
+    to.spaceButton.setAttribute("aria-pressed", String(space));
+    to.relief.draw();
+    if (index === 0) this.follow(0, to.relief.eye);
   }
 
   openDifference() {

@@ -188,8 +188,21 @@ def test_two_scans_are_compared_and_their_shift_is_said(served: Any, visit: Call
     assert numbers[:2] == pytest.approx([48.0, 84.0], abs=2.0)
     assert ("down" in said, "left" in said, "rms" in said) == (True, True, True)
     assert page.locator(".side .stage").count() == 2
+    for _ in range(3):
+        page.locator(".side .stage").first.get_by_role("button", name="+", exact=True).click()
+    settle(page)
+    scale = page.locator(".side .scale-bar").first.text_content()
     page.get_by_role("button", name="Difference").click()
     page.wait_for_selector(".alone .stage[data-ready]")
+    settle(page)
+    assert page.locator(".alone .scale-bar").text_content() == scale
+    page.locator(".alone .stage").get_by_role("button", name="1:1").click()
+    settle(page)
+    scale = page.locator(".alone .scale-bar").text_content()
+    page.get_by_role("button", name="Side by side").click()
+    settle(page)
+    assert page.locator(".side .scale-bar").all_text_contents() == [scale, scale]
+    page.get_by_role("button", name="Difference").click()
     assert page.locator(".alone .legend-title").text_content() == "Difference, µm"
 
 
