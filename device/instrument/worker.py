@@ -207,7 +207,7 @@ class InstrumentWorker:
         elif self._run:
             self._step_calibration(self._run)
         elif self._redirects_short:
-            if press := self.hardware.button.wait_for_press(0.0):
+            if press := self.hardware.button.wait_for_press(self._live.wait_s()):
                 self.states.publish(ButtonPushed(press.held_s >= LONG_PUSH_S))
         elif self._scans.watch_button(self._live.wait_s()):
             self._after_press()
