@@ -11,14 +11,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 Float32Array: TypeAlias = NDArray[np.float32]
 Float64Array: TypeAlias = NDArray[np.float64]
 MaskArray: TypeAlias = NDArray[np.bool_]
+
+
+MIN_FOURTH_ORDER: Final = 4
+"""Pixels that a line must exceed for differences of fourth order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +62,21 @@ class HeightMap:
 
 
 def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
-    """Slopes (p, q) by central differences: float32 arrays of shape (H, W), NaN next to invalid pixels."""
-    q, p = np.gradient(height.z_um / np.float32(height.pitch_um))
-    return p.astype(np.float32), q.astype(np.float32)
+    """Slopes (p, q) by central differences: float32 arrays of shape (H, W), NaN next to invalid pixels.
+
+    They are of fourth order, which keep 0.995 of a wave of 10 px instead of 0.935; of second order, or one-sided, next
+    to invalid pixels and the border.
+    """
+    z = np.ascontiguousarray(height.z_um / np.float32(height.pitch_um))
+    return _slope(z, 1), _slope(z, 0)
+
+
+def _slope(z: Float32Array, axis: int) -> Float32Array:
+    """Slope along an axis of at least two pixels."""
+    near = np.asarray(np.gradient(z, axis=axis), np.float32)
+    if z.shape[axis] > MIN_FOURTH_ORDER:
+        kernel = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / np.float32(12.0)
+        inner = (slice(None),) * axis + (slice(2, -2),)
+        far = cv2.filter2D(z, cv2.CV_32F, kernel if axis else kernel.T)[inner]
+        np.copyto(near[inner], far, where=np.isfinite(far))
+    return near

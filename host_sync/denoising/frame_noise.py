@@ -15,7 +15,7 @@ import numpy as np
 from device.balls.sphere import Ball, pixels_inside
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEVELS, Shrinkage, detail_planes
+from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEVELS, SHARES, Shrinkage, detail_planes
 
 OUTLYING: Final = 11.34
 """Squared distance, in three dimensions, that 1 % of normal noise exceeds: what lies beyond is detail, not noise."""
@@ -41,8 +41,8 @@ MAX_FRAMES: Final = 6
 class FrameNoise:
     """Noise of the root of intensity.
 
-    covariance : float64 array of shape (3, 3), of the finest detail's three colours
-    ratios : float64 array of shape (3,), variance at each level relative to the finest
+    covariance : float64 array of shape (3, 3), of the finest detail's three colours, its leak included
+    ratios : float64 array of shape (3,), variance of each level's detail without its leak, relative to that
     """
 
     covariance: Float64Array
@@ -68,7 +68,8 @@ class FrameNoise:
         planes = [detail[HALO_PX:-HALO_PX, HALO_PX:-HALO_PX] for detail in details]
         factor = np.ones(LEVELS)
         for _ in range(BALANCING_ROUNDS):  # levels leak into each other
-            total = np.asarray(sum(f * plane for f, plane in zip(factor.astype(np.float32), planes, strict=True)))
+            shares = (factor * SHARES).astype(np.float32)
+            total = np.asarray(sum(share * plane for share, plane in zip(shares, planes, strict=True)))
             own, _ = detail_planes(total)
             factor *= np.sqrt(self.ratios / [float(part.var()) for part in own])
         root = np.linalg.cholesky(self.covariance).astype(np.float32).T
@@ -124,14 +125,15 @@ def robust_covariance(details: Float32Array) -> Float64Array:
 
 
 def _level_ratios(images: Sequence[Float32Array], covariance: Float64Array) -> Float64Array:
-    """Variance of the noise at each level relative to the finest."""
+    """Variance of the noise at each level relative to the finest with its leak."""
     whitening = np.linalg.cholesky(np.linalg.inv(covariance)).T.astype(np.float32)
     inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
     medians = []
     for image in images:
-        details, _ = detail_planes(root_of(image))
-        medians.append([float(np.median(((d[inner] @ whitening.T) ** 2).sum(axis=-1))) for d in details])
+        root = root_of(image)
+        planes = [*detail_planes(root, levels=1)[0], *detail_planes(root)[0]]
+        medians.append([float(np.median(((d[inner] @ whitening.T) ** 2).sum(axis=-1))) for d in planes])
     if not medians or not np.isfinite(medians).all():
         return np.ones(LEVELS)
-    level = np.median(np.array(medians), axis=0)
-    return np.asarray(np.maximum(level / max(float(level[0]), 1e-12), 1e-6))
+    finest, *level = np.median(np.array(medians), axis=0)
+    return np.asarray(np.maximum(level / max(finest, 1e-12), 1e-6))

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
-from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEVELS, MIN_ENERGY, Shrinkage
+from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEAK, LEVELS, MIN_ENERGY, PARENT_SHARE, SHARES, Shrinkage
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import as_stored, colour_rows, empty_planes
@@ -32,6 +32,9 @@ _HALF: Final = np.float32(0.5)
 _QUARTER: Final = np.float32(0.25)
 _THIRD: Final = np.float32(1.0 / 3.0)
 _FIFTH: Final = np.float32(0.2)
+_LEAK: Final = np.float32(LEAK)
+_PARENT: Final = np.float32(PARENT_SHARE)
+_SHARES: Final = tuple(np.float32(share) for share in SHARES)
 _CONTRACT: Final = {"contract", "nsz"}
 
 
@@ -66,9 +69,12 @@ def _shrink_rows(
             _smooth_step(planes, 1, r - 1, size, part)
             _smooth_step(planes, 2, r - 3, size, part)
             at = r - _LAG
-            for level in range(LEVELS):
-                fine, rest = planes[level, :, at & _LAST], planes[level + 1, :, at & _LAST]
-                _energy_row(fine, rest, whitening[level], size, energy[level, at & _LAST])
+            now = at & _LAST
+            for level in range(LEVELS - 1, -1, -1):
+                fine, rest, coarse = planes[level, :, now], planes[level + 1, :, now], planes[_beyond(level), :, now]
+                _energy_row(fine, rest, coarse, whitening[level], size, energy[level, now])
+                if level + 1 < LEVELS:
+                    _hear_parent(energy[level + 1, now], size, energy[level, now])
             row = r - HALO_PX
             if row >= first:
                 _write_row(planes, energy, threshold, kept, row, start, end, gain, out)
@@ -125,17 +131,32 @@ def _across(row: Any, hole: int, size: int, out: Any) -> None:
 
 
 @njit(cache=True, fastmath=_CONTRACT)
-def _energy_row(fine: Any, rest: Any, w: Any, size: int, out: Any) -> None:
-    """Write the energy of the detail between two levels' rows, arrays of shape (3, n)."""
+def _energy_row(fine: Any, rest: Any, coarse: Any, w: Any, size: int, out: Any) -> None:
+    """Write the energy of the detail between two levels' rows, arrays of shape (3, n), without its leak."""
     fine0, fine1, fine2 = fine[0], fine[1], fine[2]
     rest0, rest1, rest2 = rest[0], rest[1], rest[2]
+    coarse0, coarse1, coarse2 = coarse[0], coarse[1], coarse[2]
     w00, w01, w02, w11, w12, w22 = w[0, 0], w[0, 1], w[0, 2], w[1, 1], w[1, 2], w[2, 2]
     for c in range(size):
-        red, green, blue = fine0[c] - rest0[c], fine1[c] - rest1[c], fine2[c] - rest2[c]
+        red = fine0[c] - rest0[c] - _LEAK * (rest0[c] - coarse0[c])
+        green = fine1[c] - rest1[c] - _LEAK * (rest1[c] - coarse1[c])
+        blue = fine2[c] - rest2[c] - _LEAK * (rest2[c] - coarse2[c])
         first = w00 * red + w01 * green + w02 * blue
         second = w11 * green + w12 * blue
         third = w22 * blue
         out[c] = (first * first + second * second + third * third) * _THIRD
+
+
+@njit(cache=True)
+def _hear_parent(coarser: Any, size: int, energy: Any) -> None:
+    for c in range(size):
+        energy[c] = max(energy[c], _PARENT * coarser[c])
+
+
+@njit(cache=True)
+def _beyond(level: int) -> int:
+    """The plane that a level's leak is taken from; for the coarsest its own rest, so that it keeps its leak."""
+    return min(level + 2, LEVELS)
 
 
 @njit(cache=True)
@@ -151,20 +172,21 @@ def _write_row(
         _gain_row(
             ring[(row - 2) & _LAST], ring[(row - 1) & _LAST], ring[at],
             ring[(row + 1) & _LAST], ring[(row + 2) & _LAST],
-            threshold[level], kept[level], gain[0, :count],
+            threshold[level], kept[level], _SHARES[level], gain[0, :count],
         )  # fmt: skip
         for channel in range(3):
             fine, rest = planes[level, channel, at, inner], planes[level + 1, channel, at, inner]
-            _add_detail(fine, rest, gain[0], level == 0, out[channel, row, start:end])
+            coarse = planes[_beyond(level), channel, at, inner]
+            _add_detail(fine, rest, coarse, gain[0], level == 0, out[channel, row, start:end])
     for channel in range(3):
         _square_sum(planes[LEVELS, channel, at, inner], out[channel, row, start:end])
 
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
 def _gain_row(
-    above2: Any, above: Any, here: Any, below: Any, below2: Any, threshold: Any, kept: Any, out: Any
+    above2: Any, above: Any, here: Any, below: Any, below2: Any, threshold: Any, kept: Any, whole: Any, out: Any
 ) -> None:  # fmt: skip
-    """Write what share of a level's detail is kept."""
+    """Write what share of a level's detail is kept, times what all of it counts."""
     first = HALO_PX - 2
     size = out.size + 4
     a2, a1, b1, b2 = above2[first:], above[first:], below[first:], below2[first:]
@@ -178,17 +200,17 @@ def _gain_row(
         largest = max(max(flat, upright), max(falling, rising)) * _FIFTH
         lost = threshold / max(largest, MIN_ENERGY)
         share = max(_ZERO, _ONE - lost * lost)
-        out[c] = kept + (_ONE - kept) * share
+        out[c] = whole * (kept + (_ONE - kept) * share)
 
 
 @njit(cache=True, fastmath=_CONTRACT)
-def _add_detail(fine: Any, rest: Any, gain: Any, begin: bool, out: Any) -> None:
+def _add_detail(fine: Any, rest: Any, coarse: Any, gain: Any, begin: bool, out: Any) -> None:
     if begin:
         for c in range(out.size):
-            out[c] = gain[c] * (fine[c] - rest[c])
+            out[c] = gain[c] * (fine[c] - rest[c] - _LEAK * (rest[c] - coarse[c]))
     else:
         for c in range(out.size):
-            out[c] += gain[c] * (fine[c] - rest[c])
+            out[c] += gain[c] * (fine[c] - rest[c] - _LEAK * (rest[c] - coarse[c]))
 
 
 @njit(cache=True, fastmath=_CONTRACT)

@@ -15,7 +15,7 @@ import numpy as np
 from device.balls.sphere import BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, Float64Array
+from device.surface.fields import Float32Array, Float64Array, HeightMap, surface_slopes
 from device.surface.poisson_dct import integrate_dct
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 from host_sync.denoising.shrinkage_kernel import shrink
@@ -83,7 +83,7 @@ def _in_height_map(inverse_map: InverseMap, noise: Float32Array) -> tuple[float,
     p, q = fields[..., 0], fields[..., 1]
     coarse_and_fine = integrate_dct(p, q, 1.0)
     heights = np.asarray(coarse_and_fine - cv2.GaussianBlur(coarse_and_fine, (0, 0), SPLIT_PX), np.float32)
-    down, across = (np.asarray(part, np.float32) for part in np.gradient(heights))
+    across, down = surface_slopes(HeightMap(heights, 1.0))
     inner = (slice(MARGIN_PX, -MARGIN_PX),) * 2
     slope = max(_spread(across[inner], down[inner]), 1e-12)
     height_px = float(np.std(heights[inner]))

@@ -2,14 +2,17 @@
 
 The image's root has shot noise of the same variance everywhere. An à-trous transform of it (Starck, Murtagh & Fadili,
 "Sparse Image and Signal Processing", chapter 3; filter [1 2 1]/4, holes of 1, 2 and 4 pixels) leaves three planes of
-detail d_j and a smooth rest. At each pixel the energy of the three colours' detail, in units of its noise, is averaged
-along five pixels in four directions; the largest of the four decides how much of the detail is kept. A line keeps its
-energy along itself and survives, a speckle does not.
+detail and a smooth rest. A long wave leaks into all of them, into each a quarter of what it leaves in the next coarser
+one; that share is taken out, so that what is shrunk of a finer plane costs no long wave. At each pixel the energy of
+the three colours' detail, in units of its noise, or a share of that of the next coarser plane if that is more (what is
+strong there goes on in finer planes), is averaged along five pixels in four directions; the largest of the four decides
+how much of the detail is kept. A line keeps its energy along itself and survives, a speckle does not.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +35,20 @@ SPLIT_PX: Final = 8.0
 The coarsest detail that is shrunk has periods of about 10 to 30 px.
 """
 
+LEAK: Final = 0.25
+"""Share of the next coarser plane in a plane, for long waves: both are second differences, over holes of half the
+size."""
+
+SHARES: Final = (1.0, 1.0 + LEAK, 1.0 + LEAK + LEAK**2)
+"""What the detail planes are multiplied by before they are added to the smooth rest; sums to the image."""
+
+PARENT_SHARE: Final = 0.1
+"""Share of the next coarser plane's energy that speaks for detail of a plane.
+
+Of a sinusoid of 20 px and 17° a rendered sensor keeps 0.98, as without shrinkage, instead of 0.957; untouched skin
+is as quiet as without.
+"""
+
 MIN_ENERGY: Final = np.float32(1e-12)
 
 
@@ -50,15 +67,17 @@ class Shrinkage:
 
 
 def detail_planes(root: Float32Array, levels: int = LEVELS) -> tuple[list[Float32Array], Float32Array]:
-    """Detail planes, finest first, and the smooth rest, of an image of shape (H, W, C); all of its shape.
+    """Detail planes without leaks, finest first, and the smooth rest, of an image of shape (H, W, C); all of its shape.
 
-    Up to 7 pixels from the border they are not those of a larger image.
+    The coarsest plane keeps its leak. Up to 7 pixels from the border they are not those of a larger image.
     """
     details, smooth = [], root
     for level in range(levels):
         smoother = _smoothed(_smoothed(smooth, 1 << level, 0), 1 << level, 1)
         details.append(smooth - smoother)
         smooth = smoother
+    for fine, coarse in pairwise(details):
+        fine -= np.float32(LEAK) * coarse
     return details, smooth
 
 
@@ -66,6 +85,11 @@ def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
     """Energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
     whitened = detail @ whitening.T
     return np.asarray((whitened * whitened).sum(axis=-1) / np.float32(3.0), np.float32)
+
+
+def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
+    """What speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
+    return np.maximum(energy, np.float32(PARENT_SHARE) * coarser)
 
 
 def directional_energy(energy: Float32Array) -> Float32Array:

@@ -33,10 +33,10 @@ WIDEST_PX: Final = 512
 
 MIN_WEIGHT: Final = 0.01
 
-NOISE_KEPT: Final = 0.35
+NOISE_KEPT: Final = 0.44
 """What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
 
-Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.350 of the
+Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.44 of the
 standard deviation (the mean over all frequencies of the product of their transfer functions).
 """
 

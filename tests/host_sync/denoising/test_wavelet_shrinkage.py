@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numba
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from host_sync.denoising.frame_noise import FrameNoise
 from host_sync.denoising.shrinkage_kernel import TILE_PX, shrink
 from host_sync.denoising.wavelet_shrinkage import (
     HALO_PX,
+    LEAK,
     LEVELS,
+    SHARES,
     Shrinkage,
     detail_planes,
     directional_energy,
     noise_energy,
+    with_parent,
 )
 from host_sync.kernels.planes import in_planes
 
@@ -44,11 +49,14 @@ def shrunk_values(values: np.ndarray, shrinkage: Shrinkage) -> np.ndarray:
     details, rest = detail_planes(padded)
     inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
     total = rest[inner]
+    energies = [noise_energy(detail, white) for detail, white in zip(details, shrinkage.whitening, strict=True)]
+    for level in reversed(range(LEVELS - 1)):
+        energies[level] = with_parent(energies[level], energies[level + 1])
     for level, detail in enumerate(details):
-        energy = directional_energy(noise_energy(detail, shrinkage.whitening[level]))[inner]
+        energy = directional_energy(energies[level])[inner]
         gain = np.maximum(np.float32(0.0), np.float32(1.0) - (shrinkage.threshold[level] / energy) ** 2)
         gain = shrinkage.kept[level] + (np.float32(1.0) - shrinkage.kept[level]) * gain
-        total = total + gain[..., None] * detail[inner]
+        total = total + np.float32(SHARES[level]) * gain[..., None] * detail[inner]
     return np.asarray(total * total, np.float32)
 
 
@@ -101,11 +109,15 @@ def test_without_energy_only_the_share_in_any_case_is_kept() -> None:
     found = np.sqrt(shrink(image_of((1.0 + 1e-3 * random) ** 2), linear).values) - 1.0
     frequency = 2.0 * np.pi * np.fft.fftfreq(size)
     passed, smooth = np.zeros((size, size)), np.ones((size, size))
+    planes = [smooth]
     for level in range(LEVELS):
         one = 0.5 + 0.5 * np.cos(frequency * 2**level)
-        smoother = smooth * one[:, None] * one[None, :]
-        passed += kept[level] * (smooth - smoother)
-        smooth = smoother
+        planes.append(planes[-1] * one[:, None] * one[None, :])
+    details = [fine - coarse for fine, coarse in pairwise(planes)]
+    for level in range(LEVELS):
+        leak = LEAK * details[level + 1] if level + 1 < LEVELS else 0.0
+        passed += SHARES[level] * kept[level] * (details[level] - leak)
+    smooth = planes[-1]
     predicted = 1e-3 * np.sqrt(((passed + smooth) ** 2).mean())
     assert found[16:-16, 16:-16].std() == pytest.approx(predicted, rel=0.02)
 
