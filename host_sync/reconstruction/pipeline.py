@@ -12,6 +12,7 @@ from device.surface.fields import Float32Array, GradientField, HeightMap, MaskAr
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
+from host_sync.denoising.blur_correction import without_blur
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.gradients.extrapolation import extrapolated
 from host_sync.integration.integrate import IntegrationReport, integrate
@@ -105,6 +106,8 @@ def reconstruct(
     gradients, shrinkage = reading.gradients, calibration.shrinkage
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
+    if shrinkage is not None:
+        height = without_blur(height)
     datum = find_datum(height, gradients)
     unlit = check_datum(intensity, datum.skin)
     warnings += unlit
