@@ -177,6 +177,7 @@ def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
         pixel_deg=tuple(share * part for part in error.pixel_deg),
         patch_deg=tuple(share * part for part in error.patch_deg),
         scale_share=share * error.scale_share,
+        rim_share=share * error.rim_share,
     )
 
 

@@ -149,7 +149,10 @@ def height_uncertainty(
     reduction = columns / size[0]
     spread = _drawn_spread(gradients, contradiction, error, size)
     z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
-    steeper = _read_steeper(gradients, z_small / np.float32(height.pitch_um), error, size)
+    seen = _seen(gradients, size)
+    square = seen[0] ** 2 + seen[1] ** 2
+    # Skin at another elevation than the balls' may be read too steep, and so may what is as steep as their rims.
+    higher, rim = error.elevation.steeper(z_small / np.float32(height.pitch_um), square), _rim(square, error)
     bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
     zero = _shrunk(datum.skin, size)
     zero /= max(float(zero.sum()), 1e-6)
@@ -157,10 +160,11 @@ def height_uncertainty(
     rng = np.random.default_rng(seed)
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
     for sample_um in samples_um:
-        raised, tilted = rng.standard_normal(2, np.float32)
+        raised, tilted, steep = rng.standard_normal(3, np.float32)
+        gain = raised * higher + steep * rim
         p, q = (
-            _slope_draw(rng, spread, error.patch_px / reduction) + raised * steep + tilted * rest
-            for steep, rest in zip(steeper, bias, strict=True)
+            _slope_draw(rng, spread, error.patch_px / reduction) + gain * slope + tilted * rest
+            for slope, rest in zip(seen, bias, strict=True)
         )
         if calibration is not None:
             unsure = calibration.sample(rng.standard_normal(len(calibration.p), np.float32))
@@ -201,11 +205,22 @@ def _drawn_spread(
     return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
 
 
-def _read_steeper(gradients: GradientField, z_px: Float32Array, error: SlopeError, size: tuple[int, int]) -> SlopePair:
-    """By how much slopes may be read too steep for skin at another elevation than the balls'; on the reduced field."""
+def _seen(gradients: GradientField, size: tuple[int, int]) -> SlopePair:
+    """Slopes on the reduced field, 0 where there are none."""
     p, q = (_shrunk(np.where(gradients.valid, slope, np.float32(0.0)), size) for slope in (gradients.p, gradients.q))
-    share = error.elevation.steeper(z_px, p * p + q * q)
-    return share * p, share * q
+    return p, q
+
+
+def _rim(square: Float32Array, error: SlopeError) -> Float32Array:
+    """By what share slopes may be read too steep for being as steep as balls' rims, where p² + q² is `square`.
+
+    It sets in from the last band of tilts but one.
+    """
+    if len(error.tilt_deg) < 2 or error.rim_share == 0.0:
+        return np.zeros_like(square)
+    low, high = np.cos(np.radians(error.tilt_deg[-2:]))
+    cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
+    return np.asarray(np.interp(cosine, (high, low), (error.rim_share, 0.0)), np.float32)
 
 
 def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:

@@ -5,7 +5,9 @@
   added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
 * over the whole press: a ball shows each slope at one elevation only, and an object that shows it at another is read
   wrong (see `elevation`)
-* over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it
+* over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it; and another
+  share for slopes as steep as balls' rims and steeper ones, which no ball shows. An object on a flank of steep skin
+  stands too high or too low by it
 
 Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
 """
@@ -60,6 +62,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_px : size of such a patch, the standard deviation of a Gaussian
     elevation : at which the balls showed each slope
     scale_share : by what share all slopes are read too steep or too flat, root mean square over balls
+    rim_share : the same of slopes of the last band of `tilt_deg`, and of steeper ones
     """
 
     tilt_deg: tuple[float, ...]
@@ -68,6 +71,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_px: float
     elevation: ElevationCorrection
     scale_share: float
+    rim_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +99,15 @@ def measure_slope_error(
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     scale = float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0
+    more = 1.0 if known else inflation.throughout(noise_deg)
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
         elevation=elevation or elevation_correction(presses, training, fit.map),
-        scale_share=(1.0 if known else inflation.throughout(noise_deg)) * scale,
+        scale_share=more * scale,
+        rim_share=more * _rim_share(errors, bands[-1][0]),
     )
 
 
@@ -145,6 +151,19 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
         if rows.sum() >= MIN_PIXELS:
             bands.append((float(tilt[rows].mean()), _spread_deg(pixel[:, rows]), _spread_deg(patch[:, rows])))
     return bands or [(0.0, 0.0, 0.0)]
+
+
+def _rim_share(errors: Sequence[_BallError], tilt_deg: float) -> float:
+    """By what share slopes from the lower border of the band around a tilt on are off, root mean square over balls."""
+    low_deg = max(edge for edge in TILT_EDGES_DEG if edge <= tilt_deg)
+    squares = []
+    for error in errors:
+        square = (error.truth**2).sum(axis=0)
+        rows = error.inside & (square >= np.tan(np.radians(low_deg)) ** 2)
+        if rows.sum() >= MIN_PIXELS:
+            along = (error.slope * error.truth).sum(axis=0)
+            squares.append(float(along[rows].sum() / square[rows].sum()) ** 2)
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
 def _spread_deg(angle: Float64Array) -> float:

@@ -40,7 +40,7 @@ def gradients_of(z_um: np.ndarray, noise: float, seed: int = 0) -> GradientField
 
 def error_of(pixel_deg: float, patch_deg: float, patch_px: float, scale_share: float = 0.0) -> SlopeError:
     """An error that is the same at every tilt."""
-    return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, FAR, scale_share)
+    return SlopeError((0.0, 60.0), (pixel_deg,) * 2, (patch_deg,) * 2, patch_px, FAR, scale_share, 0.0)
 
 
 LEVEL = (np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
@@ -186,7 +186,7 @@ def test_slopes_are_less_sure_where_the_skin_is_steep_or_the_colour_strange() ->
     weight = np.ones(SHAPE, np.float32)
     weight[:, :100] = 0.04
     gradients = GradientField(p, 0.0 * p, weight > 0, weight)
-    error = SlopeError((0.0, 45.0), (0.0, 0.0), (0.5, 1.0), 8.0, FAR, 0.0)
+    error = SlopeError((0.0, 45.0), (0.0, 0.0), (0.5, 1.0), 8.0, FAR, 0.0, 0.0)
     sigma = slope_sigma(gradients, p, 0.0 * p, 0.0 * p, error)
     assert sigma[50, 200] == pytest.approx(2.0 * np.radians(1.0), rel=1e-3)
     assert sigma[50, 50] == pytest.approx(5.0 * sigma[50, 200], rel=1e-3)
