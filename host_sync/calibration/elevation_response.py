@@ -54,6 +54,10 @@ LIKELY: Final = 2.0
 CONFIRMED: Final = (0.3, 3.0)
 """Shares outside of which what is seen is something else than elevation under near lights."""
 
+UNEXPLAINED: Final = 0.1
+"""Share from which something is seen of elevation. Sensors whose light knows none show 0.00 to 0.02, the twin's coat of
+flakes 0.20."""
+
 MODEL_DOUBT: Final = 0.15
 """Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
 
@@ -131,7 +135,13 @@ class ElevationResponse:
 
     @property
     def possible_fraction(self) -> float:
-        """Share of the foretold that may be there where it is not certain, at most 1."""
+        """Share of the foretold that may be there where it is not certain, at most 1.
+
+        A share that is neither near 0 nor near 1 says that light changes with elevation in another way: all of the
+        foretold may be there.
+        """
+        if self.share > UNEXPLAINED:
+            return 1.0
         return min(float(np.hypot(self.share, self.share_sigma)), 1.0)
 
     @property
