@@ -89,7 +89,7 @@ def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
 
 def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
     """What speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
-    return np.maximum(energy, np.float32(PARENT_SHARE) * coarser)
+    return np.asarray(np.maximum(energy, np.float32(PARENT_SHARE) * coarser), np.float32)
 
 
 def directional_energy(energy: Float32Array) -> Float32Array:
