@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from device.surface.fields import HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
-from tests.benchmarks.accuracy import ball_error, marks, methods, pattern, sigma_coverage
+from tests.benchmarks.accuracy import ball_error, marks, methods, pattern, rendered_sets, sigma_coverage
 
 PITCH_UM = 10.0
 RADIUS_UM = 800.0
@@ -124,3 +124,13 @@ def test_a_refreshed_table_keeps_what_was_not_measured(tmp_path: Path) -> None:
     assert lines[-1] == "after"
     assert lines[4:6] == ["| old | 1 |", "| finger | 2.00° | 1.00° | 2.00° | 1.00° | 2.0 % | 1.0 % |"]
     assert "| set | surface, paper | default |" in (Path(__file__).parents[1] / "docs" / "paper.md").read_text()
+
+
+def test_figures_of_a_rendered_set_leave_out_what_has_no_zero() -> None:
+    row = {"rms": 2.0, "h_in": 0.7, "h_x": 0.9, "s_in": 0.6, "feature": {"step": -1.0, "wave10px": -9.0}}
+    rest = {**row, "rms": 0.4, "h_in": 0.5, "feature": {}}
+    found = dict(rendered_sets.figures_of("far", {"step": {"ours": row}, "rest": {"ours": rest}, "lost": {}}))
+    assert found["rendered far heights, rms"] == 2.0
+    assert found["rendered far features off by"] == pytest.approx(0.01)
+    assert found["rendered far untouched skin, rms"] == 0.4
+    assert found["rendered far heights within sigma"] == pytest.approx(0.6)

@@ -1,6 +1,7 @@
 """Measures every accuracy mark on real frames and on the twin, prints a table, and writes accuracy.json.
 
-usage: python -m tests.benchmarks.accuracy.accuracy [--quick] [--only real twin resolution certificate] [--out FILE]
+usage: python -m tests.benchmarks.accuracy.accuracy [--quick] [--out FILE]
+       [--only real rendered twin resolution certificate]
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from rich.table import Table
 from tests.benchmarks.accuracy.check_standard import certificate_figures
 from tests.benchmarks.accuracy.marks import Figures, all_marks, record
 from tests.benchmarks.accuracy.measurements import real_figures, resolution_figures, twin_figures
+from tests.benchmarks.accuracy.rendered_sets import rendered_figures
 
-PARTS: Final = ("real", "twin", "resolution", "certificate")
+PARTS: Final = ("real", "rendered", "twin", "resolution", "certificate")
 
 
 def main() -> int:
@@ -53,6 +55,8 @@ def _measure(parts: list[str], quick: bool, tell: Callable[[str], None]) -> Figu
         folder = Path(name)
         if "real" in parts:
             figures |= real_figures(folder, tell)
+        if "rendered" in parts:
+            figures |= rendered_figures(folder, tell)
         if "twin" in parts:
             figures |= twin_figures(folder, tell, quick=quick)
         if "resolution" in parts:

@@ -19,6 +19,9 @@ _REAL: Final = {
 }
 """Limits of `surface` and `surface_smooth2`, degrees, and what the peer network reaches."""
 
+_RENDERED: Final = {"finger": (2.2, 0.006), "series2": (0.9, 0.004), "matt": (6.0, 0.03), "tactile": (3.0, 0.01)}
+"""Limits of heights, µm rms, and of features."""
+
 _TWIN_DEG: Final = {"diffuse": 1.0, "flake": 1.2, "sharp-flake": 2.0}
 
 
@@ -55,7 +58,14 @@ class Mark:
 
 def all_marks() -> tuple[Mark, ...]:
     """Every mark, in the order of the table."""
-    return (*_real_marks(), *_twin_marks(), *_resolution_marks(), *_coverage_marks(), *_certificate_marks())
+    return (
+        *_real_marks(),
+        *_rendered_marks(),
+        *_twin_marks(),
+        *_resolution_marks(),
+        *_coverage_marks(),
+        *_certificate_marks(),
+    )
 
 
 def record(figures: Figures) -> dict[str, dict[str, dict[str, object]]]:
@@ -78,6 +88,16 @@ def _real_marks() -> Iterator[Mark]:
         yield Mark(f"{name} surface", "deg", most=surface, peer=peer)
         yield Mark(f"{name} surface_smooth2", "deg", most=smooth, peer=peer_smooth)
         yield from _common_marks(name)
+
+
+def _rendered_marks() -> Iterator[Mark]:
+    for name, (heights_um, features) in _RENDERED.items():
+        yield Mark(f"rendered {name} heights, rms", "um", most=heights_um)
+        yield Mark(f"rendered {name} features off by", "", most=features)
+        yield Mark(f"rendered {name} untouched skin, rms", "um", most=0.7)
+        yield Mark(f"rendered {name} heights within sigma", "", most=0.85, least=0.55)
+        yield Mark(f"rendered {name} height errors over sigma", "", most=1.3, least=0.75)
+        yield Mark(f"rendered {name} slopes within sigma", "", most=0.80, least=0.58)
 
 
 def _twin_marks() -> Iterator[Mark]:

@@ -1,0 +1,77 @@
+"""Sets rendered by makers' shading models and by a near-light bench, judged from the result files by another program.
+
+Renderer and judge lie beside the real frames and are no part of this project; the renderer needs PyYAML. Figures are
+means over scans: heights and features without untouched skin, the texture over the whole field (which has no zero) and
+the wave of 10 px; shares within σ over all scans.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from host_sync.frames.frame_set import load_frame_set
+from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
+from tests.benchmarks.accuracy.real_sets import data_folder
+
+SETS: Final = ("finger", "series2", "matt", "tactile")
+WITHOUT_ZERO: Final = ("rest", "roughfull")
+FINEST: Final = "wave10px"
+
+
+def available() -> bool:
+    """Whether renderer, judge, makers' models and PyYAML are there."""
+    files = (_tool("make_simulated.py"), _tool("judge_heights.py"), _models())
+    return all(file.exists() for file in files) and importlib.util.find_spec("yaml") is not None
+
+
+def rendered_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[str, float]]:
+    """Figures of every set; frames and results stay in the folder."""
+    for name in SETS if available() else ():
+        tell(f"rendered {name}: rendering")
+        _run(_tool("make_simulated.py"), _models(), folder / "rendered", "--devices", name)
+        frames, results, record = (folder / "rendered" / part for part in (name, f"{name}-out", f"{name}.json"))
+        reconstruct_frame_set(
+            load_frame_set(frames / "frameset.toml"),
+            results,
+            tell=lambda words, name=name: tell(f"rendered {name}: {words}"),
+        )
+        tell(f"rendered {name}: judging")
+        _run(_tool("judge_heights.py"), frames, results, "--json", record)
+        yield from figures_of(name, json.loads(record.read_text()))
+
+
+def figures_of(name: str, verdict: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, float]]:
+    """Figures of a judge's verdict, by scan."""
+    scans = {scan: rows["ours"] for scan, rows in verdict.items() if "ours" in rows}
+    objects = {scan: row for scan, row in scans.items() if scan not in WITHOUT_ZERO}
+    features = [abs(off) for row in objects.values() for feature, off in row["feature"].items() if feature != FINEST]
+    yield f"rendered {name} heights, rms", float(np.mean([row["rms"] for row in objects.values()]))
+    yield f"rendered {name} features off by", float(np.mean(features)) / 100.0
+    if "rest" in scans:
+        yield f"rendered {name} untouched skin, rms", float(scans["rest"]["rms"])
+    for figure, key in (
+        ("heights within sigma", "h_in"),
+        ("height errors over sigma", "h_x"),
+        ("slopes within sigma", "s_in"),
+    ):
+        yield f"rendered {name} {figure}", float(np.mean([row[key] for row in scans.values() if key in row]))
+
+
+def _run(program: Path, *arguments: Path | str) -> None:
+    subprocess.run([sys.executable, str(program), *map(str, arguments)], check=True, capture_output=True)
+
+
+def _tool(name: str) -> Path:
+    return data_folder().parent / "tools" / name
+
+
+def _models() -> Path:
+    return data_folder() / "models"
