@@ -67,7 +67,7 @@ def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
     They are of fourth order, which keep 0.995 of a wave of 10 px instead of 0.935; of second order, or one-sided, next
     to invalid pixels and the border.
     """
-    z = np.ascontiguousarray(height.z_um / np.float32(height.pitch_um))
+    z = np.ascontiguousarray(height.z_um / np.float32(height.pitch_um), np.float32)
     return _slope(z, 1), _slope(z, 0)
 
 
