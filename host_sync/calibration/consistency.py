@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
 
 from device.calibration.limits import CLEAR_DISAGREEMENT, MAX_DISAGREEMENT, REFERENCE_CLIPPED
 from device.errors import CalibrationMismatch, FrameError
@@ -53,6 +51,10 @@ def check_agreement(names: Sequence[str], images: Sequence[NormalizedImage], ref
     apart = check_consistency([_blocks(image) for image in images], reference)
     if len(apart) < 2:
         return
+    # These take a while to load, and whoever only reads a kept calibration loads this module too.
+    from scipy.cluster.hierarchy import fcluster, linkage
+    from scipy.spatial.distance import squareform
+
     steps = linkage(squareform(apart), "single")
     gap, within = float(steps[-1, 2]), float(steps[:-1, 2].max(initial=0.0))
     limit = MAX_DISAGREEMENT

@@ -98,8 +98,9 @@ def find_elevated_balls(
         return tuple(tuple(of_press) for _, of_press in presses)
 
     def symmetric(skins: Sequence[_Skin], response: ElevationResponse | None) -> Centred:
+        lit = _Lit.of(response, skins[0]) if response else None
         return tuple(
-            tuple(_centred(seen, skin, ball, response) for ball in of_press)
+            tuple(_centred(seen, skin, ball, lit) for ball in of_press)
             for seen, skin, (_, of_press) in zip(reduced, skins, presses, strict=True)
         )
 
@@ -162,18 +163,39 @@ class _Skin:
         here = self.z_px[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
         return max(float(here), ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
 
-    def as_lit_at(self, ball: Ball, response: ElevationResponse) -> Float32Array:
+    def as_lit_at(self, ball: Ball, lit: _Lit) -> Float32Array:
         """What is to be added to intensity, (h, w, 3), were all skin untouched and lit as the middle of a ball is."""
-        column, row = (np.arange(size) * self.step + self.step // 2 for size in self.z_px.shape[::-1])
-        x, y = (field_position(axis, axis, self.shape)[:, k].astype(np.float32) for k, axis in enumerate((column, row)))
-        a, b, c = (rows_between_nodes(part, x, y) for part in _flat_nodes(response))
         middle = field_position(np.array([ball.column]), np.array([ball.row]), self.shape)
-        there = between_nodes(_flat_nodes(response)[0], middle)[0]
+        there = between_nodes(lit.nodes, middle)[0]
+        a, b, c = lit.directions, lit.brightening, lit.slanting
         p, q, z_px = self.p[..., None], self.q[..., None], self.z_px[..., None]
         wanted = 1.0 + there[:3] * p + there[3:] * q
         seen = 1.0 + a[..., :3] * p + a[..., 3:] * q + z_px * (b + c[..., :3] * p + c[..., 3:] * q)
         change = np.maximum(wanted, 0.0) - np.maximum(seen, 0.0)
         return np.asarray(change / np.sqrt(1.0 + p**2 + q**2), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lit:
+    """A response at the pixels of a skin, (h, w, 6), (h, w, 3) and (h, w, 6): alike for all presses of one grid.
+
+    nodes : the first of them where it was measured
+    followed : share of the response that is taken out
+    """
+
+    directions: Float32Array
+    brightening: Float32Array
+    slanting: Float32Array
+    nodes: Float32Array
+    followed: float
+
+    @classmethod
+    def of(cls, response: ElevationResponse, skin: _Skin) -> _Lit:
+        column, row = (np.arange(size) * skin.step + skin.step // 2 for size in skin.z_px.shape[::-1])
+        x, y = (field_position(axis, axis, skin.shape)[:, k].astype(np.float32) for k, axis in enumerate((column, row)))
+        nodes = _flat_nodes(response)
+        a, b, c = (rows_between_nodes(part, x, y) for part in nodes)
+        return cls(a, b, c, nodes[0], response.followed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,15 +227,15 @@ class _Relief:
         return _Skin(right.p, right.q, elevation_over_datum_px(right, float(self.step)), self.step, self.shape)
 
 
-def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, response: ElevationResponse | None) -> Ball:
+def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, lit: _Lit | None) -> Ball:
     """The ball at the centre of the pressed skin's rotational symmetry; its own where none is near.
 
-    response : takes what light makes of elevation and place, which is not symmetric, out of the intensity
+    lit : takes what light makes of elevation and place, which is not symmetric, out of the intensity
     """
-    if response is not None:
+    if lit is not None:
         size = reduced.weight.shape[::-1]
-        change = cv2.resize(skin.as_lit_at(ball, response), size, interpolation=cv2.INTER_LINEAR)
-        reduced = replace(reduced, deviation=reduced.deviation + np.float32(response.followed) * change)
+        change = cv2.resize(skin.as_lit_at(ball, lit), size, interpolation=cv2.INTER_LINEAR)
+        reduced = replace(reduced, deviation=reduced.deviation + np.float32(lit.followed) * change)
     radius = ball.radius_px / reduced.columns_per_pixel
     column, row = reduced.to_full(*find_circle(reduced, *reduced.from_full(ball.column, ball.row), radius))
     if np.hypot(column - ball.column, row - ball.row) > NEAR_CENTRE * ball.radius_px:

@@ -5,11 +5,11 @@ Everything but the relief is drawn once, so that a sequence of reliefs shares ra
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 import cv2
-import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -177,5 +177,14 @@ def ticks(low: float, high: float, most: int = 10) -> list[float]:
 
 
 def font_file() -> str:
-    """A font with µ, × and °, from matplotlib."""
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    """A font with µ, × and °, from matplotlib's data, without loading matplotlib itself.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        matplotlib is not installed.
+    """
+    package = find_spec("matplotlib")
+    if package is None or package.origin is None:
+        raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+    return str(Path(package.origin).with_name("mpl-data") / "fonts" / "ttf" / "DejaVuSans.ttf")
