@@ -65,8 +65,9 @@ class InverseMap:
     root : the curve that reads the root of intensity, None where it would not help
     rest_bump : mean stereographic slope that curves which are free to misread untouched skin read there, nodes as of
         `noise_bias`; it is taken off what looks untouched, and less of what does not. None where they read 0
-    noise_bias : what the noise of single full-size pixels adds to the mean stereographic slope of untouched skin,
-        float32 array of shape (h, w, 2) at places even over the field, borders included; None where not measured
+    noise_bias : what the noise of single full-size pixels adds to the mean stereographic slope of untouched skin, and
+        what the reference's own noise adds to it where presses' free skin tells; float32 array of shape (h, w, 2) at
+        places even over the field, borders included; None where not measured
     """
 
     shape: tuple[int, int]

@@ -33,6 +33,7 @@ from host_sync.calibration.calibration_verdict import check_count
 from host_sync.calibration.consistency import check_agreement, check_reference
 from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
 from host_sync.calibration.elevation_response import ElevationResponse
+from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
@@ -190,6 +191,9 @@ def calibrate(
         begun = _fit_to(located, IlluminationMap.of(flat_field), begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
+    if reference:
+        pressed = [(press.intensity, press.balls) for press in located]
+        inverse = replace(inverse, map=with_free_skin(inverse.map, pressed))
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
     training = gather_samples(kept)

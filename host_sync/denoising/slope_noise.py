@@ -17,7 +17,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, HeightMap, surface_slopes
 from device.surface.poisson_dct import integrate_dct
-from host_sync.denoising.blur_correction import without_blur
+from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 from host_sync.denoising.shrinkage_kernel import shrink
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage
@@ -50,10 +50,12 @@ def measure_slope_noise(
             both = [_angle_deg(inverse_map, samples, some, part, rng) for part in (raw, shrunk)]
             bands.append((float(tilt[some].mean()), both[0], both[1]))
     tilts, raws, shrunks = zip(*(bands or [(0.0, 0.0, 0.0)]), strict=True)
-    (raw_kept, raw_px), (shrunk_kept, shrunk_px) = (
-        _in_height_map(inverse_map, part, sharpened) for part, sharpened in ((raw, False), (shrunk, True))
-    )
-    return SlopeNoise(tilts, raws, shrunks, raw_kept, shrunk_kept, raw_px, shrunk_px)
+    raw_kept, raw_px = _in_height_map(inverse_map, raw, 0.0)
+    for blur_px in (BLUR_PX, 0.0):
+        shrunk_kept, shrunk_px = _in_height_map(inverse_map, shrunk, blur_px)
+        if shrunk_kept * shrunks[0] <= MAX_NOISE_DEG:
+            break
+    return SlopeNoise(tilts, raws, shrunks, raw_kept, shrunk_kept, raw_px, shrunk_px, blur_px)
 
 
 def _angle_deg(
@@ -72,13 +74,13 @@ def _angle_deg(
     return float(np.degrees((apart / (1.0 + square[:, None])).std()))
 
 
-def _in_height_map(inverse_map: InverseMap, noise: Float32Array, sharpened: bool) -> tuple[float, float]:
+def _in_height_map(inverse_map: InverseMap, noise: Float32Array, blur_px: float) -> tuple[float, float]:
     """Noise of a height map of flat skin in the middle of the field.
 
     Its slopes' share of the noise of slopes as they were read, and its heights' over its slopes', pixels; only what is
     finer than the split of raw from shrunk detail counts among heights.
 
-    sharpened : whether the camera's blur is taken out of such a height map
+    blur_px : standard deviation of the camera's blur that is taken out of such a height map
     """
     rows, columns = inverse_map.shape
     side = noise.shape[0]
@@ -87,8 +89,7 @@ def _in_height_map(inverse_map: InverseMap, noise: Float32Array, sharpened: bool
     fields = (slopes - slopes.mean(axis=0)).astype(np.float32).reshape(side, side, 2)
     p, q = fields[..., 0], fields[..., 1]
     coarse_and_fine = integrate_dct(p, q, 1.0)
-    if sharpened:
-        coarse_and_fine = without_blur(HeightMap(coarse_and_fine, 1.0)).z_um
+    coarse_and_fine = without_blur(HeightMap(coarse_and_fine, 1.0), blur_px).z_um
     heights = np.asarray(coarse_and_fine - cv2.GaussianBlur(coarse_and_fine, (0, 0), SPLIT_PX), np.float32)
     across, down = surface_slopes(HeightMap(heights, 1.0))
     inner = (slice(MARGIN_PX, -MARGIN_PX),) * 2

@@ -106,8 +106,9 @@ def reconstruct(
     gradients, shrinkage = reading.gradients, calibration.shrinkage
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
-    if shrinkage is not None:
-        height = without_blur(height)
+    noise = calibration.slope_noise
+    if noise is not None:
+        height = without_blur(height, noise.blur_px)
     datum = find_datum(height, gradients)
     unlit = check_datum(intensity, datum.skin)
     warnings += unlit
@@ -134,7 +135,6 @@ def reconstruct(
         calibration=unsure,
         shadow=None if shadow is None else shadow.sigma(reduced_size(p.shape)),
     )
-    noise = calibration.slope_noise
     kept = noise.shrunk_kept if noise else NOISE_KEPT
     steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
     other = None
