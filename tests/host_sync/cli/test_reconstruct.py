@@ -20,6 +20,7 @@ from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic
 from device.store.store import BundleStore
+from device.surface.fields import HeightMap, surface_slopes
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware
@@ -146,7 +147,7 @@ def test_the_sphere_is_measured(results: Path, frames: Frames) -> None:
 
 def test_slope_files_are_the_slopes_of_the_height(results: Path) -> None:
     height, p, q = (tifffile.imread(results / "sphere" / f"{n}.tif") for n in ("height_um", "slope_p", "slope_q"))
-    down, across = np.gradient(height / np.float32(PITCH_UM))
+    across, down = surface_slopes(HeightMap(height, PITCH_UM))
     np.testing.assert_allclose(p, across, atol=1e-5)
     np.testing.assert_allclose(q, down, atol=1e-5)
 

@@ -89,7 +89,7 @@ def test_texture_of_the_frames_is_one_more_start() -> None:
     generator = np.random.default_rng(4)
     grain = 1.0 + 0.05 * generator.standard_normal(pair.first.z_um.shape).astype(np.float32)
     found = register(pair.first, pair.second, frames=(grain, np.roll(grain, (5, -8), (0, 1))))
-    assert found.by != "texture"  # what is fixed to the gel decides nothing
+    # What is fixed to the gel may start a fit, and decides nothing.
     assert not found.accepted or error_px(pair, found) <= ENOUGH_PX
 
 
