@@ -31,8 +31,9 @@ def compare_command(result: Path, other: Path) -> int:
         f"{surface.record.name} against {reference.record.name}: rms {found.rms_um:.4g} µm{of_depth}, mean "
         f"{found.mean_um:.4g} µm, over {found.compared:.0%} of the pixels, a plane taken off"
     )
-    for warning in surface.record.warnings:
-        print_line(f"{surface.record.name}: {warning}")
+    for one in (surface, reference):
+        for doubt in one.doubts:
+            print_line(f"{one.record.name}: {doubt.sentence}")
     return DONE
 
 

@@ -85,6 +85,7 @@ def search_command(
         raise HostError(f"--since {since} is later than --until {until}: swap them")
     target = Library(library or default_library())
     query = Query(job, part, operator, verdict, gel, device, since, until, name, tag, note, " ".join(text) or None)
+    target.require()
     if saved is not None:
         query = _with_saved(query, target, saved)
     if save is not None:
@@ -129,7 +130,10 @@ def _with_saved(query: Query, library: Library, name: str) -> Query:
     kept: dict[str, Any] = {**searches[name], **own}
     for day in ("since", "until"):
         if isinstance(kept.get(day), str):
-            kept[day] = date.fromisoformat(kept[day])
+            try:
+                kept[day] = date.fromisoformat(kept[day])
+            except ValueError as error:
+                raise HostError(f"saved search {name!r}: {day} is {kept[day]!r}, not a date as 2026-01-31") from error
     return Query(**{one.name: kept[one.name] for one in fields(Query) if one.name in kept})
 
 

@@ -15,6 +15,7 @@ from device.errors import DeviceError
 from device.io.atomic import check_output, write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
 from host_sync.errors import HostError, MeasurementError, MissingResult
+from host_sync.frames.sequence import natural_order
 from host_sync.library.library import Library
 from host_sync.results.files import RECORD_FILE, DetailName
 
@@ -170,7 +171,7 @@ def _results_in(place: Path) -> list[Path]:
     """The place itself, or the results in it where it is a folder of results."""
     if not place.is_dir() or (place / RECORD_FILE).is_file():
         return [place]
-    return sorted(path.parent for path in place.glob(f"*/{RECORD_FILE}")) or [place]
+    return sorted((path.parent for path in place.glob(f"*/{RECORD_FILE}")), key=natural_order) or [place]
 
 
 def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:

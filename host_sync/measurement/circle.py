@@ -74,6 +74,11 @@ def find_circle(
     """
     if radius_um < MIN_RADIUS_PX * pitch_um:
         raise MeasurementError(f"a circle needs a radius of {MIN_RADIUS_PX * pitch_um:g} µm or more: draw it larger")
+    across_um = float(np.hypot(*z_um.shape)) * pitch_um
+    if radius_um > across_um:
+        raise MeasurementError(
+            f"a circle of {radius_um:g} µm radius does not fit into a field of {across_um:.0f} µm: draw it smaller"
+        )
     found = _once(z_um, pitch_um, np.array(centre_um, np.float64), radius_um, level)
     return _once(z_um, pitch_um, np.array([found.column_um, found.row_um]), found.radius_um, level)
 

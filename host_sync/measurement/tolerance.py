@@ -1,7 +1,8 @@
 """Tolerances: whether a number passes, by the decision rule of ISO 14253-1 with its default of 95 %.
 
 A number passes when it lies inside its limits by 1.65 standard uncertainties, and fails when it lies outside by as
-much. Between the two, or without an uncertainty, nothing is decided.
+much. Between the two, without an uncertainty, or where a doubt says that the uncertainty does not hold, nothing is
+decided.
 """
 
 from __future__ import annotations
@@ -13,9 +14,21 @@ import msgspec
 
 from host_sync.measurement.quantity import Limits, Quantity, Verdict
 from host_sync.measurement.recipe import ToleranceTable
+from host_sync.results.doubt import DoubtKind
 
 GUARD: Final = 1.65
 """Guard band in standard uncertainties: 95 % on one side of a normal distribution."""
+
+VOID: Final[tuple[DoubtKind, ...]] = (
+    "failed calibration",
+    "failed check standard",
+    "uncovered sector",
+    "drifted light",
+    "frame unlike calibration",
+    "no zero",
+    "not converged",
+)
+"""Doubts under which an uncertainty does not hold."""
 
 
 def judged(quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable]) -> tuple[Quantity, ...]:
@@ -34,7 +47,7 @@ def judged(quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable])
 
 def verdict_of(quantity: Quantity, low: float | None, high: float | None) -> Verdict:
     """The verdict on a number under its limits, which are in the number's unit."""
-    if quantity.value is None or quantity.uncertainty is None:
+    if quantity.value is None or quantity.uncertainty is None or any(w.startswith(VOID) for w in quantity.warnings):
         return "undecided"
     guard = GUARD * quantity.uncertainty / quantity.coverage_factor
     below = -float("inf") if low is None else low

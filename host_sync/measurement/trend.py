@@ -5,7 +5,7 @@ result to the next (mean moving range over 1.128) against the tolerance, Ppk the
 
 Uncertainty: what the calibration does not know is common to all results, so it does not average out. It is taken as the
 median standard uncertainty of the numbers. The mean has that and s/√n; Cpk has that over three spreads, and the
-chance of so few results (Bissell, 1990).
+chance of so few results: 1/(9 n) for their mean, and for their mean moving range Cpk² (0.826 n - 1)/(n - 1)².
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from host_sync.measurement.quantity import Quantity, decimals, plain
 INDIVIDUALS: Final = 2.66
 PER_RANGE: Final = 1.128
 """Mean range of two normal values, in standard deviations."""
+
+RANGES_VARIANCE: Final = 0.826
+"""Relative variance of the mean of n - 1 moving ranges of normal values, times n, for many of them."""
 
 MIN_COUNT: Final = 2
 
@@ -83,14 +86,19 @@ def trend_of(
     if seen.size < MIN_COUNT:
         return None
     mean, deviation = float(seen.mean()), float(seen.std(ddof=1))
-    step = float(np.abs(np.diff(seen)).mean())
+    steps = np.abs(np.diff(every))
+    steps = steps[np.isfinite(steps)]  # over a missing result nothing is known of neighbours
+    if not steps.size:
+        return None
+    step = float(steps.mean())
     bounds = mean - INDIVIDUALS * step, mean + INDIVIDUALS * step
     own = [sigma for sigma in sigmas if sigma is not None and np.isfinite(sigma)]
     common = float(np.median(own)) if own else None
     cp, cpk, ppk = _capability(seen, step / PER_RANGE, deviation, low, high)
     cpk_sigma = None
     if cpk is not None and common is not None:
-        chance = 1.0 / (9.0 * seen.size) + cpk**2 / (2.0 * (seen.size - 1))
+        count = steps.size
+        chance = 1.0 / (9.0 * seen.size) + cpk**2 * (RANGES_VARIANCE * (count + 1) - 1.0) / count**2
         cpk_sigma = float(np.sqrt(chance + (common / (3.0 * step / PER_RANGE)) ** 2))
     return Trend(
         count=int(seen.size),

@@ -6,14 +6,17 @@ import csv
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
+from host_sync.measurement.circle import find_circle
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.painted_mask import painted
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import (
     CircleTable,
@@ -178,3 +181,23 @@ def test_the_command_prints_verdicts_and_fails_with_them(
     )
     assert main(["measure", str(folder), "--recipe", str(recipe), "--json"]) == 1
     assert '"failed": ["rim: width"]' in capsys.readouterr().out.replace("\n", "").replace("  ", "")
+
+
+def test_a_circle_wider_than_the_field_is_refused_before_it_is_sampled() -> None:
+    with pytest.raises(MeasurementError, match="does not fit into a field"):
+        find_circle(hole().astype(np.float32), PITCH_UM, (580.0, 470.0), 1e7)
+
+
+def test_a_brush_wider_than_any_line_covers_the_field() -> None:
+    for points in (((1.0, 1.0),), ((1.0, 1.0), (50.0, 40.0))):
+        assert painted([MaskTable(points_um=points, width_um=1e7)], SHAPE, PITCH_UM).all()
+
+
+def test_a_doubt_under_which_the_uncertainty_does_not_hold_decides_nothing() -> None:
+    sure = Quantity(
+        subject="surface", name="Sa", unit="µm", value=5.0, uncertainty=0.1, coverage_factor=1, offset=None, samples=16,
+        masked_share=0.0,
+    )  # fmt: skip
+    doubted = msgspec.structs.replace(sure, warnings=("failed calibration: held-out balls are off",))
+    told = msgspec.structs.replace(sure, warnings=("extrapolated slopes: 3 % of the field",))
+    assert [verdict_of(one, 4.0, 6.0) for one in (sure, told, doubted)] == ["pass", "pass", "undecided"]
