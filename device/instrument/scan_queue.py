@@ -174,6 +174,8 @@ class ScanQueue:
             except DeviceError as error:
                 self._works.remove(pending)
                 self._states.update(processing=len(self._works), sentence=str(error))
+                if pending.standard is not None:  # a check that was refused is still to be made
+                    self._states.update(check=replace(self._states.state.check, is_next=True))
                 self._states.publish(Failed(str(error)))
                 show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue

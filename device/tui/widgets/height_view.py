@@ -126,10 +126,11 @@ class HeightView(CellsView, can_focus=True):
             self._measure()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Enable the cursor's keys only while it is shown."""
+        """Enable the cursor's keys only while it is shown over a map."""
         if action == "profile":
             return self._height is not None
-        return self._cursor is not None if action in _CURSOR_ACTIONS else super().check_action(action, parameters)
+        shown = self._cursor is not None and self._height is not None
+        return shown if action in _CURSOR_ACTIONS else super().check_action(action, parameters)
 
     def on_click(self, event: Click) -> None:
         """Move the cursor to the touched place of the relief."""

@@ -121,6 +121,7 @@ def test_a_press_that_does_not_show_the_standard_says_so_and_stores_nothing(
         instrument.step()
         found = pressed(instrument, bench, Sphere(3.0), 0.5, (0.0, 0.0))
         assert any(isinstance(event, Failed) and "no step was found" in event.sentence for event in found)
+        assert instrument.state.check.is_next, "the check is still to be made"
     assert read_checks(calibrated.root) == ()
     assert not calibrated.scans().bundles
 
