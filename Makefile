@@ -25,6 +25,9 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
+# One thread for linear algebra, as the command lines have it: waiting threads take three times the processor time.
+demo accuracy methods test: export OPENBLAS_NUM_THREADS ?= 1
+
 demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
 	@"$(VENV)/bin/python" -m tests.demo.story --out demo-output
 
