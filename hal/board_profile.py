@@ -123,7 +123,7 @@ UvcProperty = Literal["exposure", "gain", "white balance", "focus"]
 class UvcConfig(Table, frozen=True):
     """A camera on USB that hands out finished 8-bit pictures, and its lights.
 
-    card : part of the name that the kernel gives to exactly one camera, such as "GelSight Mini"
+    card : part of the name or USB serial number of exactly one camera, such as "GelSight Mini"
     columns, rows : size of its pictures
     left, top : where in them the frame of `sensor.columns` by `sensor.rows` pixels begins
     frame_period_us : of its pictures

@@ -7,7 +7,7 @@ follows from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -51,7 +51,7 @@ def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str
     Raises
     ------
     CalibrationError
-        A light is too weak, or the frame saturates even with the weakest currents.
+        A light is too weak or too strong, or the frame saturates even with the weakest currents.
     HalError, FrameNotConfirmed
         The hardware failed.
     """
@@ -86,6 +86,7 @@ def _response(hardware: Hardware, plan: CaptureSettings) -> list[float]:
     for halving in range(MAX_HALVINGS + 1):
         dimmed = _dimmed(hardware, plan, 0.5**halving)
         currents_ma = dimmed.currents_ma
+        _check_lit(currents_ma)
         frame = capture(hardware, dimmed)
         levels = channel_levels(frame, BRIGHTEST_PERCENTILE)
         if max(levels) >= SATURATED_LEVEL:
@@ -96,6 +97,16 @@ def _response(hardware: Hardware, plan: CaptureSettings) -> list[float]:
         f"the frame saturates even with the light divided by {2**MAX_HALVINGS}: shield the gel from daylight, or "
         "shorten camera.exposure_us"
     )
+
+
+def _check_lit(currents_ma: Mapping[str, float]) -> None:
+    """Refuse a light that the driver's steps round down to zero."""
+    for name, current_ma in currents_ma.items():
+        if current_ma <= 0.0:
+            raise CalibrationError(
+                f"light {name} saturates at its lowest current: shorten camera.exposure_us, or shield the gel from "
+                "daylight"
+            )
 
 
 def _dimmed(hardware: Hardware, plan: CaptureSettings, fraction: float) -> CaptureSettings:
@@ -140,5 +151,6 @@ def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[floa
             f"light {weakest} is too weak: it needs {exposure_us:.0f} µs and at most {longest_us:.0f} µs are possible; "
             "raise the gain or mount the light closer"
         )
-    asked = {name: dose / exposure_us for name, dose in zip(lights.names, doses, strict=True)}
-    return CaptureSettings(CameraSettings(exposure_us, settings.analogue_gain), lights.granted_ma(asked))
+    granted_ma = lights.granted_ma({name: dose / exposure_us for name, dose in zip(lights.names, doses, strict=True)})
+    _check_lit(granted_ma)
+    return CaptureSettings(CameraSettings(exposure_us, settings.analogue_gain), granted_ma)

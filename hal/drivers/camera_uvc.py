@@ -1,7 +1,7 @@
 """A camera on USB through the kernel's video interface: everything automatic is off, which every frame proves again.
 
 A camera that was unplugged or has stalled is said so, and looked for again by the next call, under whatever device file
-the kernel gives it then.
+the kernel gives it then. Frames of the time in which a camera settles after it was opened are dropped.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.board_profile import SensorConfig, UvcConfig
+from hal.drivers.uvc_choice import ChosenCamera
 from hal.drivers.uvc_controls import LockedControls
 from hal.drivers.uvc_pixels import aiming_picture, decoded, mosaic_of
-from hal.drivers.v4l2_stack import StreamFormat, VideoDevice, VideoInfo, VideoStack
+from hal.drivers.v4l2_stack import StreamFormat, VideoDevice
 from hal.errors import CameraError, FrameTimeout
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import Clock
@@ -31,30 +32,30 @@ class UvcCamera:
     Parameters
     ----------
     settings : initial exposure and gain
-    stack : the machine's cameras, or emulated ones
+    chosen : which of the machine's cameras
     """
 
     def __init__(
-        self, sensor: SensorConfig, config: UvcConfig, settings: CameraSettings, stack: VideoStack, clock: Clock
+        self, sensor: SensorConfig, config: UvcConfig, settings: CameraSettings, chosen: ChosenCamera, clock: Clock
     ) -> None:
         self._sensor = sensor
         self._config = config
-        self._requested = settings
-        self._stack = stack
+        self._initial = self._requested = settings
+        self._chosen = chosen
         self._clock = clock
         self._device: VideoDevice | None = None
         self._controls: LockedControls | None = None
         self._stream = StreamFormat(config.columns, config.rows, config.pixel_format, 0)
         self._granted = self._previous = settings
-        self._takes_effect_ns = 0
+        self._takes_effect_ns = self._settled_ns = 0
         self._entered = False
         self._waited_s = 0.0
-        self._card = config.card
+        self._kept: dict[str, int] = {}
 
     @property
     def camera_id(self) -> str:
-        """The kernel's name of the camera; before it is first opened, the part of it in the profile."""
-        return self._card
+        """The kernel's name of the camera and its serial number; before it is first opened, the part in the profile."""
+        return self._chosen.name
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -112,24 +113,23 @@ class UvcCamera:
 
     def _open(self) -> None:
         """Find, lock and start the camera."""
-        info = find_camera(self._stack, self._config.card)
-        self._card = info.card
         with self._one_sentence():
-            self._device = self._stack.open(info.path)
+            self._device = self._chosen.open()
             config = self._config
             asked = StreamFormat(config.columns, config.rows, config.pixel_format, 0)
             self._stream = self._device.granted_format(asked, config.frame_period_us)
             self._check_format(asked)
-            self._controls = LockedControls(self._device, self._card, self._sensor, config)
+            self._controls = LockedControls(self._device, self.camera_id, self._initial, config, self._kept)
             self._lock()
             self._device.start()
+        self._settled_ns = self._clock.monotonic_ns() + self._settling_ns
         self._waited_s = 0.0
 
     def _check_format(self, asked: StreamFormat) -> None:
         granted = self._stream
         if (granted.columns, granted.rows, granted.pixel_format) != (asked.columns, asked.rows, asked.pixel_format):
             raise CameraError(
-                f"camera {self._card} grants {granted.pixel_format} of {granted.columns}x{granted.rows} where the "
+                f"camera {self.camera_id} grants {granted.pixel_format} of {granted.columns}x{granted.rows} where the "
                 f"board profile asks for {asked.pixel_format} of {asked.columns}x{asked.rows}: correct uvc.columns, "
                 "uvc.rows and uvc.pixel_format"
             )
@@ -142,7 +142,11 @@ class UvcCamera:
         if granted != self._granted:
             self._previous = self._granted
             self._granted = granted
-            self._takes_effect_ns = now_ns + round(self._config.settle_frames * self._config.frame_period_us * 1e3)
+            self._takes_effect_ns = now_ns + self._settling_ns
+
+    @property
+    def _settling_ns(self) -> int:
+        return round(self._config.settle_frames * self._config.frame_period_us * 1e3)
 
     def _reopened(self) -> bool:
         """Open an entered camera that was lost or has stalled; returns whether that was needed."""
@@ -157,7 +161,7 @@ class UvcCamera:
     def _next(self, timeout_s: float) -> tuple[NDArray[np.uint8], int, CameraSettings]:
         """The next frame's part of the picture (B, G, R), when its exposure began (ns), and its settings."""
         self._reopened()
-        asked_ns = self._clock.monotonic_ns()
+        asked_ns = max(self._clock.monotonic_ns(), self._settled_ns)
         end_ns = asked_ns + round(timeout_s * 1e9)
         while (left_ns := end_ns - self._clock.monotonic_ns()) > 0:
             picture = self._guarded(lambda left_s=left_ns * 1e-9: self._opened().next_picture(left_s))  # type: ignore[misc]
@@ -176,8 +180,8 @@ class UvcCamera:
             return np.ascontiguousarray(inside), began_ns, granted
         self._waited_s += timeout_s
         raise FrameTimeout(
-            f"camera {self._card} delivered no whole frame within {timeout_s:g} s: check its cable, use a USB port of "
-            "its own, and end other programs that use it"
+            f"camera {self.camera_id} delivered no whole frame within {timeout_s:g} s: check its cable, use a USB port "
+            "of its own, and end other programs that use it"
         )
 
     def _prove(self) -> None:
@@ -204,8 +208,8 @@ class UvcCamera:
         except OSError as error:
             self._close()
             raise CameraError(
-                f"camera {self._card} does not answer ({error.strerror or error}): plug it in again; it is opened by "
-                "the next press"
+                f"camera {self.camera_id} does not answer ({error.strerror or error}): plug it in again; it is opened "
+                "by the next press"
             ) from error
 
     def _close(self) -> None:
@@ -214,24 +218,4 @@ class UvcCamera:
             device.close()
 
     def _not_started(self) -> CameraError:
-        return CameraError(f"camera {self._card} is not started: enter it before asking for a frame")
-
-
-def find_camera(stack: VideoStack, card: str) -> VideoInfo:
-    """The one camera whose name holds `card`.
-
-    Raises
-    ------
-    CameraError
-        There is none, or more than one.
-    """
-    present = stack.cameras()
-    found = [info for info in present if card in info.card]
-    if len(found) == 1:
-        return found[0]
-    names = ", ".join(f"{info.card} ({info.path})" for info in present) or "none"
-    problem = "is not there" if not found else "is ambiguous"
-    raise CameraError(
-        f"camera {card} {problem}: cameras are {names}; plug it in, check that the user is in the group video, and "
-        "uvc.card in the board profile"
-    )
+        return CameraError(f"camera {self.camera_id} is not started: enter it before asking for a frame")

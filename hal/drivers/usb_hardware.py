@@ -7,6 +7,7 @@ from hal.drivers.blink_indicator import NoIndicator
 from hal.drivers.button_keyboard import KeyboardButton, KeyLine, Terminal
 from hal.drivers.camera_uvc import UvcCamera
 from hal.drivers.power_board import BoardPower
+from hal.drivers.uvc_choice import ChosenCamera
 from hal.drivers.uvc_lights import AlwaysOnLights, ZoomControlLights
 from hal.drivers.v4l2_stack import VideoStack
 from hal.errors import BoardProfileError, DriverMissing
@@ -35,13 +36,13 @@ def usb_hardware(
     """
     if profile.uvc is None:
         raise BoardProfileError(f"board {profile.name!r} has no [uvc] table: add it")
-    stack = stack or _kernel_video()
+    chosen = ChosenCamera(stack or _kernel_video(), profile.uvc.card)
     lights: Lights = AlwaysOnLights(profile.lights)
     if not profile.lights_always_on:
-        lights = ZoomControlLights(profile.lights, profile.uvc.card, stack)
+        lights = ZoomControlLights(profile.lights, chosen)
     return Hardware(
         profile=profile,
-        camera=UvcCamera(profile.sensor, profile.uvc, profile.camera.settings, stack, clock),
+        camera=UvcCamera(profile.sensor, profile.uvc, profile.camera.settings, chosen, clock),
         lights=lights,
         button=button or KeyboardButton(keys or Terminal(clock), clock),
         indicator=NoIndicator(),

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from typing import Final
 
-from hal.board_profile import SensorConfig, UvcConfig, UvcProperty
+from hal.board_profile import UvcConfig, UvcProperty
 from hal.drivers.v4l2_stack import CONTROLS, ControlRange, VideoDevice
 from hal.errors import CameraError
 from hal.frame import CameraSettings
@@ -42,17 +42,25 @@ PROVED_BY: Final[dict[UvcProperty, tuple[str, ...]]] = {
 class LockedControls:
     """The controls of one open camera.
 
+    Parameters
+    ----------
+    stated : exposure and gain of the profile, which an exposure without a control is fixed at
+    kept : values of controls for which the profile has none, as first read; later openings hold the same ones
+
     Raises
     ------
     CameraError
         A property can be neither locked nor is said to be fixed; names it.
     """
 
-    def __init__(self, device: VideoDevice, camera_id: str, sensor: SensorConfig, config: UvcConfig) -> None:
+    def __init__(
+        self, device: VideoDevice, camera_id: str, stated: CameraSettings, config: UvcConfig, kept: dict[str, int]
+    ) -> None:
         self._device = device
         self._camera_id = camera_id
-        self._sensor = sensor
+        self._stated = stated
         self._config = config
+        self._kept = kept
         self._ranges = {name: device.control_range(number) for name, number in CONTROLS.items()}
         self._wanted: dict[str, int] = {}
         for name in self._unproved():
@@ -65,7 +73,8 @@ class LockedControls:
             raise CameraError(f"uvc.controls: {unknown[0]!r} is not a control; accepted: {', '.join(CONTROLS)}")
 
     def lock(self, settings: CameraSettings) -> CameraSettings:
-        """Set and read back everything; returns exposure and gain as granted.
+        """Set and read back everything; returns exposure and gain as granted; a fixed exposure is the
+        profile's.
 
         Raises
         ------
@@ -78,7 +87,7 @@ class LockedControls:
         self.prove()
         exposed, gain = self._wanted.get("exposure_time"), self._wanted.get("gain")
         return CameraSettings(
-            settings.exposure_us if exposed is None else exposed * EXPOSURE_UNIT_US,
+            self._stated.exposure_us if exposed is None else exposed * EXPOSURE_UNIT_US,
             1.0 if gain is None or not self._config.gain_units else gain / self._config.gain_units,
         )
 
@@ -118,10 +127,14 @@ class LockedControls:
                 yield name, config.controls.get(name, off)
         for name, value in asked.items():
             limits = self._ranges[name]
-            if limits is None:
+            if limits is None or name in config.controls:
                 continue
-            # A control without a value of the profile keeps its own; read, so that later changes show.
-            yield name, self._device.read_control(CONTROLS[name]) if value is None else _granted(value, limits)
+            if value is None:
+                if name not in self._kept:
+                    self._kept[name] = self._device.read_control(CONTROLS[name])
+                yield name, self._kept[name]
+            else:
+                yield name, _granted(value, limits)
         for name, fixed in config.controls.items():
             if name not in AUTOMATIC_OFF:
                 if self._ranges[name] is None:

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Final, Self
 
 from hal.board_profile import LightConfig
-from hal.drivers.camera_uvc import find_camera
-from hal.drivers.v4l2_stack import CONTROLS, VideoStack
+from hal.drivers.uvc_choice import ChosenCamera
+from hal.drivers.v4l2_stack import CONTROLS
 from hal.errors import CameraError, LightError
 from hal.interfaces import LightFault
 
@@ -74,10 +74,9 @@ class AlwaysOnLights:
 class ZoomControlLights:
     """See `hal.interfaces.Lights`: 4 bits a light in the camera's zoom control, proved by reading back."""
 
-    def __init__(self, lights: tuple[LightConfig, ...], card: str, stack: VideoStack) -> None:
+    def __init__(self, lights: tuple[LightConfig, ...], chosen: ChosenCamera) -> None:
         self._lights = lights
-        self._card = card
-        self._stack = stack
+        self._chosen = chosen
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,7 +126,7 @@ class ZoomControlLights:
     def _write(self, value: int) -> None:
         zoom = CONTROLS["zoom"]
         try:
-            device = self._stack.open(find_camera(self._stack, self._card).path)
+            device = self._chosen.open()
             try:
                 device.write_control(zoom, value)
                 found = device.read_control(zoom)
@@ -137,9 +136,10 @@ class ZoomControlLights:
             raise LightError(str(error)) from error
         except OSError as error:
             raise LightError(
-                f"the lights of {self._card} do not answer ({error.strerror or error}): plug the sensor in again"
+                f"the lights of {self._chosen.name} do not answer ({error.strerror or error}): plug the sensor in again"
             ) from error
         if found != value:
             raise LightError(
-                f"the lights of {self._card} do not keep their steps: {value:#05x} was set and {found:#05x} is read"
+                f"the lights of {self._chosen.name} do not keep their steps: {value:#05x} was set and {found:#05x} is "
+                "read"
             )

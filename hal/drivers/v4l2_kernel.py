@@ -37,6 +37,7 @@ from hal.drivers.v4l2_structures import (
 
 BUFFERS: Final = 4
 DEVICES: Final = Path("/dev")
+CLASSES: Final = Path("/sys/class/video4linux")
 US_PER_S: Final = 1_000_000
 
 
@@ -55,7 +56,7 @@ class KernelVideo:
                     os.close(handle)
                 able = info.device_caps if info.capabilities & CAPABLE_PER_NODE else info.capabilities
                 if able & CAPABLE_CAPTURE and able & CAPABLE_STREAMING:
-                    found.append(VideoInfo(str(path), info.card.decode(errors="replace")))
+                    found.append(VideoInfo(str(path), info.card.decode(errors="replace"), _serial(path)))
         return found
 
     def open(self, path: str) -> VideoDevice:
@@ -154,6 +155,14 @@ class KernelCamera:
 
     def _do(self, name: str, argument: ctypes._CData) -> None:
         _ioctl(self._handle, name, argument)
+
+
+def _serial(path: Path) -> str:
+    """Serial number of the USB device behind a device file; empty where there is none."""
+    try:
+        return ((CLASSES / path.name / "device").resolve().parent / "serial").read_text(errors="replace").strip()
+    except OSError:
+        return ""
 
 
 def _capability(handle: int) -> Capability:

@@ -32,10 +32,16 @@ CONTROLS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class VideoInfo:
-    """A camera: its device file and the name that the kernel gives it."""
+    """A camera: its device file, the name that the kernel gives it, and its serial number where it states one."""
 
     path: str
     card: str
+    serial: str = ""
+
+    @property
+    def name(self) -> str:
+        """The kernel's name and the serial number, unless the name holds it."""
+        return self.card if self.serial in self.card else f"{self.card} {self.serial}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,7 @@ class VideoFaults:
     stalled : it delivers nothing
     damaged : so many of its next pictures are truncated
     another_format : granted instead of the requested pixel format
+    unsettled : so many pictures after streaming began are exposed for half of the time
     """
 
     unplugged: bool = False
@@ -74,6 +75,7 @@ class VideoFaults:
     stalled: bool = False
     damaged: int = 0
     another_format: str = ""
+    unsettled: int = 0
 
 
 class FakeVideo:
@@ -191,6 +193,8 @@ class FakeVideoDevice:
         clock.sleep(wait_s)
         self._check()
         settings = self._settings()
+        if (stamped_ns - self._started_ns) // self._period_ns <= self._video.faults.unsettled:
+            settings = CameraSettings(settings.exposure_us / 2.0, settings.analogue_gain)
         index, self._next = self._next, self._next + 1
         frame = self._video.bench.expose(index, stamped_ns - round(settings.exposure_us * 1e3), settings)
         data = self._video.coded(frame, self._stream)

@@ -15,6 +15,7 @@ from hal.clock import VirtualClock
 from hal.hardware import Hardware
 from hal.interfaces import PressBall
 from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.emulated.fake_v4l2 import usb_sensor
 from hal.simulator.emulated.hardware import emulated_hardware
 from hal.simulator.hardware import twin_hardware
 
@@ -85,6 +86,15 @@ def test_an_invisible_light_is_named(bench: SimulatedScene) -> None:
         hardware,
         pytest.raises(CalibrationError, match=r"light blue is hardly visible \(the driver reports open\): run `retro"),
     ):
+        auto_exposure(hardware, BALL_RADIUS_MM, lambda _: None)
+
+
+def test_a_light_that_saturates_at_its_lowest_step_is_named(bench: SimulatedScene) -> None:
+    lights = tuple(msgspec.structs.replace(light, current_ma=1.0, max_ma=15.0) for light in bench.profile.lights)
+    camera = msgspec.structs.replace(bench.profile.camera, exposure_us=80_000.0)
+    world = build(msgspec.structs.replace(bench.profile, lights=lights, camera=camera), bench.clock)
+    hardware, _ = usb_sensor(world, switched_by_zoom=True, pixel_format="RGB3")
+    with hardware, pytest.raises(CalibrationError, match="light red saturates at its lowest current"):
         auto_exposure(hardware, BALL_RADIUS_MM, lambda _: None)
 
 

@@ -7,13 +7,14 @@ import pytest
 
 from hal.board_profile import UvcConfig
 from hal.drivers.camera_uvc import UvcCamera
+from hal.drivers.uvc_choice import ChosenCamera
 from hal.drivers.uvc_pixels import WHITE_DN, decoded, mosaic_of
 from hal.drivers.v4l2_stack import StreamFormat, VideoInfo
 from hal.errors import BoardProfileError, CameraError, FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_v4l2 import FakeVideo, encoded, usb_sensor, uvc_profile
+from hal.simulator.emulated.fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
 
 ASKED = CameraSettings(exposure_us=3_000.0, analogue_gain=2.0)
 
@@ -21,6 +22,12 @@ ASKED = CameraSettings(exposure_us=3_000.0, analogue_gain=2.0)
 @pytest.fixture
 def sensor(bench: SimulatedScene) -> tuple[Hardware, FakeVideo]:
     return usb_sensor(bench)
+
+
+def _camera(bench: SimulatedScene, config: UvcConfig, video: FakeVideo | None = None) -> UvcCamera:
+    profile = uvc_profile(bench.profile)
+    chosen = ChosenCamera(video or FakeVideo(bench), config.card)
+    return UvcCamera(profile.sensor, config, profile.camera.settings, chosen, bench.clock)
 
 
 def test_everything_automatic_is_off_and_reads_so(sensor: tuple[Hardware, FakeVideo]) -> None:
@@ -70,7 +77,7 @@ def test_focus_without_a_control_is_refused_unless_it_is_said_to_be_fixed(bench:
     profile = uvc_profile(bench.profile)
     assert profile.uvc
     config = msgspec.structs.replace(profile.uvc, fixed=())
-    camera = UvcCamera(profile.sensor, config, profile.camera.settings, FakeVideo(bench), bench.clock)
+    camera = _camera(bench, config)
     with pytest.raises(CameraError, match=r"cannot lock its focus.*add 'focus' to uvc\.fixed"), camera:
         pass
 
@@ -100,12 +107,46 @@ def test_a_control_that_another_program_changes_is_found_at_the_next_frame(
         assert video.controls["white_balance_temperature"] == 4600
 
 
+def test_a_control_without_a_value_keeps_the_one_first_read(bench: SimulatedScene) -> None:
+    profile, video = uvc_profile(bench.profile), FakeVideo(bench)
+    assert profile.uvc
+    camera = _camera(bench, msgspec.structs.replace(profile.uvc, white_balance_k=None), video)
+    video.controls["white_balance_temperature"] = 5100
+    with camera:
+        camera.next_frame(1.0)
+        video.controls["white_balance_temperature"] = 3000
+        camera.apply(ASKED)
+        assert video.controls["white_balance_temperature"] == 5100
+        video.unplug()
+        with pytest.raises(CameraError, match="does not answer"):
+            camera.next_frame(1.0)
+        video.plug_in()
+        assert video.controls["white_balance_temperature"] == 4600
+        camera.next_frame(1.0)
+        assert video.controls["white_balance_temperature"] == 5100
+        video.faults.ignores.add("white_balance_temperature")
+        video.controls["white_balance_temperature"] = 3000
+        with pytest.raises(CameraError, match="white_balance_temperature: 5100 was set and 3000 is read"):
+            camera.apply(ASKED)
+
+
+def test_an_exposure_without_a_control_stays_the_profiles_whatever_is_asked(bench: SimulatedScene) -> None:
+    profile, video = uvc_profile(bench.profile), FakeVideo(bench)
+    assert profile.uvc
+    video.faults.lacks |= {"automatic_exposure", "exposure_time"}
+    video.controls |= {"automatic_exposure": 1, "exposure_time": 20}
+    with _camera(bench, msgspec.structs.replace(profile.uvc, fixed=("focus", "exposure")), video) as camera:
+        camera.apply(CameraSettings(exposure_us=9_000.0, analogue_gain=2.0))
+        seen = [camera.next_frame(1.0).granted for _ in range(6)]
+    assert seen[-1] == CameraSettings(profile.camera.exposure_us, 2.0)
+
+
 def test_a_control_of_the_profile_that_the_camera_lacks_is_refused(bench: SimulatedScene) -> None:
     profile = uvc_profile(bench.profile)
     assert profile.uvc
     for controls, complaint in (({"sharpness": 0}, "has no control sharpness"), ({"sharpest": 0}, "is not a control")):
         config = msgspec.structs.replace(profile.uvc, controls=controls)
-        camera = UvcCamera(profile.sensor, config, profile.camera.settings, FakeVideo(bench), bench.clock)
+        camera = _camera(bench, config)
         with pytest.raises(CameraError, match=complaint), camera:
             pass
 
@@ -117,13 +158,61 @@ def test_unplugged_is_said_and_plugged_in_again_is_mended(sensor: tuple[Hardware
         video.unplug()
         with pytest.raises(CameraError, match=r"does not answer.*plug it in again"):
             hardware.camera.next_frame(1.0)
-        with pytest.raises(CameraError, match="GelSight Mini is not there: cameras are none"):
+        with pytest.raises(CameraError, match=f"{CARD} is not there: cameras are none"):
             hardware.camera.apply(hardware.profile.camera.settings)
         video.plug_in()
         hardware.camera.apply(hardware.profile.camera.settings)
         assert hardware.camera.next_frame(1.0).granted == CameraSettings(2000.0, 1.0)
         assert video.controls["automatic_exposure"] == 1
     assert video.opened == 0
+
+
+@pytest.mark.parametrize("plugged_again", [False, True])
+def test_pictures_before_the_camera_has_settled_are_dropped(
+    sensor: tuple[Hardware, FakeVideo], plugged_again: bool
+) -> None:
+    hardware, video = sensor
+    with hardware:
+        settled = hardware.camera.next_frame(1.0)
+    video.faults.unsettled = 3
+    with hardware:
+        first = hardware.camera.next_frame(1.0)
+        if plugged_again:
+            video.unplug()
+            with pytest.raises(CameraError, match="does not answer"):
+                hardware.camera.next_frame(1.0)
+            video.plug_in()
+            first = hardware.camera.next_frame(0.1)
+    assert np.median(first.mosaic) > 0.9 * np.median(settled.mosaic)
+
+
+def test_another_sensor_of_the_name_is_not_taken_for_the_one_that_was_unplugged(
+    sensor: tuple[Hardware, FakeVideo],
+) -> None:
+    hardware, video = sensor
+    twin = VideoInfo(video.path, CARD, "D20002")
+    with hardware:
+        hardware.camera.next_frame(1.0)
+        assert hardware.camera.camera_id == CARD
+        video.unplug()
+        video.others = [twin]
+        with pytest.raises(CameraError, match="does not answer"):
+            hardware.camera.next_frame(1.0)
+        with pytest.raises(CameraError, match=r"is not there: cameras are .* D20002 \(/dev/video2\)"):
+            hardware.camera.next_frame(1.0)
+        video.plug_in()
+        assert hardware.camera.next_frame(1.0).mosaic.any()
+
+
+def test_a_serial_number_chooses_among_sensors_of_one_name(bench: SimulatedScene) -> None:
+    video = FakeVideo(bench)
+    video.others = [VideoInfo("/dev/video7", CARD, "D20002"), VideoInfo("/dev/video8", CARD, "D20003")]
+    with pytest.raises(CameraError, match="is ambiguous"):
+        ChosenCamera(video, "GelSight Mini").open()
+    video.path = "/dev/video8"
+    chosen = ChosenCamera(video, "D20003")
+    chosen.open().close()
+    assert chosen.name == f"{CARD} D20003"
 
 
 def test_a_stalled_camera_is_reopened(sensor: tuple[Hardware, FakeVideo]) -> None:

@@ -28,14 +28,16 @@ def recorded() -> list[np.ndarray]:
 
 
 def playing(bench: SimulatedScene, pictures: list[np.ndarray]) -> Hardware:
-    """A sensor on USB whose camera sends these pictures, one after another."""
-    shown = iter(pictures)
+    """A sensor on USB whose camera sends these pictures, one after another, once it has settled."""
+    profile = uvc_profile(bench.profile)
+    assert profile.uvc
+    shown = iter([*pictures[:1] * (profile.uvc.settle_frames - 1), *pictures])
 
     def coded(_frame: RawFrame, stream: StreamFormat) -> bytes:
         return encoded(next(shown), stream)
 
     clock: Clock = bench.clock
-    return usb_hardware(uvc_profile(bench.profile), clock, FakeVideo(bench, coded=coded))
+    return usb_hardware(profile, clock, FakeVideo(bench, coded=coded))
 
 
 def test_what_the_driver_hands_out_is_the_recorded_light(bench: SimulatedScene) -> None:
