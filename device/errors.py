@@ -28,6 +28,10 @@ class NoCalibration(DeviceError, LookupError):
     """No calibration is active on this device. Run `retroscan calibrate` first."""
 
 
+class CaptureModeRefused(DeviceError, ValueError):
+    """This hardware cannot take presses in the wanted mode. Choose another."""
+
+
 class FrameNotConfirmed(DeviceError, TimeoutError):
     """No frame's metadata matched the requested exposure, gain and time. Press again; check the camera."""
 

@@ -22,6 +22,7 @@ from device.acquisition.capture import (
     retry_with_restart,
 )
 from device.bundles.scan import CaptureMode
+from device.errors import CaptureModeRefused
 from device.guidance.downsample import downsample_step
 from device.guidance.guide import box_smoothed, change
 from device.imaging.flat_field import SATURATED, bin_bayer
@@ -64,8 +65,23 @@ def frames_stored(mode: CaptureMode, lights: int) -> int:
     return 2 + lights if mode == "lights" else 1
 
 
+def mode_fault(mode: CaptureMode, hardware: Hardware) -> str:
+    """Why presses cannot be taken in this mode with this hardware; empty if they can."""
+    if mode == "lights" and hardware.profile.lights_always_on:
+        return "the lights of this sensor are always on, so that no light can be seen alone: use single or average"
+    return ""
+
+
 def capture_precisely(hardware: Hardware, plan: CaptureSettings, mode: CaptureMode) -> PreciseCapture:
-    """One press by this mode; the lights are off again afterwards. Errors as for `capture_with_faults`."""
+    """One press by this mode; the lights are off again afterwards. Errors as for `capture_with_faults`.
+
+    Raises
+    ------
+    CaptureModeRefused
+        The hardware cannot take presses in this mode.
+    """
+    if sentence := mode_fault(mode, hardware):
+        raise CaptureModeRefused(sentence)
     if mode == "single":
         return PreciseCapture(capture_with_faults(hardware, plan))
     found = retry_with_restart(hardware.camera, lambda: _averaged(hardware, plan))
@@ -81,8 +97,8 @@ def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
     first = capture_with_faults(hardware, plan, keep_lit=True)
     camera, step_us = hardware.camera, hardware.profile.sensor.exposure_step_us
     until_ns = first.frame.sensor_timestamp_ns + round(AVERAGE_S * 1e9)
-    mean, still, moved = FrameMean(first.frame), _smooth(first.frame), 0
     try:
+        mean, still, moved = FrameMean(first.frame), _smooth(first.frame), 0
         while mean.frames < MAX_FRAMES:
             frame = camera.next_frame(FRAME_TIMEOUT_S)
             check_frame(frame, hardware.profile.sensor, camera.camera_id)

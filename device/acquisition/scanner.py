@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from device.acquisition.capture import CaptureSettings, capture_with_faults
+from device.acquisition.check_press import measure_check
 from device.acquisition.precise_capture import PreciseCapture, capture_precisely, frames_stored
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
-from device.bundles.check import CHECK_FILE, CheckRecord, CheckStandard
+from device.bundles.check import CHECK_FILE, CheckRecord, CheckStandard, last_of_standards
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
 from device.bundles.record import Identity, encode_record
@@ -27,10 +28,10 @@ from device.bundles.scan import (
 )
 from device.errors import CalibrationMismatch, DeviceError, StoreError
 from device.imaging.ambient import ambient_fraction, without_ambient
+from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
 from device.quality.verdict import Evidence
-from device.quick_look.check_measure import CheckNotMeasured, measure_standard
 from device.quick_look.files import write_quick_look
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
 from device.store.checks import judged_check, read_checks, write_check
@@ -256,18 +257,18 @@ class Scanner:
         if assessed.awaits_lift:
             evidence = evidence.with_light_change(self.health.light_change_since(frame.sensor_timestamp_ns))
         press = assessed.press
-        check = last = self.last_check()
-        measured_um = 0.0
-        if standard:
-            if look is None:
-                raise CheckNotMeasured(f"the check standard was not measured: {assessed.fault}")
-            measured_um = measure_standard(standard.kind, look)
+        levels = self._levels(evidence)
+        measured = measure_check(standard, look, evidence, press.lit, self._model, levels) if standard else None
         identity = self._store.next_identity("scans")
-        if standard:
+        check = self.last_check()
+        if standard and measured:
             calibration_id, now = self._calibration.calibration_id, self._store.wall_time()
-            check = judged_check(self._store.root, standard, identity, calibration_id, now, measured_um)
-        if check is not None and not check.passed:
-            evidence = evidence.with_failed_check(check.sentence)
+            check = judged_check(self._store.root, standard, identity, calibration_id, now, measured)
+            # Before the scan: a power cut between the two may cost the scan, but never a failed check.
+            write_check(self._store.root, check)
+        last = self.last_check()
+        if last is not None and not last.passed:
+            evidence = evidence.with_failed_check(last.sentence)
         record = self._record(press, annotations, evidence.verdict(), identity, check)
         exposures, beside = record.exposures, press.precise
 
@@ -282,15 +283,19 @@ class Scanner:
             if look:
                 write_quick_look(directory, look.height)
 
-        bundle = self._store.publish_scan(record, write)
-        if check is not None and check is not last:
-            write_check(self._store.root, check)
-        return ScanOutcome(bundle, look, assessed.fault)
+        return ScanOutcome(self._store.publish_scan(record, write), look, assessed.fault)
 
     def last_check(self) -> CheckRecord | None:
-        """The last check of the check standard with this calibration."""
-        mine = [one for one in read_checks(self._store.root) if one.calibration_id == self._calibration.calibration_id]
-        return mine[-1] if mine else None
+        """The last check with this calibration; of several standards one whose last check failed."""
+        mine = (one for one in read_checks(self._store.root) if one.calibration_id == self._calibration.calibration_id)
+        return last_of_standards(mine)
+
+    def _levels(self, evidence: Evidence) -> Levels:
+        """Intensity of untouched skin in R, G and B at a press: as measured, or as its border shows it."""
+        changes = evidence.known.light_change
+        if None not in changes.values() or evidence.border is None:
+            return self.health.channel_levels
+        return evidence.border
 
     def _look_at_untouched_skin(self) -> None:
         """Measure the lights once the operator has lifted, within `LIFT_PATIENCE_S`."""

@@ -28,6 +28,11 @@ class CheckStandard(Record, frozen=True, tag_field="schema", tag=STANDARD_SCHEMA
     value_um: Positive
     tolerance_um: NotNegative
 
+    @property
+    def identity(self) -> tuple[StandardKind, str, float]:
+        """What its checks have in common, see `CheckRecord.standard`."""
+        return self.kind, self.name, self.value_um
+
 
 class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
     """One press of a check standard.
@@ -35,7 +40,8 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
     scan_id, counter : of the scan that shows it
     checked : by the device's clock
     value_um, limit_um : certified value, and the deviation that is allowed
-    measured_um : as the quick look shows it
+    measured_um : as the quick look shows it; None where wrong light hides the standard
+    light_fault : what is wrong with the light then
     first_um, drift_limit_um : the first passed check with the same calibration, and the deviation from it that is
         allowed; None at the first
     """
@@ -48,19 +54,27 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
     kind: StandardKind
     value_um: Positive
     limit_um: Positive
-    measured_um: NotNegative
+    measured_um: NotNegative | None
     first_um: Positive | None = None
     drift_limit_um: Positive | None = None
+    light_fault: ShortText = ""
+
+    @property
+    def standard(self) -> tuple[StandardKind, str, float]:
+        """Which standard was pressed: kind, name and certified value (µm)."""
+        return self.kind, self.name, self.value_um
 
     @property
     def passed(self) -> bool:
         """Whether the measured value deviates by no more than is allowed, from the certificate and the first check."""
+        if self.measured_um is None:
+            return False
         return abs(self.measured_um - self.value_um) <= self.limit_um and not self.has_drifted
 
     @property
     def has_drifted(self) -> bool:
         """Whether it deviates from the first check by more than is allowed."""
-        if self.first_um is None or self.drift_limit_um is None:
+        if self.measured_um is None or self.first_um is None or self.drift_limit_um is None:
             return False
         return abs(self.measured_um - self.first_um) > self.drift_limit_um
 
@@ -68,26 +82,50 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
     def sentence(self) -> str:
         """The result in words."""
         unit, factor = UNITS[self.kind]
-        measured, value, limit = (one / factor for one in (self.measured_um, self.value_um, self.limit_um))
+        value, limit = self.value_um / factor, self.limit_um / factor
+        measured = f"{self.measured_um / factor:.4g} {unit}" if self.measured_um is not None else self._unmeasured
         verdict = "passed" if self.passed else "FAILED"
         first = ""
         if self.has_drifted and self.first_um is not None and self.drift_limit_um is not None:
             first = f", {self.first_um / factor:.4g} ± {self.drift_limit_um / factor:.2g} {unit} after calibration"
         return (
-            f"check of {self.name} {verdict}: {measured:.4g} {unit}, {value:.4g} ± {limit:.2g} {unit} expected{first} "
+            f"check of {self.name} {verdict}: {measured}, {value:.4g} ± {limit:.2g} {unit} expected{first} "
             f"(scan #{self.counter}, {self.checked:%Y-%m-%d})"
         )
 
+    @property
+    def _unmeasured(self) -> str:
+        return f"it does not show under this light ({self.light_fault})"
+
 
 def doubt_of_checks(counter: int, checks: Iterable[CheckRecord]) -> CheckRecord | None:
-    """The failed check of the standard that makes a scan doubtful: the next one after it, or the last one before it.
+    """The failed check that makes a scan doubtful: of any standard the next one after it, or the last one before it.
 
-    A check that passed is not doubtful itself.
+    A check that passed clears its own standard's failures only, and is not doubtful itself by that standard.
 
     counter : of the scan
     checks : with the scan's calibration
     """
-    known = sorted(checks, key=lambda check: check.counter)
+    doubts = (_doubt_of_standard(counter, known) for known in _by_standard(checks))
+    return next((failed for failed in doubts if failed), None)
+
+
+def last_of_standards(checks: Iterable[CheckRecord]) -> CheckRecord | None:
+    """The last check of a standard whose last check failed; without one the last check of all."""
+    last = [known[-1] for known in _by_standard(checks)]
+    failed = [check for check in last if not check.passed]
+    return max(failed or last, key=lambda check: check.counter, default=None)
+
+
+def _by_standard(checks: Iterable[CheckRecord]) -> list[list[CheckRecord]]:
+    """The checks of each standard, oldest first."""
+    known: dict[tuple[StandardKind, str, float], list[CheckRecord]] = {}
+    for check in sorted(checks, key=lambda check: check.counter):
+        known.setdefault(check.standard, []).append(check)
+    return list(known.values())
+
+
+def _doubt_of_standard(counter: int, known: list[CheckRecord]) -> CheckRecord | None:
     if any(check.counter == counter and check.passed for check in known):
         return None
     after = next((check for check in known if check.counter >= counter), None)

@@ -158,7 +158,7 @@ def begin_fit(
     light : of untouched skin, for curves that want a reference, where held-out balls gain by them
     thorough : try curves that the quick look would not use too: of the root of intensity, and such as need not read
         untouched skin as flat where pressed skin without slope has another colour
-    like : a fit of nearly the same samples, whose forms are taken; penalties and shares are chosen anew
+    like : a fit of nearly the same samples, whose forms are taken; penalties and shares are chosen again
 
     Raises
     ------

@@ -14,6 +14,7 @@ from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
+from device.acquisition.precise_capture import mode_fault
 from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.sd_notify import SdNotify
 from device.acquisition.selftest import selftest
@@ -33,6 +34,7 @@ from device.cli.console import (
 from device.cli.headless import run_headless
 from device.cli.pairing import import_inbox
 from device.cli.service import ServiceReport
+from device.errors import CaptureModeRefused
 from device.imaging.exposure import Brightness
 from device.instrument.calibration_ball import BALL_RADIUS_MM
 from device.instrument.instrument import Instrument
@@ -120,6 +122,8 @@ def scan_once(
     """
     with open_exclusive(load_board_profile(options.board)) as hardware:
         read_active(store_folder(options))  # a store without a calibration is refused before anything is created
+        if fault := mode_fault(capture, hardware):
+            raise CaptureModeRefused(fault)
         store = open_store(options, hardware.clock)
         scanner = Scanner(with_active_gel(hardware, store.root), store)
         scanner.check_room(capture)

@@ -106,7 +106,7 @@ class ActiveSetup:
     def report_due(self) -> None:
         """Update whether today's check is still to be made."""
         check, today = self._states.state.check, self._store.wall_time().astimezone().date()
-        done = any(one.checked.astimezone().date() == today for one in check.checks)
+        done = any(one.checked.astimezone().date() == today for one in check.of_standard)
         is_due = check.standard is not None and self._scanner is not None and not done
         self._states.update(check=replace(check, is_due=is_due))
 

@@ -10,6 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any, ParamSpec, Self, TypeVar
 
+from msgspec import structs
+
+from device.acquisition.precise_capture import mode_fault
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError
@@ -108,7 +111,10 @@ class Instrument:
             self._states.publish(Failed(str(error)))
 
     def set_settings(self, settings: Settings) -> None:
-        """Change the operator's settings, also after a restart."""
+        """Change the operator's settings, also after a restart; `Failed` if this hardware cannot do it."""
+        if fault := mode_fault(settings.capture, self._hardware):
+            self._states.publish(Failed(fault))
+            return
         self._states.update(settings=settings)
         try:
             write_settings(self._store.root, settings)
@@ -217,10 +223,15 @@ def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
         gel=gel_state(store.root, hardware),
         health=HealthState(dict.fromkeys(hardware.profile.currents_ma)),
         sticky=read_sticky(store.root),
-        settings=read_settings(store.root),
+        settings=_possible(read_settings(store.root), hardware),
         scans_stored=len(store.scans().bundles),
         sentence="starting",
     )
+
+
+def _possible(settings: Settings, hardware: Hardware) -> Settings:
+    """The settings, with presses averaged where this hardware cannot take them light by light."""
+    return structs.replace(settings, capture="average") if mode_fault(settings.capture, hardware) else settings
 
 
 class InlineExecutor(Executor):

@@ -116,6 +116,18 @@ class CheckState:
     is_due: bool = False
     is_next: bool = False
 
+    @property
+    def of_standard(self) -> tuple[CheckRecord, ...]:
+        """The checks of this standard, oldest first."""
+        return tuple(one for one in self.checks if self.standard and one.standard == self.standard.identity)
+
+    @property
+    def failed_others(self) -> tuple[CheckRecord, ...]:
+        """The last checks of other standards that failed."""
+        last = {one.standard: one for one in self.checks}
+        mine = self.standard.identity if self.standard else None
+        return tuple(one for one in last.values() if not one.passed and one.standard != mine)
+
 
 @dataclass(frozen=True, slots=True)
 class PairingState:

@@ -20,6 +20,7 @@ from device.quality.thresholds import (
     DRIFTED_FAR,
     LIGHT_DRIFTED,
     MAX_DEFECTS,
+    MIN_CONTACT,
     MOTION_DOUBTFUL,
     SHARP,
 )
@@ -134,6 +135,17 @@ class Evidence:
     def lacks_only_lights(self) -> bool:
         """Whether everything is good except that the lights' levels at this press are not known."""
         return self.verdict().reason == LIGHTS_UNKNOWN
+
+    @property
+    def light_fault(self) -> str:
+        """What is wrong with the lights, in a sentence; empty if nothing is known to be."""
+        return "" if self._press.lights is None else self._press.lights[1]
+
+    @property
+    def lacks_contact(self) -> bool:
+        """Whether nothing touches the skin, as far as the frame can tell."""
+        contact = self._press.contact_fraction
+        return contact is not None and contact < MIN_CONTACT
 
     def with_light_change(self, change: Mapping[str, float | None]) -> Evidence:
         """The same with another measurement of the lights."""

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from device.bundles.check import StandardKind
+from device.bundles.check import CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.quick_look.measures import levelled, mean_line
 from device.quick_look.solver import QuickLook
@@ -16,6 +16,17 @@ SMOOTH_PX: Final = 5
 INNER: Final = 0.75
 """Fraction of the radius of its steepest ring within which a ball is fitted: beyond, the skin leaves it."""
 
+PLAUSIBLE: Final = 4.0
+"""What reads more than so many times too large or too small is another object than the standard."""
+
+MIN_EXPLAINED: Final = 0.8
+"""Fraction of the slopes' square that a ball must explain."""
+
+TILES: Final = 3
+MAX_UNEVEN: Final = 2.0
+"""A roughness specimen covers the middle alike: no tile of 3 × 3 is rougher or finer than their median by more."""
+
+NO_BALL: Final = "no ball was found: press the ball of the check standard in the middle of the field"
 MIN_PIXELS: Final = 60
 ROUNDS: Final = 8
 GAP_UM: Final = 250.0
@@ -41,7 +52,7 @@ class CheckNotMeasured(DeviceError):
     """The quick look does not show the check standard."""
 
 
-def measure_standard(kind: StandardKind, look: QuickLook) -> float:
+def measure_standard(standard: CheckStandard, look: QuickLook) -> float:
     """Value of a check standard, µm.
 
     Raises
@@ -49,6 +60,13 @@ def measure_standard(kind: StandardKind, look: QuickLook) -> float:
     CheckNotMeasured
         It does not show; says what to do.
     """
+    found = _measured(standard.kind, look)
+    if not 1.0 / PLAUSIBLE < found / standard.value_um < PLAUSIBLE:
+        raise CheckNotMeasured(f"this does not look like {standard.name}: press {standard.name}")
+    return found
+
+
+def _measured(kind: StandardKind, look: QuickLook) -> float:
     match kind:
         case "ball":
             return ball_radius_um(look.gradients, look.height)
@@ -71,19 +89,23 @@ def ball_radius_um(slopes: GradientField, height: HeightMap) -> float:
     counted = np.bincount(rings.ravel(), slopes.valid.ravel().astype(float))
     mean = np.bincount(rings.ravel(), (sine * slopes.valid).ravel()) / np.maximum(counted, 1.0)
     edge_px = float(np.argmax(np.where(counted > 0, mean, 0.0)))
-    radius_um = float("nan")
+    radius_um, explained = float("nan"), 0.0
     for _ in range(ROUNDS):
         inside = slopes.valid & (np.hypot(rows - centre[0], columns - centre[1]) < INNER * edge_px)
         if inside.sum() < MIN_PIXELS:
-            raise CheckNotMeasured("no ball was found: press the ball of the check standard in the middle of the field")
+            raise CheckNotMeasured(NO_BALL)
         x, y = columns[inside].astype(np.float64), rows[inside].astype(np.float64)
         ones, zeros = np.ones(x.size), np.zeros(x.size)
         # across = a - k x, down = b - k y
         design = np.concatenate([np.stack([-x, ones, zeros], -1), np.stack([-y, zeros, ones], -1)])
-        (k, a, b), *_ = np.linalg.lstsq(design, np.concatenate([across[inside], down[inside]]), rcond=None)
+        seen = np.concatenate([across[inside], down[inside]])
+        (k, a, b), *_ = np.linalg.lstsq(design, seen, rcond=None)
+        explained = 1.0 - float(np.sum((seen - design @ (k, a, b)) ** 2) / max(float(np.sum(seen**2)), 1e-12))
         if not k > 0.0:
-            raise CheckNotMeasured("no ball was found: press the ball of the check standard")
+            raise CheckNotMeasured(NO_BALL)
         centre, radius_um = (float(b / k), float(a / k)), float(height.pitch_um / k)
+    if explained < MIN_EXPLAINED:
+        raise CheckNotMeasured(NO_BALL)
     return radius_um
 
 
@@ -121,10 +143,18 @@ def roughness_um(height: HeightMap) -> float:
     """Ra over the middle of the field: mean over its rows and columns with a cut-off of 0.8 mm."""
     part = levelled(_middle(height.z_um, MIDDLE)).astype(np.float64)
     cutoff = ROUGHNESS_CUTOFF_UM / height.pitch_um
-    found = [float(np.nanmean(np.abs(line - mean_line(line, cutoff)))) for line in part if np.isfinite(line).any()]
-    if not found:
+    rough = np.stack([np.abs(line - mean_line(line, cutoff)) for line in part])
+    if not np.isfinite(rough).any(axis=1).any():
         raise CheckNotMeasured("the middle of the field has no heights: press the roughness specimen again")
-    return float(np.mean(found))
+    tiles = [_mean(tile) for band in np.array_split(rough, TILES) for tile in np.array_split(band, TILES, axis=1)]
+    usual = float(np.median(tiles))
+    if not usual / MAX_UNEVEN < min(tiles) <= max(tiles) < usual * MAX_UNEVEN:
+        raise CheckNotMeasured("the middle of the field is not evenly rough: press the specimen flat on the middle")
+    return float(np.mean([np.nanmean(line) for line in rough if np.isfinite(line).any()]))
+
+
+def _mean(part: Float64Array) -> float:
+    return float(np.nanmean(part)) if np.isfinite(part).any() else float("nan")
 
 
 def _smooth(z_um: Float32Array) -> Float64Array:

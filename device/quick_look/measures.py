@@ -20,6 +20,8 @@ _ALPHA: Final = float(np.sqrt(np.log(2.0) / np.pi))
 _REACH: Final = 4.0
 _MIN_DETERMINANT: Final = 1e-6
 _LOCAL_PX: Final = 2
+_PLANE: Final = 3
+"""Parameters of a plane, taken off the number of pixels that it was fitted to."""
 
 Point = tuple[float, float]
 """Row and column, pixels."""
@@ -38,7 +40,8 @@ class Roughness:
 class Difference:
     """The second point against the first.
 
-    dz_um, distance_um, angle_deg : height, distance in the plane, slope of the line between them
+    dz_um, distance_um, angle_deg : height, distance in the plane, slope of the line between them; height and slope are
+        NaN where a point has no height
     dz_sigma_um, distance_sigma_um, angle_sigma_deg : standard uncertainties from noise, flatness and the pixels; None
         where the flatness of untouched skin was not measured. The calibration's scale is not in them.
     """
@@ -156,13 +159,17 @@ def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None) -
 
 
 def _at(height: HeightMap, point: Point) -> tuple[float, float]:
-    """Mean height of the pixels around a point and its standard error, µm, about their own plane."""
+    """Height of the pixel at a point, and its noise: standard deviation of the pixels around it about their plane, µm.
+
+    NaN where the pixel is not valid.
+    """
     row, column = round(point[0]), round(point[1])
     part = height.z_um[
         max(row - _LOCAL_PX, 0) : row + _LOCAL_PX + 1, max(column - _LOCAL_PX, 0) : column + _LOCAL_PX + 1
     ]
     seen = np.isfinite(part)
-    if not seen.any():
-        return float("nan"), float("nan")
-    noise = float(np.nanstd(levelled(part))) / float(np.sqrt(seen.sum()))
-    return float(height.z_um[row, column]), noise
+    z_um = float(height.z_um[row, column])
+    left = int(seen.sum()) - _PLANE
+    if not np.isfinite(z_um) or left < 1:
+        return z_um, float("nan")
+    return z_um, float(np.sqrt(np.nansum(levelled(part).astype(np.float64) ** 2) / left))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Final
@@ -22,6 +23,14 @@ to 10 % large, steps up to 10 % low where the skin bridges them, and fine roughn
 
 DRIFT_SHARE: Final[dict[StandardKind, float]] = {"ball": 0.05, "step": 0.05, "roughness": 0.1}
 """Allowed change since the first check with a calibration: what pressing elsewhere and deeper changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckMeasure:
+    """A check standard as a press shows it: its value, or None and what is wrong with the light that hides it."""
+
+    value_um: float | None
+    light_fault: str = ""
 
 
 def read_standard(root: Path) -> CheckStandard | None:
@@ -65,16 +74,19 @@ def write_check(root: Path, check: CheckRecord) -> None:
 
 
 def judged_check(
-    root: Path, standard: CheckStandard, identity: Identity, calibration_id: str, checked: datetime, measured_um: float
+    root: Path,
+    standard: CheckStandard,
+    identity: Identity,
+    calibration_id: str,
+    checked: datetime,
+    measured: CheckMeasure,
 ) -> CheckRecord:
     """The result of a check, compared with the certificate and the first passed check with this calibration."""
     first = next(
         (
             check
             for check in read_checks(root)
-            if check.calibration_id == calibration_id
-            and (check.kind, check.value_um, check.name) == (standard.kind, standard.value_um, standard.name)
-            and check.passed
+            if check.calibration_id == calibration_id and check.standard == standard.identity and check.passed
         ),
         None,
     )
@@ -87,7 +99,8 @@ def judged_check(
         kind=standard.kind,
         value_um=standard.value_um,
         limit_um=standard.tolerance_um + OWN_SHARE[standard.kind] * standard.value_um,
-        measured_um=measured_um,
+        measured_um=measured.value_um,
+        light_fault=measured.light_fault,
         first_um=first.measured_um if first else None,
         drift_limit_um=DRIFT_SHARE[standard.kind] * standard.value_um if first else None,
     )

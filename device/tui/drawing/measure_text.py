@@ -24,14 +24,16 @@ COVERAGE: Final = 2.0
 def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> str:
     """Height difference, distance and angle with ±, roughness of the line and of the box between two points."""
     found = difference(height, first, second, flatness_um)
+    has_heights = bool(np.isfinite(found.dz_um))
+    dz = f"dz {found.dz_um:.1f}{_pm(found.dz_sigma_um, 1)} µm" if has_heights else "dz unknown: no height at a point"
     parts = [
-        f"dz {found.dz_um:.1f}{_pm(found.dz_sigma_um, 1)} µm",
+        dz,
         f"distance {found.distance_um / 1e3:.3f}{_pm(found.distance_sigma_um / 1e3, 3)} mm",
-        f"angle {found.angle_deg:.2f}{_pm(found.angle_sigma_deg, 2)}°",
+        f"angle {found.angle_deg:.2f}{_pm(found.angle_sigma_deg, 2)}°" if has_heights else "",
         _roughness("R", line_roughness(line_between(height, first, second), height.pitch_um)),
         _roughness("S", areal_roughness(levelled(box_between(height, first, second)))),
     ]
-    unknown = " · ± of heights: zero check first" if found.dz_sigma_um is None else ""
+    unknown = " · ± of heights: zero check first" if has_heights and found.dz_sigma_um is None else ""
     return f"{' · '.join(part for part in parts if part)}{unknown}"
 
 
@@ -43,7 +45,7 @@ def box_between(height: HeightMap, first: Point, second: Point) -> np.ndarray:
 
 
 def _pm(sigma: float | None, decimals: int) -> str:
-    return "" if sigma is None else f" ± {COVERAGE * sigma:.{decimals}f}"
+    return "" if sigma is None or not np.isfinite(sigma) else f" ± {COVERAGE * sigma:.{decimals}f}"
 
 
 def _roughness(letter: str, found: Roughness) -> str:

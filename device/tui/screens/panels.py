@@ -93,30 +93,48 @@ CHART_ROWS: Final = 7
 
 
 def check_panel(check: CheckState, columns: int) -> str:
-    """The check standard, today's state, and a chart of its history: a column a check, the certified value amid."""
+    """The check standard, today's state, and a chart of its checks: one column per check, the certified value in the
+    middle row."""
     standard = check.standard
     if standard is None:
         return "Enter the certified ball, step or roughness specimen that shows each day that results are right."
     unit, factor = UNITS[standard.kind]
     value, tolerance = standard.value_um / factor, standard.tolerance_um / factor
-    words = "Press it, then push the button." if check.is_next else "due today" if check.is_due else "done today"
-    lines = [f"{standard.name}: {standard.kind}, {value:g} ± {tolerance:g} {unit} ({words})", ""]
-    if not check.checks:
-        return "\n".join([*lines, "No check with this calibration yet."])
-    shown = check.checks[-max(columns - 14, 4) :]
-    reach = max(max(abs(one.measured_um - one.value_um) for one in shown), max(one.limit_um for one in shown))
+    mine = check.of_standard
+    lines = [f"{standard.name}: {standard.kind}, {value:g} ± {tolerance:g} {unit} ({_check_words(check)})", ""]
+    others = [hanging(f"! {one.sentence}", columns, 2) for one in check.failed_others]
+    if not mine:
+        return "\n".join([*lines, "No check of it with this calibration yet.", *others])
+    shown = mine[-max(columns - 14, 4) :]
+    reach = max(max(abs(_deviation_um(one)) for one in shown), max(one.limit_um for one in shown))
     for row in range(CHART_ROWS, -CHART_ROWS - 1, -2):
         at = reach * row / CHART_ROWS
         cells = "".join(_chart_cell(one, row, reach) for one in shown)
         label = f"{(standard.value_um + at) / factor:8.4g}"
         lines.append(f"{label} │{cells}")
-    last = check.checks[-1]
-    return "\n".join([*lines, "", "o passed, x failed, newest right", hanging(f"Last: {last.sentence}", columns, 6)])
+    last = hanging(f"Last: {mine[-1].sentence}", columns, 6)
+    return "\n".join([*lines, "", "o passed, x failed, newest right", last, *others])
+
+
+def _check_words(check: CheckState) -> str:
+    """What is to be done with the check standard, or the result of its last check today."""
+    if check.is_next:
+        return "press it, then push the button"
+    if check.is_due:
+        return "due today"
+    if not check.of_standard:
+        return "calibrate first"
+    return "passed" if check.of_standard[-1].passed else "FAILED: press it again, or calibrate"
+
+
+def _deviation_um(check: CheckRecord) -> float:
+    """Measured minus certified value; of what did not show, the limit: it is drawn at the edge of what is allowed."""
+    return check.limit_um if check.measured_um is None else check.measured_um - check.value_um
 
 
 def _chart_cell(check: CheckRecord, row: int, reach: float) -> str:
     """A check's sign if its deviation falls into this row of the chart."""
-    place = (check.measured_um - check.value_um) / reach * CHART_ROWS
+    place = _deviation_um(check) / reach * CHART_ROWS
     inside = row - 1 <= place < row + 1 or (row == CHART_ROWS and place >= row)
     return ("o" if check.passed else "x") if inside else " "
 

@@ -104,6 +104,8 @@ class ScanScreen(InstrumentScreen):
         settings = self.instrument.state.settings
         following = _MODES[(_MODES.index(settings.capture) + 1) % len(_MODES)]
         self.instrument.set_settings(structs.replace(settings, capture=following))
+        if self.instrument.state.settings.capture != following:  # this sensor cannot do it, as the message says
+            self.instrument.set_settings(structs.replace(settings, capture=_MODES[0]))
         self.show_body(self.instrument.state)
 
     def action_zero(self) -> None:

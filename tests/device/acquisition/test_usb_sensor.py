@@ -8,10 +8,14 @@ import pytest
 from device.acquisition.auto_exposure import AIMED_LEVEL, auto_exposure
 from device.acquisition.calibrate import calibrate
 from device.acquisition.capture import CaptureSettings, capture
+from device.acquisition.precise_capture import capture_precisely
 from device.acquisition.scanner import Scanner
 from device.acquisition.selftest import selftest
 from device.bundles.scan import Annotations
-from device.errors import CalibrationError
+from device.errors import CalibrationError, CaptureModeRefused
+from device.instrument.events import Failed
+from device.instrument.instrument import Instrument
+from device.store.settings import Settings, read_settings, write_settings
 from device.store.store import BundleStore
 from hal.errors import CameraError
 from hal.hardware import Hardware
@@ -93,3 +97,22 @@ def test_the_selftest_tests_each_channel(sensor: tuple[Hardware, FakeVideo]) -> 
     assert {f.state for f in selftest(hardware) if f.part.startswith("light ") and f.part != "light driver"} == {
         "failed"
     }
+
+
+def test_presses_light_by_light_are_refused_where_lights_are_always_on(
+    sensor: tuple[Hardware, FakeVideo], tmp_path: Path
+) -> None:
+    hardware, _ = sensor
+    root = tmp_path / "store"
+    with Instrument(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f")) as instrument:
+        instrument.set_settings(Settings(capture="average"))
+        instrument.set_settings(Settings(capture="lights"))
+        refused = [event.sentence for event in instrument.take_events() if isinstance(event, Failed)]
+        assert any("are always on, so that no light can be seen alone" in sentence for sentence in refused)
+        assert instrument.state.settings.capture == "average"
+        assert read_settings(root).capture == "average"
+    write_settings(root, Settings(capture="lights"))  # of another sensor, before it was changed
+    again = Instrument(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f"))
+    assert again.state.settings.capture == "average"
+    with hardware, pytest.raises(CaptureModeRefused, match="always on"):
+        capture_precisely(hardware, CaptureSettings.of_board(hardware), "lights")

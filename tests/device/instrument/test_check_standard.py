@@ -5,6 +5,8 @@ from datetime import timedelta
 import pytest
 
 from device.bundles.check import CheckStandard, StandardKind
+from device.bundles.publishing import FileWriter
+from device.bundles.scan import ScanBundle, ScanRecord
 from device.instrument.events import Checked, Failed, ScanFinished
 from device.instrument.instrument import Instrument
 from device.store.checks import read_checks
@@ -12,6 +14,7 @@ from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
+from hal.simulator.gallery import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Sinusoid, Sphere, Step, Surface
 
@@ -112,18 +115,112 @@ def test_a_drifted_instrument_fails_and_makes_scans_since_the_last_good_check_do
     assert all(check is not None for check in checks[1:])
 
 
-def test_a_press_that_does_not_show_the_standard_says_so_and_stores_nothing(
-    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
-) -> None:
-    with Instrument(hardware, calibrated) as instrument:
-        instrument.set_standard(STANDARDS["step"][0])
+def refusal(
+    instrument: Instrument, bench: SimulatedScene, standard: CheckStandard, surface: Surface, depth_mm: float
+) -> str:
+    """Why a press of something else is no check of a standard."""
+    instrument.set_standard(standard)
+    instrument.step()
+    if not instrument.state.check.is_next:
         instrument.begin_check()
         instrument.step()
-        found = pressed(instrument, bench, Sphere(3.0), 0.5, (0.0, 0.0))
-        assert any(isinstance(event, Failed) and "no step was found" in event.sentence for event in found)
-        assert instrument.state.check.is_next, "the check is still to be made"
+    found = pressed(instrument, bench, surface, depth_mm, (0.3, -0.2))
+    assert instrument.state.check.is_next, "the check is still to be made"
+    return next(event.sentence for event in found if isinstance(event, Failed))
+
+
+def test_a_press_that_does_not_show_the_standard_is_refused_and_is_no_failure(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    above, flat = (Sphere(3.0), -0.5), (Block(8.0, 6.0), 0.3)
+    coin = (specimen("coin").surface, specimen("coin").indentation_mm)
+    with Instrument(hardware, calibrated) as instrument:
+        for kind, (standard, _, _) in STANDARDS.items():
+            others: list[tuple[Surface, float]] = [
+                (surface, depth) for other, (_, surface, depth) in STANDARDS.items() if other != kind
+            ]
+            # A coin's engraving resembles a roughness specimen, and cannot be told from it.
+            for surface, depth_mm in (above, flat, *others, *([] if kind == "roughness" else [coin])):
+                sentence = refusal(instrument, bench, standard, surface, depth_mm)
+                assert sentence.startswith("no standard seen: "), (kind, surface, sentence)
+        bench.faults.dimmed = {"green": 0.5}
+        assert "light green" in refusal(instrument, bench, STANDARDS["ball"][0], *STANDARDS["ball"][1:])
     assert read_checks(calibrated.root) == ()
     assert not calibrated.scans().bundles
+
+
+@pytest.mark.parametrize("dimmed", [{"green": 0.9}, {"red": 0.8}, {"blue": 1.2}])
+def test_a_standard_that_drifted_light_hides_is_a_failed_check(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, dimmed: dict[str, float]
+) -> None:
+    standard, surface, depth_mm = STANDARDS["ball"]
+    (name,) = dimmed
+    with Instrument(hardware, calibrated) as instrument:
+        bench.faults.dimmed = dimmed
+        instrument.set_standard(standard)
+        result = checked(instrument, bench, surface, depth_mm, (0.3, -0.2))
+        assert not result.passed
+        assert f"it does not show under this light (light {name} is" in result.sentence
+        for other in (above := Sphere(3.0), specimen("coin").surface):
+            depth = -0.5 if other is above else 0.5
+            assert refusal(instrument, bench, standard, other, depth).startswith("no standard seen: ")
+    (check,) = read_checks(calibrated.root)
+    assert check.measured_um is None
+    (scan,) = calibrated.scans().bundles
+    assert scan.record.check == check
+
+
+def test_another_standard_clears_no_failure(bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore) -> None:
+    ball, step = STANDARDS["ball"], STANDARDS["step"]
+    with Instrument(hardware, calibrated) as instrument:
+        instrument.set_standard(ball[0])
+        assert not checked(instrument, bench, Sphere(2.4), 0.5, (0.0, 0.0)).passed
+        instrument.set_standard(step[0])
+        assert checked(instrument, bench, *step[1:], (0.0, 0.0)).passed
+        assert [one.name for one in instrument.state.check.failed_others] == ["ball 3"]
+        found = pressed(instrument, bench, Sphere(4.0), 0.5, (0.0, 0.0))
+        (after,) = [event for event in found if isinstance(event, ScanFinished)]
+        assert "check of ball 3 FAILED" in after.verdict.reason
+        assert [bool(entry.doubt) for entry in instrument.history().scans] == [True, True, True]
+        instrument.set_standard(ball[0])
+        assert checked(instrument, bench, *ball[1:], (0.0, 0.0)).passed
+        pressed(instrument, bench, Sphere(4.0), 0.5, (0.0, 0.0))
+        assert [bool(entry.doubt) for entry in instrument.history().scans][:2] == [False, False]
+
+
+class PowerCut(BaseException):
+    """The supply ends."""
+
+
+class CutStore(BundleStore):
+    """A store whose instrument loses its supply beside the publishing of a scan.
+
+    Parameters
+    ----------
+    is_before : before the scan is published, otherwise after it
+    """
+
+    is_before = False
+
+    def publish_scan(self, record: ScanRecord, write: FileWriter) -> ScanBundle:
+        if not self.is_before:
+            super().publish_scan(record, write)
+        raise PowerCut
+
+
+@pytest.mark.parametrize("is_before", [True, False])
+def test_a_power_cut_beside_publishing_keeps_a_failed_check(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, is_before: bool
+) -> None:
+    store = CutStore(calibrated.root, hardware.clock, boot_id="b0075e1f")
+    store.is_before = is_before
+    instrument = Instrument(hardware, store)
+    instrument.__enter__()
+    instrument.set_standard(STANDARDS["ball"][0])
+    with pytest.raises(PowerCut):
+        checked(instrument, bench, Sphere(2.4), 0.5, (0.0, 0.0))
+    hardware.__exit__(None, None, None)
+    assert [check.passed for check in read_checks(store.root)] == [False]
 
 
 def test_the_check_is_due_again_the_next_day(

@@ -13,6 +13,7 @@ from device.quick_look.measures import (
     mean_line,
 )
 from device.surface.fields import HeightMap
+from device.tui.drawing.measure_text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters
@@ -61,7 +62,25 @@ def test_a_slope_is_measured_with_its_uncertainty(height: HeightMap) -> None:
     assert found.distance_um == pytest.approx(50.0 * PITCH_UM)
     assert found.dz_sigma_um is not None
     assert abs(found.dz_um - 25.0) < 3.0 * found.dz_sigma_um
-    assert found.dz_sigma_um == pytest.approx(1.5 * np.sqrt(2.0), rel=0.02)
+    assert found.dz_sigma_um == pytest.approx(np.sqrt(2.0) * np.hypot(1.5, 0.2), rel=0.02)
     assert found.angle_deg == pytest.approx(np.degrees(np.arctan2(25.0, 1200.0)), abs=0.05)
     assert difference(ramp, (30.0, 10.0), (30.0, 60.0), None).dz_sigma_um is None
     assert np.isnan(difference(height, (21.0, 31.0), (60.0, 60.0), 1.0).dz_um)
+
+
+def test_the_uncertainty_of_two_pixels_is_the_scatter_of_their_difference() -> None:
+    """Heights are those of single pixels, and so is their noise."""
+    rng = np.random.default_rng(2)
+    noisy = HeightMap(rng.normal(0.0, 0.7, (60, 400)).astype(np.float32), PITCH_UM)
+    found = [difference(noisy, (30.0, 5.0 + column), (10.0, 5.0 + column), 0.0) for column in range(390)]
+    sigmas = [one.dz_sigma_um for one in found if one.dz_sigma_um is not None]
+    assert np.mean(sigmas) == pytest.approx(np.std([one.dz_um for one in found]), rel=0.15)
+
+
+def test_a_point_without_height_is_said_and_no_nan_is_printed(height: HeightMap) -> None:
+    text = measure_text(height, (21.0, 31.0), (60.0, 60.0), 1.0)
+    assert "no height at a point" in text
+    assert "nan" not in text.lower()
+    beside = measure_text(height, (19.0, 31.0), (60.0, 60.0), 1.0)
+    assert "dz " in beside
+    assert "nan" not in beside.lower()

@@ -50,7 +50,15 @@ def test_a_standard_is_entered_pressed_and_charted(play: Callable[..., None], ro
         rows = [line for line in stage.lines() if "│" in line]
         assert sum(row.split("│")[1].count("o") for row in rows) == 1
         assert sum(row.split("│")[1].count("x") for row in rows) == 1
+        assert "(FAILED: press it again, or calibrate)" in stage.text()
         await stage.press("3")
         assert "check of cap 7 FAILED" in stage.text()
+        await stage.press("4", "enter", "down", "enter", "enter")
+        await stage.press(*["backspace"] * 4, *"cap 8", "enter", *"3", "enter", *"0.002", "enter")
+        await stage.live(2)
+        assert "cap 8: ball, 3 ± 0.002 mm (due today)" in stage.text()
+        assert "No check of it with this calibration yet." in stage.text()
+        assert "! check of cap 7 FAILED" in stage.text()
+        assert not [line for line in stage.lines() if "│" in line]
 
     play(scenario, root, size=(100, 30))

@@ -1,0 +1,67 @@
+"""A press of the check standard: its value, or the refusal of a press that does not show the standard.
+
+A press that does not show it says nothing about the instrument, and is no check. Under drifted light a right press may
+not show it either, and that is a failed check: such a frame is looked at again with the light's drift taken out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from device.bundles.check import CheckStandard
+from device.imaging.exposure import Levels
+from device.imaging.flat_field import bin_bayer
+from device.quality.verdict import Evidence
+from device.quick_look.check_measure import CheckNotMeasured, measure_standard
+from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
+from device.store.checks import CheckMeasure
+from hal.frame import RawFrame
+
+NOT_SEEN = "no standard seen"
+
+
+def measure_check(
+    standard: CheckStandard,
+    look: QuickLook | None,
+    evidence: Evidence,
+    frame: RawFrame,
+    model: QuickLookModel,
+    levels: Levels,
+) -> CheckMeasure:
+    """The check standard as a press shows it.
+
+    look : of the press; None if it has none
+    evidence : of the press, with the lights as measured since
+    frame : without ambient light
+    levels : intensity of untouched skin in R, G and B, 1 as calibrated
+
+    Raises
+    ------
+    CheckNotMeasured
+        The press does not show the standard, or cannot be used at all.
+    """
+    verdict, fault = evidence.verdict(), evidence.light_fault
+    if verdict.level == "retake":
+        raise CheckNotMeasured(f"{NOT_SEEN}: {verdict.reason}")
+    if look is None:
+        raise CheckNotMeasured(f"{NOT_SEEN}: the press has no quick look")
+    if evidence.lacks_contact:
+        raise CheckNotMeasured(f"{NOT_SEEN}: press {standard.name} into the gel")
+    try:
+        return CheckMeasure(measure_standard(standard, look))
+    except CheckNotMeasured as error:
+        if not fault:
+            raise CheckNotMeasured(f"{NOT_SEEN}: {error}") from error
+    try:
+        measure_standard(standard, _under_levels(frame, model, levels))
+    except CheckNotMeasured as error:
+        raise CheckNotMeasured(f"{NOT_SEEN}: {error}; {fault}") from error
+    return CheckMeasure(None, fault[:200])
+
+
+def _under_levels(frame: RawFrame, model: QuickLookModel, levels: Levels) -> QuickLook:
+    """The quick look of a frame under lights that have drifted to these levels."""
+    drifted = replace(model, flat_field=model.flat_field * np.asarray(levels, np.float32))
+    return quick_look(bin_bayer(frame, model.binning), drifted)
