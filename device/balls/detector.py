@@ -36,6 +36,9 @@ IMPOSSIBLE_CONTACT: Final = 1.08
 MIN_RADIUS_PX: Final = 4.0
 """The slopes of a smaller ball change too much from pixel to pixel."""
 
+MIN_CONTACT_ALONE: Final = 0.28
+"""A press that shows nothing wider may teach from a contact this narrow: up to 16 degrees, at its place."""
+
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
 
@@ -98,6 +101,8 @@ def find_balls(
     check_radius(radius_px, image.shape, name)
     sightings = _look(image, radius_px, expected)
     reasons = [_fault(sighting, image.shape, radius_px) for sighting in sightings]
+    if all(reasons) and (alone := _alone(sightings, image.shape, radius_px)) is not None:
+        reasons[alone] = ""
     kept = [sighting for sighting, reason in zip(sightings, reasons, strict=True) if not reason]
     rejected = [RejectedBall(s.column, s.row, reason) for s, reason in zip(sightings, reasons, strict=True) if reason]
     found = []
@@ -140,14 +145,26 @@ def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[flo
     return sightings
 
 
-def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float) -> str:
-    """Why a ball cannot be used for training; empty when it can."""
+def _alone(sightings: Sequence[_Sighting], shape: tuple[int, int], radius_px: float) -> int | None:
+    """The only ball of a press, if its contact is narrow or runs over the frame's border but is good where it is seen.
+
+    A contact ends at the last ring of which enough is seen (`SEEN_SHARE`). Where several could be meant, none counts.
+    """
+    useful = [k for k, sighting in enumerate(sightings) if not _fault(sighting, shape, radius_px, alone=True)]
+    return useful[0] if len(useful) == 1 else None
+
+
+def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alone: bool = False) -> str:
+    """Why a ball cannot be used for training; empty when it can.
+
+    alone : whether its press shows no other
+    """
     rows, columns = shape
     margin = min(sighting.column + 0.5, sighting.row + 0.5, columns - 0.5 - sighting.column, rows - 0.5 - sighting.row)
     contact = min(sighting.contact, MAX_CONTACT)
-    if margin < contact * radius_px:
+    if margin < (0.0 if alone else contact * radius_px):
         return "cut by the frame's border"
-    if contact < MIN_CONTACT:
+    if contact < (MIN_CONTACT_ALONE if alone else MIN_CONTACT):
         return f"contact too small ({contact:.2f} of the radius)"
     if (uneven := _asymmetry(sighting.rings, contact)) > SYMMETRIC:
         return f"does not follow the sphere ({uneven:.0%} of its shading is uneven)"

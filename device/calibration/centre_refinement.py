@@ -38,6 +38,11 @@ FEW_DEVIATION: Final = 0.5
 """The same among fewer balls, each of which leaves a hole in the field when it is held out: of four by three the outer
 ones are predicted twice as badly by the inner ones, and without them the map is not trained at the border."""
 
+OPEN_SIDE: Final = 0.75 * np.pi
+"""A ball with no other in such a sector around it, in radians, is an outer one: when it is held out, it is read by a
+map that saw nothing as far out. A tilted grid presses its balls less deep at one edge, so that only balls pressed one
+at a time are given this margin."""
+
 Learners = Sequence[tuple[RegressorFit, float]]
 """The learners of a map with their shares."""
 
@@ -54,11 +59,13 @@ class Refined:
     held_out: Float64Array
 
 
-def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners) -> Refined:
+def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners, alone: MaskArray | None = None) -> Refined:
     """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each.
 
     Few balls leave room for a map that fits shifted centres as well as true ones; each round then moves them farther.
     Rounds that make held-out balls worse by `RUNAWAY` are taken back.
+
+    alone : bool array of shape (balls,), True for the only ball of its press; None where that is not known
     """
     slope = true_slopes(samples, balls)
     count = len(balls)
@@ -66,8 +73,9 @@ def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners) -> R
     state = Refined(tuple(balls), slope, np.ones(len(slope)), seen, np.full(count, np.nan), np.zeros_like(slope))
     state = replace(state, held_out=held_out_slopes(learners, state))
     best, least = state, _typical_error_deg(samples, state)
+    alone = np.zeros(count, np.bool_) if alone is None else alone
     for _ in range(REFINEMENT_ROUNDS):
-        state = _refined_once(samples, state, learners, seen)
+        state = _refined_once(samples, state, learners, seen, alone)
         error = _typical_error_deg(samples, state)
         if error > RUNAWAY * least:
             break
@@ -77,16 +85,19 @@ def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners) -> R
         return state
     if np.isnan(best.errors_deg).all():
         errors = _errors_deg(samples, best.held_out, best.slope, seen)
-        best = replace(best, errors_deg=errors, kept=_following(errors))
+        best = replace(best, errors_deg=errors, kept=_following(errors, alone & _outer(best.balls)))
     return best
 
 
-def _refined_once(samples: BallSamples, before: Refined, learners: Learners, seen: MaskArray) -> Refined:
+def _refined_once(
+    samples: BallSamples, before: Refined, learners: Learners, seen: MaskArray, alone: MaskArray
+) -> Refined:
     """The state after one round, with the slopes that it holds out."""
     balls = _recentred(samples, before.balls, before.held_out, before.kept)
     slope = true_slopes(samples, balls)
     errors = _errors_deg(samples, before.held_out, slope, seen)
-    state = Refined(balls, slope, robust_weight(before.held_out, slope), _following(errors), errors, before.held_out)
+    kept = _following(errors, alone & _outer(balls))
+    state = Refined(balls, slope, robust_weight(before.held_out, slope), kept, errors, before.held_out)
     return replace(state, held_out=held_out_slopes(learners, state))
 
 
@@ -138,9 +149,24 @@ def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array,
     )
 
 
-def _following(errors: Float64Array) -> MaskArray:
-    """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel."""
+def _following(errors: Float64Array, far_out: MaskArray) -> MaskArray:
+    """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel.
+
+    far_out : bool array of shape (balls,), True for balls whose error may stand out as far as that of one of few balls
+    """
     median = float(np.nanmedian(errors))
     deviation = float(np.nanmedian(np.abs(errors - median)))
-    least = MIN_DEVIATION if np.isfinite(errors).sum() >= FEW_BALLS else FEW_DEVIATION
-    return np.asarray(errors <= median + STANDS_OUT * max(deviation, least * median))
+    few = np.isfinite(errors).sum() < FEW_BALLS
+    least = FEW_DEVIATION if few else np.where(far_out, FEW_DEVIATION, MIN_DEVIATION)
+    return np.asarray(errors <= median + STANDS_OUT * np.maximum(deviation, least * median))
+
+
+def _outer(balls: Sequence[Ball]) -> MaskArray:
+    """True for balls that have a side without another ball: bool array of shape (balls,)."""
+    centre = np.array([[ball.column, ball.row] for ball in balls])
+    open_side = np.zeros(len(balls), np.bool_)
+    for number, at in enumerate(centre):
+        way = np.delete(centre, number, axis=0) - at
+        angle = np.sort(np.arctan2(way[:, 1], way[:, 0]))
+        open_side[number] = np.diff(np.append(angle, angle[0] + 2.0 * np.pi)).max() >= OPEN_SIDE
+    return open_side

@@ -152,6 +152,7 @@ def begin_fit(
     light: IlluminationMap | None = None,
     thorough: bool = False,
     like: BegunFit | None = None,
+    alone: MaskArray | None = None,
 ) -> BegunFit:
     """The fit of a full-size field of `shape` (H, W) to samples of `balls`.
 
@@ -159,6 +160,7 @@ def begin_fit(
     thorough : try curves that the quick look would not use too: of the root of intensity, and such as need not read
         untouched skin as flat where pressed skin without slope has another colour
     like : a fit of nearly the same samples, whose forms are taken; penalties and shares are chosen again
+    alone : bool array of shape (balls,), True for the only ball of its press; None where that is not known
 
     Raises
     ------
@@ -187,7 +189,7 @@ def begin_fit(
     if few is not chosen:
         learners = [(learner.of_samples(chosen, slope, shape), share) for learner, share in learners]
         plain = plain.of_samples(chosen, slope, shape)
-    state = refine(chosen, balls, learners)
+    state = refine(chosen, balls, learners, alone)
     if not state.kept.any():
         raise CalibrationError(
             "no ball follows the sphere well enough to be used: press the ball again, deeper and centred"

@@ -311,8 +311,11 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
 def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
     samples = gather_samples([(press.intensity, press.balls) for press in presses])
     balls = [ball for press in presses for ball in press.balls]
+    alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
     shape = presses[0].intensity.shape
-    return begin_fit(samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like)
+    return begin_fit(
+        samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like, alone=alone
+    )
 
 
 def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array) -> ElevatedBalls | None:

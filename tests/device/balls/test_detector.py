@@ -110,8 +110,26 @@ def test_a_ball_cut_by_the_border_is_refused() -> None:
     assert [r.reason for r in search.rejected] == ["cut by the frame's border"]
 
 
+@pytest.mark.parametrize("centre", [(27.0, 200.0), (262.3, 25.0), (32.0, 372.0)])
+def test_the_only_ball_of_a_press_counts_where_it_is_seen(centre: Centre) -> None:
+    search = find_balls(pressed(centre), RADIUS_PX)
+    assert len(search.found) == 1
+    assert distances(search, [centre])[0] < 0.04 * RADIUS_PX
+    assert search.found[0].contact_radius_px < 0.64 * RADIUS_PX
+
+
+def test_the_only_ball_of_a_press_may_have_a_narrow_contact() -> None:
+    centres = [(150.0, 120.0), (380.0, 290.0)]
+    alone = find_balls(pressed(centres[0], contact=0.34), RADIUS_PX)
+    assert len(alone.found) == 1
+    assert 0.28 <= alone.found[0].contact_radius_px / RADIUS_PX < 0.33
+    both = find_balls(pressed(*centres, contact=0.34), RADIUS_PX)
+    assert both.found == ()
+    assert all(r.reason.startswith("contact too small") for r in both.rejected)
+
+
 def test_a_tiny_contact_is_refused_or_not_seen() -> None:
-    search = find_balls(pressed((262.3, 189.7), contact=0.3), RADIUS_PX)
+    search = find_balls(pressed((262.3, 189.7), contact=0.22), RADIUS_PX)
     assert search.found == ()
     assert all(r.reason.startswith("contact too small") for r in search.rejected)
 

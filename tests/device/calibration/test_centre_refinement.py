@@ -11,7 +11,7 @@ import pytest
 
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.candidates import RegressorFit
-from device.calibration.centre_refinement import refine, true_slopes
+from device.calibration.centre_refinement import FEW_BALLS, refine, true_slopes
 from device.surface.fields import Float64Array
 from device.surface.stereographic import stereographic_from_slope
 
@@ -35,13 +35,13 @@ class Ridge:
 
 @dataclass
 class Learner:
-    ridge: Ridge
+    ridge: Ridge | MissingRidge
     penalty: float = 1.0
 
 
-def samples() -> BallSamples:
+def samples(balls: Sequence[Ball] = TRUE) -> BallSamples:
     row, column, ball = [], [], []
-    for number, one in enumerate(TRUE):
+    for number, one in enumerate(balls):
         down, across = np.mgrid[-20:21:4, -20:21:4]
         row.append(one.row + down.ravel())
         column.append(one.column + across.ravel())
@@ -68,3 +68,27 @@ def test_centres_go_where_the_map_puts_them() -> None:
 def test_centres_that_run_away_are_taken_back() -> None:
     start = np.array([ball.column for ball in TRUE])
     assert refined_columns(0.5, np.zeros(len(TRUE))) == pytest.approx(start, abs=0.5)
+
+
+@dataclass
+class MissingRidge:
+    """Reads slopes too steep, those of the missed balls twice as much as others."""
+
+    samples: BallSamples
+    balls: Sequence[Ball]
+    missed: tuple[int, ...]
+
+    def held_out(self, penalties: Sequence[float], *_: object) -> list[Float64Array]:
+        too_steep = 1.0 + np.where(np.isin(self.samples.ball, self.missed), 0.2, 0.1)
+        tilt = true_slopes(self.samples, self.balls) * too_steep[:, None]
+        return [np.asarray(stereographic_from_slope(*tilt.T)) for _ in penalties]
+
+
+@pytest.mark.parametrize("one_a_press", [True, False])
+def test_a_ball_in_a_corner_may_be_read_worse_when_it_was_pressed_alone(one_a_press: bool) -> None:
+    balls = [Ball(60.0 * (1 + i % 6), 60.0 * (1 + i // 6), 20.0, 60.0) for i in range(30)]
+    assert len(balls) >= FEW_BALLS
+    seen = samples(balls)
+    learners = [(cast(RegressorFit, Learner(MissingRidge(seen, balls, (0, 14)))), 1.0)]
+    kept = refine(seen, balls, learners, np.full(len(balls), one_a_press)).kept
+    assert kept.tolist() == [number != 14 and (number != 0 or one_a_press) for number in range(len(balls))]
