@@ -88,6 +88,10 @@ class RenderError(HostError, ValueError):
     """A picture cannot be drawn as requested. Choose another size, light, viewpoint or format."""
 
 
+class MosaicError(HostError, ValueError):
+    """Presses cannot be stitched: too few, of different pixel pitches, or none overlap. Choose other scans."""
+
+
 class ViewError(HostError, LookupError):
     """The item to view does not exist or cannot be shown. Name a library, a result or another scan."""
 

@@ -162,6 +162,15 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "mosaic",
+        "host_sync.cli.mosaic:mosaic_command",
+        "Stitch overlapping presses of one object into one height map, which measure, view, report and export take.",
+        (
+            "retrosync mosaic results/ruler-1 results/ruler-2 results/ruler-3 --out ruler",
+            "retrosync mosaic results --out whole --layout places.csv",
+        ),
+    ),
+    Command(
         "calibrate",
         "host_sync.cli.calibrate:calibrate_command",
         "Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.",

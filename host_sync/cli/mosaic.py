@@ -1,0 +1,87 @@
+"""`retrosync mosaic`: overlapping presses stitched into one result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from device.command_line import Folder
+from device.io.atomic import check_replaceable
+from host_sync.cli.console import DONE, print_json, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.measure import result_folders
+from host_sync.errors import MosaicError
+from host_sync.results.files import RECORD_FILE
+
+if TYPE_CHECKING:
+    from host_sync.mosaic.record import MosaicRecord
+
+
+def mosaic_command(
+    *scans: Path,
+    out: Folder,
+    library: Folder | None = None,
+    layout: Path | None = None,
+    within_mm: float = 3.0,
+    json: bool = False,
+) -> int:
+    """Stitch overlapping presses of one object into one height map, which measure, view, report and export take.
+
+    Parameters
+    ----------
+    scans
+        Folders that reconstruct wrote, or folders of such folders. With --library, scans of it; all by default.
+    out
+        Folder for the mosaic; mosaic.json in it lists every overlap, used or rejected.
+    library
+        Folder of pulled scans, each with its newest results.
+    layout
+        CSV file of where presses are, with the columns scan, right_mm, down_mm; without it every pair is compared.
+    within_mm
+        How far off the layout may be.
+    json
+        Print mosaic.json instead of the summary.
+    """
+    folders = []
+    for found in result_folders(scans, library):
+        if isinstance(found, str):
+            raise MosaicError(found)
+        folders.append(found)
+    check_replaceable(out, RECORD_FILE)  # before minutes of work
+    with status_spinner() as tell:
+        tell_of_compiling()
+        tell("loading compiled code")
+        from host_sync.mosaic.layout import read_layout
+        from host_sync.mosaic.presses import press_of
+        from host_sync.mosaic.stitch import stitch
+
+        presses = [press_of(folder, library) for folder in folders]
+        known = None if layout is None else read_layout(layout, presses, within_mm)
+        record = stitch(presses, out, layout=known, tell=tell)
+    if json:
+        print_json(record)
+        return DONE
+    for line in _summary(record, out):
+        print_line(line)
+    return DONE
+
+
+def _summary(record: MosaicRecord, out: Path) -> Iterator[str]:
+    yield f"{out}: {len(record.presses)} presses, {len(record.used)} overlaps"
+    if record.left_out:
+        yield f"left out, as no overlap was found: {', '.join(record.left_out)}"
+    for link in record.rejected:
+        yield f"rejected: {link.first} and {link.second}: {link.rejected}"
+    seams = [link for link in record.used if link.seam_sigmas is not None]
+    if seams:
+        worst = max(seams, key=lambda link: link.seam_sigmas or 0.0)
+        yield (
+            f"seams: at most {worst.seam_sigmas:.2g} σ ({worst.seam_um:.3g} µm, rms, between {worst.first} and "
+            f"{worst.second})"
+        )
+    if record.stretch_median is not None:
+        yield f"stretch between presses: {100.0 * record.stretch_median:+.3f} % in the median of all overlaps"
+    yield (
+        f"span {record.span_um * 1e-3:.3f} mm ± {2.0 * record.span_sigma_um * 1e-3:.3f} mm from the overlaps; "
+        "the uncertainty of the pixel pitch adds to it"
+    )

@@ -1,0 +1,1 @@
+"""Mosaics: overlapping presses of one object, stitched into one height map with its uncertainty."""

@@ -1,0 +1,204 @@
+"""The presses laid into one height map, weighted by 1/σ² and less towards their edges.
+
+Each press is read once and added to sums on disk (memory maps), so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+from host_sync.errors import MosaicError
+from host_sync.mosaic.levelling import Levels
+from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.presses import Fields, Press
+from host_sync.registration.poses import between_pixels, reduced
+from host_sync.results.field_file import MAX_PIXELS
+
+TAPER: Final = 0.1
+"""Width over which the weight of a press falls to 0 towards its edge and its holes, fraction of its shorter side."""
+
+TILE_ROWS: Final = 512
+"""Rows of a press that are laid in at a time."""
+
+UNKNOWN_SIGMA_UM: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Canvas:
+    """The grid of a mosaic.
+
+    shape : (H, W)
+    step : px of a press along one of its pixels
+    top, left : place of the middle of its first pixel in the mosaic, px of a press
+    """
+
+    shape: tuple[int, int]
+    step: int
+    top: float
+    left: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blend:
+    """The stitched fields, arrays of shape (H, W); float32 ones are memory maps.
+
+    z_um, sigma_um : height and its standard uncertainty, NaN where no press is
+    extrapolated : uint8, 1 where a press is extrapolated
+    covered : fraction of the pixels that have a height
+    """
+
+    z_um: Float32Array
+    sigma_um: Float32Array
+    extrapolated: NDArray[np.uint8]
+    covered: float
+
+
+def canvas_of(places: list[Motion], shapes: list[tuple[int, int]], max_pixels: int = MAX_PIXELS) -> Canvas:
+    """The grid that holds all presses, as fine as theirs where that is not too large.
+
+    Raises
+    ------
+    MosaicError
+        It is too large in any case.
+    """
+    corners = np.concatenate([place.of(_corners(shape)) for place, shape in zip(places, shapes, strict=True)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    for step in range(1, 65):
+        rows, columns = (int(np.floor((b - a) / step)) + 1 for a, b in zip(low, high, strict=True))
+        if rows * columns <= max_pixels:
+            return Canvas((rows, columns), step, float(low[0]), float(low[1]))
+    raise MosaicError("the presses lie too far apart for one height map: choose fewer")
+
+
+def _corners(shape: tuple[int, int]) -> Float64Array:
+    half = 0.5 * (np.array(shape) - 1)
+    return np.array([(row * half[0], column * half[1]) for row in (-1, 1) for column in (-1, 1)])
+
+
+def blend(
+    presses: list[Press],
+    places: list[Motion],
+    levels: Levels,
+    canvas: Canvas,
+    folder: Path,
+    tell: Callable[[int], None] = lambda _: None,
+) -> Blend:
+    """The mosaic of the presses.
+
+    levels : planes of these presses, in their order
+    folder : for the sums
+    tell : is called with the number of presses that are done
+    """
+
+    def sums(name: str) -> Float32Array:
+        return np.memmap(folder / name, np.float32, "w+", shape=canvas.shape)
+
+    weight, height, sigma, level = (sums(f"{name}.sum") for name in ("weight", "height", "sigma", "level"))
+    extrapolated: NDArray[np.uint8] = np.memmap(folder / "extrapolated.sum", np.uint8, "w+", shape=canvas.shape)
+    for number, (press, place) in enumerate(zip(presses, places, strict=True)):
+        source = _Source.of(press.read(), canvas.step)
+        for window, local in _windows(canvas, place, press.shape):
+            z_um, sigma_um, trust, beyond = source.at(*local)
+            plane = levels.planes[number]
+            row, column = (at - 0.5 * (size - 1) for at, size in zip(local, press.shape, strict=True))
+            design = np.stack([np.ones_like(row), row, column], axis=-1)
+            z_um = z_um + (design @ plane).astype(np.float32)
+            variance = np.einsum("...i,ij,...j->...", design, levels.covariance[number], design).astype(np.float32)
+            known = np.isfinite(z_um) & (trust > 0.0)
+            trust = np.where(known, trust, np.float32(0.0))
+            weight[window] += trust
+            height[window] += trust * np.where(known, z_um, np.float32(0.0))
+            sigma[window] += trust * np.where(known, sigma_um, np.float32(0.0))
+            level[window] += trust * np.where(known, variance, np.float32(0.0))
+            extrapolated[window] |= (beyond & known).astype(np.uint8)
+        tell(number + 1)
+    covered = 0
+    for start in range(0, canvas.shape[0], TILE_ROWS):
+        rows = slice(start, start + TILE_ROWS)
+        total = weight[rows]
+        known = total > 0.0
+        covered += int(known.sum())
+        over = np.where(known, total, np.float32(np.nan))
+        height[rows] /= over
+        # Presses of one calibration share errors: uncertainty is averaged, and not made smaller by their number.
+        sigma[rows] = np.sqrt((sigma[rows] / over) ** 2 + level[rows] / over)
+    del weight, level
+    for name in ("weight", "level"):
+        (folder / f"{name}.sum").unlink()
+    return Blend(height, sigma, extrapolated, covered / (canvas.shape[0] * canvas.shape[1]))
+
+
+def _windows(
+    canvas: Canvas, place: Motion, shape: tuple[int, int]
+) -> Iterator[tuple[tuple[slice, slice], tuple[Float32Array, Float32Array]]]:
+    """Parts of the canvas that a press covers, and where their pixels lie in it (row, column, px of the press)."""
+    corners = (place.of(_corners(shape)) - (canvas.top, canvas.left)) / canvas.step
+    low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, canvas.shape)
+    back = place.back()
+    columns = slice(int(low[1]), int(high[1]))
+    for start in range(int(low[0]), int(high[0]), TILE_ROWS):
+        rows = slice(start, min(start + TILE_ROWS, int(high[0])))
+        row, column = np.meshgrid(
+            canvas.top + canvas.step * np.arange(rows.start, rows.stop),
+            canvas.left + canvas.step * np.arange(columns.start, columns.stop),
+            indexing="ij",
+        )
+        at = back.of(np.stack([row, column], axis=-1)) + 0.5 * (np.array(shape) - 1)
+        yield (rows, columns), (at[..., 0].astype(np.float32), at[..., 1].astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """A press, reduced to the step of the canvas, as it is laid in.
+
+    z_um, sigma_um, trust, extrapolated : float32 arrays of shape (h, w)
+    """
+
+    z_um: Float32Array
+    sigma_um: Float32Array
+    trust: Float32Array
+    extrapolated: Float32Array
+    step: int
+
+    @classmethod
+    def of(cls, fields: Fields, step: int) -> _Source:
+        z_um = reduced(fields.z_um, step)
+        known = np.isfinite(z_um)
+        sigma_um = np.full(z_um.shape, UNKNOWN_SIGMA_UM if fields.sigma_um is None else np.nan, np.float32)
+        if fields.sigma_um is not None:
+            sigma_um = reduced(fields.sigma_um, step)
+        usual = float(np.nanmedian(sigma_um)) if np.isfinite(sigma_um).any() else UNKNOWN_SIGMA_UM
+        sigma_um = np.where(np.isfinite(sigma_um) & (sigma_um > 0.0), sigma_um, np.float32(max(usual, 1e-3)))
+        beyond = np.zeros(z_um.shape, np.float32)
+        if fields.extrapolated is not None:
+            beyond = reduced(fields.extrapolated.astype(np.float32), step)
+        return cls(z_um, sigma_um, _taper(known) / sigma_um**2, beyond, step)
+
+    def at(self, row: Float32Array, column: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array, MaskArray]:
+        """Height, uncertainty, weight and whether it is extrapolated at places (px of the press)."""
+        row, column = (((at + 0.5) / self.step - 0.5).astype(np.float32) for at in (row, column))
+
+        def between(values: Float32Array) -> Float32Array:
+            found = cv2.remap(values, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+            return np.asarray(found, np.float32)
+
+        z_um = between_pixels(self.z_um, row, column)
+        return z_um, between(self.sigma_um), between(self.trust), between(self.extrapolated) > 0.0
+
+
+def _taper(known: MaskArray) -> Float32Array:
+    """1 inside a press, falling to 0 towards its edge and its holes: float32 array of shape (h, w)."""
+    inside = np.zeros((known.shape[0] + 2, known.shape[1] + 2), np.uint8)
+    inside[1:-1, 1:-1] = known
+    away = cv2.distanceTransform(inside, cv2.DIST_L2, 3)[1:-1, 1:-1]
+    share = np.clip(away / (TAPER * min(known.shape)), 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share), np.float32)

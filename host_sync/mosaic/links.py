@@ -1,0 +1,233 @@
+"""Links: what the slopes of two presses say of each other's place, fitted over their overlap and judged.
+
+The fit and its uncertainty are those of the registration of two presses. Both presses are cut to where they overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.mosaic.motion import Motion, turning
+from host_sync.mosaic.overlaps import Candidate
+from host_sync.mosaic.presses import Small
+from host_sync.registration.fit import Fit, Pair, coherence, fit
+from host_sync.registration.poses import Pose, moved
+from host_sync.registration.register import MIN_AGREEMENT, MIN_COHERENCE
+
+ROUGH_PX: Final = 96
+ROUGH_SIDE_PX: Final = 40
+"""Size of the pieces for a first fit: about so many px along their longer side, and no fewer along the shorter."""
+
+MARGIN: Final = 0.06
+"""Cut beyond the overlap, as a fraction of the field: a candidate is that far off."""
+
+MIN_SIDE_PX: Final = 20
+MIN_SHARE: Final = 0.04
+"""Least overlap, as a fraction of the field."""
+
+PATIENCE: Final = 5
+"""Candidates of a press that fail one after the other before it counts as fully linked."""
+
+MAX_SIGMA_PX: Final = 0.5
+"""Largest standard uncertainty of a link's place, px of the reduced presses."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """Where a place of one press lies in another.
+
+    first, second : numbers of the presses
+    here, there : float64 arrays of shape (2,), the middle of the overlap in the first, and where it lies in the second;
+        px from the middle of each
+    turn : of the object in the second, rad
+    covariance : float64 array of shape (3, 3) of `there` (px) and `turn` (rad)
+    agreement : correlation of the slopes over the overlap
+    overlap_share : overlap as a fraction of the first press
+    stretch : by how much the second is larger than the first, relative; NaN if the overlap does not tell
+    refused : why it is no link, one clause; empty when it may be one
+    """
+
+    first: int
+    second: int
+    here: Float64Array
+    there: Float64Array
+    turn: float
+    covariance: Float64Array
+    agreement: float
+    overlap_share: float
+    stretch: float = float("nan")
+    refused: str = ""
+
+    @property
+    def motion(self) -> Motion:
+        """From the first to the second."""
+        away = self.there - turning(self.turn) @ self.here
+        return Motion(float(away[0]), float(away[1]), self.turn)
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard uncertainty of its place along the direction that is known least, px."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
+
+    @property
+    def strength(self) -> float:
+        """What it weighs where links contradict each other."""
+        return self.agreement * float(np.sqrt(self.overlap_share))
+
+
+def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int], None] = lambda _: None) -> list[Link]:
+    """The links that candidates lead to, refused ones too.
+
+    wanted : best first; a press whose last candidates all failed is not looked at again for another such press
+    """
+    failures = np.zeros(len(presses), int)
+    found = []
+    for number, candidate in enumerate(wanted):
+        tell(number + 1)
+        pair = [candidate.first, candidate.second]
+        if failures[pair].min() >= PATIENCE:
+            continue
+        link = linked(presses, candidate)
+        if link is not None:
+            found.append(link)
+        accepted = link is not None and not link.refused
+        failures[pair] = 0 if accepted else failures[pair] + 1
+    return found
+
+
+def linked(presses: list[Small], candidate: Candidate) -> Link | None:
+    """The link that a candidate leads to, refused or not; None where the presses hardly overlap there."""
+    one, other = presses[candidate.first], presses[candidate.second]
+    start = candidate.motion
+    cut = _cut(one, other, start)
+    if cut is None:
+        return None
+    first, second, corner, far = cut
+    middle = (corner[0] + 0.5 * (first.shape[0] - 1), corner[1] + 0.5 * (first.shape[1] - 1))
+    here = np.array(one.centred(middle))
+    # The pose of the cut pieces counts from the middle of the first piece, in px of the reduced press.
+    base = np.array(other.centred((far[0] + 0.5 * (first.shape[0] - 1), far[1] + 0.5 * (first.shape[1] - 1))))
+    at = (start.of(here) - base) / one.step
+    pose = Pose(float(at[0]), float(at[1]), start.turn)
+    found = _fitted(first, second, pose)
+    if found is None:
+        return None
+    pair = Pair.of(first, second, max(first.shape))
+    scale = np.array([one.step, one.step, 1.0])
+    return Link(
+        candidate.first,
+        candidate.second,
+        here,
+        base + one.step * np.array([found.pose.down, found.pose.right]),
+        found.pose.turn,
+        found.covariance * np.outer(scale, scale),
+        found.agreement,
+        float(found.common.sum()) / one.z_um.size,
+        _stretch(pair, found),
+        _refusal(found, pair, one),
+    )
+
+
+def _refusal(found: Fit, pair: Pair, one: Small) -> str:
+    """Why a fit is no link; empty when it is one."""
+    if float(found.common.sum()) < MIN_SHARE * one.z_um.size:
+        return "they hardly overlap there"
+    if found.agreement < MIN_AGREEMENT:
+        return f"their slopes agree by only {100.0 * max(found.agreement, 0.0):.0f} %"
+    if not np.isfinite(found.covariance).all() or not found.sigma_px <= MAX_SIGMA_PX:
+        return "the overlap does not tell the shift"
+    if coherence(pair, found.pose) < MIN_COHERENCE:
+        return "the shift along one direction is not seen"
+    return ""
+
+
+def _fitted(first: Float32Array, second: Float32Array, pose: Pose) -> Fit | None:
+    """The fit from a pose, coarsely and then finely."""
+    step = min(-(-max(first.shape) // ROUGH_PX), min(*first.shape, *second.shape) // ROUGH_SIDE_PX)
+    if step > 1:
+        near = fit(Pair.of(first, second, -(-max(first.shape) // step)), pose)
+        if near is None or near.agreement < 0.5 * MIN_AGREEMENT:
+            return near
+        pose = near.pose
+    return fit(Pair.of(first, second, max(first.shape)), pose)
+
+
+def _cut(
+    one: Small, other: Small, motion: Motion
+) -> tuple[Float32Array, Float32Array, tuple[int, int], tuple[int, int]] | None:
+    """Both reduced presses cut to their overlap, and the first row and column of either piece."""
+    to_there = _in_cells(one, other, motion)
+    to_here = _in_cells(other, one, motion.back())
+    margin = round(MARGIN * max(one.z_um.shape))
+    here = _box(to_here, other.z_um.shape, one.z_um.shape, margin, (0, 0, *other.z_um.shape))
+    if here is None:
+        return None
+    there = _box(to_there, one.z_um.shape, other.z_um.shape, 2 * margin, here)
+    if there is None:
+        return None
+    return _piece(one, here), _piece(other, there), here[:2], there[:2]
+
+
+def _piece(press: Small, box: tuple[int, int, int, int]) -> Float32Array:
+    """A piece of a press with an invalid border, which keeps smoothing from making slopes there."""
+    piece = press.z_um[box[0] : box[2], box[1] : box[3]].copy()
+    piece[[0, -1]] = np.nan
+    piece[:, [0, -1]] = np.nan
+    return piece
+
+
+def _in_cells(one: Small, other: Small, motion: Motion) -> Motion:
+    """The motion between cells of reduced presses, from their middles."""
+    middle = np.array(one.centred((0.5 * (one.z_um.shape[0] - 1), 0.5 * (one.z_um.shape[1] - 1))))
+    end = np.array(other.centred((0.5 * (other.z_um.shape[0] - 1), 0.5 * (other.z_um.shape[1] - 1))))
+    away = (motion.of(middle) - end) / one.step
+    return Motion(float(away[0]), float(away[1]), motion.turn)
+
+
+def _box(
+    motion: Motion,
+    start: tuple[int, ...],
+    shape: tuple[int, ...],
+    margin: int,
+    box: tuple[int, int, int, int],
+) -> tuple[int, int, int, int] | None:
+    """The rows and columns (first, first, end, end) of a map of `shape` that a box of a map of `start` covers."""
+    rows, columns = (box[0], box[2] - 1), (box[1], box[3] - 1)
+    corners = np.array([(row, column) for row in rows for column in columns], np.float64)
+    places = motion.of(corners - 0.5 * (np.array(start[:2]) - 1)) + 0.5 * (np.array(shape[:2]) - 1)
+    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - margin, 0)
+    high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + margin + 1, shape[:2])
+    if (high - low).min() < MIN_SIDE_PX:
+        return None
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _stretch(pair: Pair, found: Fit) -> float:
+    """By how much the second piece is larger than the first, relative: least squares of the slopes beside the pose."""
+    seen = moved(pair.second, found.pose, pair.first.shape, pair.step)
+    row, column = np.meshgrid(*(np.arange(size) - 0.5 * (size - 1) for size in seen.shape), indexing="ij")
+    q, p = (0.5 * (one + other) for one, other in zip(np.gradient(seen), np.gradient(pair.first), strict=True))
+    rests = np.gradient(pair.first - seen)
+    normal, right = np.zeros((8, 8)), np.zeros(8)
+    for number, (slope, turned, rest) in enumerate(((q, p, rests[0]), (p, -q, rests[1]))):
+        down, across = np.gradient(slope)
+        tilts = [np.full(slope.shape, float(number == axis)) for axis in (0, 1)]
+        turn = down * column - across * row + turned
+        stretch = row * down + column * across + slope
+        # Interpolation takes of the finest slopes, and a press of another depth has a gain of its own.
+        blunter = np.gradient(down)[0] + np.gradient(across)[1]
+        design = np.stack([*tilts, down, across, turn, slope, blunter, stretch], axis=-1)
+        known = np.isfinite(design).all(axis=-1) & np.isfinite(rest)
+        part = design[known]
+        normal += part.T @ part
+        right += part.T @ rest[known]
+    scale = np.sqrt(np.diag(normal))
+    if not (scale > 0.0).all():
+        return float("nan")
+    solved = np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=None)[0]
+    return float(solved[-1] / scale[-1])

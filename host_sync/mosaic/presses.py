@@ -1,0 +1,133 @@
+"""The presses of a mosaic: read from their results when they are needed, and kept reduced for what compares them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from device.surface.fields import Float32Array, MaskArray
+from host_sync.errors import MosaicError
+from host_sync.registration.poses import reduced
+from host_sync.results.reader import read_result
+from host_sync.results.record import ResultRecord, read_record
+
+REDUCED_PX: Final = 480
+"""Rows or columns of the reduced height map, at most."""
+
+SAME_PITCH: Final = 1e-3
+"""Relative difference of pixel pitches of one mosaic."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fields:
+    """What a press holds, arrays of shape (H, W).
+
+    z_um : float32, height, NaN where invalid
+    sigma_um : float32, standard uncertainty of the height, NaN where invalid; None if unknown
+    extrapolated : bool, slopes beyond the calibration's; None if unknown
+    """
+
+    z_um: Float32Array
+    sigma_um: Float32Array | None = None
+    extrapolated: MaskArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """One press: its record and, on demand, its fields."""
+
+    name: str
+    record: ResultRecord
+    read: Callable[[], Fields]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of its fields."""
+        return self.record.rows, self.record.columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Small:
+    """A press reduced by `step`.
+
+    z_um, sigma_um : float32 arrays of shape (h, w); σ is 0 where it is not known
+    full : (H, W) of the press
+    """
+
+    z_um: Float32Array
+    sigma_um: Float32Array
+    step: int
+    full: tuple[int, int]
+
+    def centred(self, place: tuple[float, float]) -> tuple[float, float]:
+        """A place of the reduced map (row, column) as px of the press from its middle."""
+        row, column = (
+            (at + 0.5) * self.step - 0.5 - 0.5 * (size - 1) for at, size in zip(place, self.full, strict=True)
+        )
+        return row, column
+
+
+def press_of(folder: Path, library: Path | None = None) -> Press:
+    """The press whose result is in a folder; its fields are read later.
+
+    library : in which the result is one of a scan, whose name the press then has
+
+    Raises
+    ------
+    UnreadableResult
+        There is no readable record.
+    """
+    record = read_record(folder)
+
+    def read() -> Fields:
+        found = read_result(folder, samples=False)
+        return Fields(found.height.z_um, found.sigma_um, found.extrapolated)
+
+    name = record.scan_id if library is not None and record.scan_id else folder.absolute().name
+    return Press(name, record, read)
+
+
+def check_together(presses: list[Press]) -> None:
+    """Refuse presses that no mosaic can be made of.
+
+    Raises
+    ------
+    MosaicError
+        There are fewer than two, two have one name, or their pixel pitches differ.
+    """
+    if len(presses) < 2:
+        raise MosaicError("a mosaic needs two presses or more: name their results")
+    names = [press.name for press in presses]
+    for name in names:
+        if names.count(name) > 1:
+            raise MosaicError(f"two presses are named {name}: name each result once, or rename a folder")
+    pitch_um = presses[0].record.pixel_pitch_um
+    for press in presses:
+        if abs(press.record.pixel_pitch_um / pitch_um - 1.0) > SAME_PITCH:
+            raise MosaicError(
+                f"{press.name}: has a pixel pitch of {press.record.pixel_pitch_um:g} µm and {names[0]} one of "
+                f"{pitch_um:g} µm: presses of one mosaic need one pitch"
+            )
+
+
+def small_of(press: Press) -> Small:
+    """The press reduced to `REDUCED_PX`.
+
+    Raises
+    ------
+    MosaicError
+        It has no valid pixel, or is too small.
+    """
+    fields = press.read()
+    step = max(1, -(-max(press.shape) // REDUCED_PX))
+    z_um = reduced(fields.z_um, step)
+    if min(z_um.shape) < 16 or not np.isfinite(z_um).any():
+        raise MosaicError(f"{press.name}: holds too few heights for a mosaic: leave it out")
+    sigma_um = np.zeros(z_um.shape, np.float32)
+    if fields.sigma_um is not None:
+        sigma_um = np.nan_to_num(reduced(fields.sigma_um, step))
+    return Small(z_um, sigma_um, step, press.shape)

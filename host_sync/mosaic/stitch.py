@@ -1,0 +1,88 @@
+"""A mosaic of presses: overlaps found and verified, places and levels adjusted, heights blended and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from device.io.atomic import atomic_directory
+from host_sync.errors import MosaicError
+from host_sync.mosaic.adjustment import adjusted
+from host_sync.mosaic.blending import blend, canvas_of
+from host_sync.mosaic.levelling import Meeting, levelled, meeting
+from host_sync.mosaic.links import verified
+from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Layout, candidates
+from host_sync.mosaic.plan import Plan
+from host_sync.mosaic.presses import Press, check_together, small_of
+from host_sync.mosaic.record import MosaicRecord
+from host_sync.mosaic.writing import mosaic_record, write_mosaic
+from host_sync.results.files import RECORD_FILE
+
+Tell = Callable[[str], None]
+
+
+def stitch(
+    presses: list[Press],
+    out: Path,
+    *,
+    layout: Layout | None = None,
+    tell: Tell = lambda _: None,
+) -> MosaicRecord:
+    """The mosaic of the presses, written to the directory `out` as a result; returns its record.
+
+    Raises
+    ------
+    MosaicError
+        The presses do not go together, or no two of them overlap.
+    OutputError
+        The place cannot be written; what stood there stands.
+    """
+    plan = planned(presses, layout=layout, tell=tell)
+    numbers = sorted(plan.places)
+    members = [presses[number] for number in numbers]
+    places = [plan.places[number] for number in numbers]
+    canvas = canvas_of(places, [press.shape for press in members])
+    with atomic_directory(out, RECORD_FILE) as folder:
+        blended = blend(
+            members, places, plan.levels, canvas, folder, lambda done: tell(f"blending: {done} of {len(members)}")
+        )
+        tell("writing")
+        record = mosaic_record(out.name, presses, plan, canvas, blended.covered)
+        write_mosaic(folder, out.name, members, record, canvas, blended)
+    return record
+
+
+def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = lambda _: None) -> Plan:
+    """Where the presses lie and how they are levelled; errors as for `stitch`."""
+    check_together(presses)
+    small = []
+    for number, press in enumerate(presses):
+        tell(f"reading: {number + 1} of {len(presses)}")
+        small.append(small_of(press))
+    tell("looking for overlaps")
+    wanted = candidates(small, layout)
+    links = verified(small, wanted, lambda done: tell(f"registering: {done} of {len(wanted)}"))
+    good = [link for link in links if not link.refused]
+    if not good:
+        raise MosaicError("no two presses overlap with one relief: press with a third of the field in common")
+    tell("adjusting")
+    reach_px = 0.5 * float(np.hypot(*presses[0].shape))
+    found = adjusted(good, len(presses), reach_px)
+    known = {number: place for number, place in enumerate(found.places) if place is not None}
+    mean = Motion(0.0, 0.0, -float(np.mean([place.turn for place in known.values()])))
+    known = {number: place.then(mean) for number, place in known.items()}
+    order = {number: at for at, number in enumerate(sorted(known))}
+    meetings = {}
+    for number, (link, used) in enumerate(zip(good, found.used, strict=True)):
+        if used:
+            between = known[link.first].then(known[link.second].back())
+            meetings[number] = _renumbered(meeting(small, link.first, link.second, between), order)
+    levels = levelled(list(meetings.values()), len(known), reach_px)
+    return Plan([link for link in links if link.refused], good, found, known, meetings, levels)
+
+
+def _renumbered(one: Meeting, order: dict[int, int]) -> Meeting:
+    return Meeting(order[one.first], order[one.second], one.here, one.there, one.apart_um, one.sigma_um)

@@ -1,0 +1,209 @@
+"""The files of a mosaic: an ordinary result, and beside it the record of its links."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.mosaic.blending import Blend, Canvas
+from host_sync.mosaic.links import Link
+from host_sync.mosaic.plan import Plan
+from host_sync.mosaic.presses import Press
+from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic
+from host_sync.registration.poses import reduced
+from host_sync.render.relief_sheet import write_relief
+from host_sync.results.field_file import write_field, write_mask
+from host_sync.results.files import EXTRAPOLATED_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE
+from host_sync.results.record import HeightScale, ResultRecord, encode_record
+
+METHOD: Final = "mosaic"
+PICTURE_PX: Final = 1600
+SAMPLES: Final = 1_000_000
+SEAM_SIGMAS: Final = 2.0
+NAMED: Final = 3
+"""Presses or seams that one warning names."""
+
+
+def write_mosaic(
+    folder: Path, name: str, members: list[Press], record: MosaicRecord, canvas: Canvas, blended: Blend
+) -> None:
+    """Write the mosaic's fields, picture and records to a folder."""
+    pitch_um = record.pixel_pitch_um
+    write_field(folder / HEIGHT_FILE, blended.z_um, pitch_um, "height, um")
+    write_field(folder / HEIGHT_SIGMA_FILE, blended.sigma_um, pitch_um, "standard uncertainty of height, um")
+    if blended.extrapolated.any():
+        write_mask(folder / EXTRAPOLATED_FILE, blended.extrapolated > 0)
+    step = max(1, -(-max(canvas.shape) // PICTURE_PX))
+    write_relief(folder / RELIEF_FILE, HeightMap(reduced(blended.z_um, step), pitch_um * step), name)
+    (folder / MOSAIC_FILE).write_bytes(encode_mosaic(record))
+    (folder / RECORD_FILE).write_bytes(encode_record(_result_record(name, members, record, blended)))
+    for path in folder.glob("*.sum"):
+        path.unlink()
+
+
+def mosaic_record(name: str, presses: list[Press], plan: Plan, canvas: Canvas, covered: float) -> MosaicRecord:
+    """What is known of the mosaic's places and links."""
+    pitch_um = presses[0].record.pixel_pitch_um
+    stretches = [link.stretch for link, used in zip(plan.links, plan.adjusted.used, strict=True) if used]
+    stretches = [value for value in stretches if np.isfinite(value)]
+    ends = max(
+        itertools.combinations(sorted(plan.places), 2),
+        key=lambda pair: plan.places[pair[0]].distance_px(plan.places[pair[1]], 0.0),
+    )
+    return MosaicRecord(
+        name=name,
+        pixel_pitch_um=pitch_um * canvas.step,
+        press_pixels=canvas.step,
+        root=presses[plan.adjusted.root].name,
+        presses=tuple(_place_records(presses, plan, canvas)),
+        left_out=tuple(press.name for number, press in enumerate(presses) if number not in plan.places),
+        links=tuple(_link_records(presses, plan)),
+        stretch_median=float(np.median(stretches)) if stretches else None,
+        stretch_spread=float(np.median(np.abs(stretches))) if stretches else None,
+        span_um=plan.places[ends[0]].distance_px(plan.places[ends[1]], 0.0) * pitch_um,
+        span_sigma_um=plan.adjusted.distance_sigma_px(*ends) * pitch_um,
+        covered_share=covered,
+    )
+
+
+def _place_records(presses: list[Press], plan: Plan, canvas: Canvas) -> Iterator[PlaceRecord]:
+    pitch_um = presses[0].record.pixel_pitch_um
+    for number, plane in zip(sorted(plan.places), plan.levels.planes, strict=True):
+        place = plan.places[number]
+        variance = plan.adjusted.covariance[3 * number : 3 * number + 2, 3 * number : 3 * number + 2]
+        yield PlaceRecord(
+            name=presses[number].name,
+            row_px=(place.down - canvas.top) / canvas.step,
+            column_px=(place.right - canvas.left) / canvas.step,
+            turn_deg=float(np.degrees(place.turn)),
+            sigma_um=float(np.sqrt(max(np.linalg.eigvalsh(variance)[-1], 0.0))) * pitch_um,
+            added_um=float(plane[0]),
+            added_slope=(float(plane[1]) / pitch_um, float(plane[2]) / pitch_um),
+        )
+
+
+def _link_records(presses: list[Press], plan: Plan) -> Iterator[LinkRecord]:
+    pitch_um, found = presses[0].record.pixel_pitch_um, plan.adjusted
+    for number, link in enumerate(plan.links):
+        residual_px, sigmas = found.residual_px[number], found.residual_sigmas[number]
+        known, used = np.isfinite(residual_px), found.used[number]
+        why = ""
+        if not used:
+            why = f"off by {residual_px * pitch_um:.3g} µm ({sigmas:.1f} σ) from what the other links say"
+            if not known:
+                why = "joins presses that are left out"
+        yield msgspec.structs.replace(
+            _link_record(presses, link, pitch_um),
+            loops=found.loops[number],
+            used=used,
+            rejected=why,
+            residual_um=residual_px * pitch_um if known else None,
+            residual_sigmas=sigmas if known else None,
+            **_seam(plan, number),
+        )
+    for link in plan.refused:
+        yield _link_record(presses, link, pitch_um)
+
+
+def _link_record(presses: list[Press], link: Link, pitch_um: float) -> LinkRecord:
+    motion = link.motion
+    sigma_um = link.sigma_px * pitch_um if np.isfinite(link.covariance).all() else None
+    return LinkRecord(
+        first=presses[link.first].name,
+        second=presses[link.second].name,
+        down_um=motion.down * pitch_um,
+        right_um=motion.right * pitch_um,
+        turn_deg=float(np.degrees(link.turn)),
+        sigma_um=sigma_um,
+        agreement=link.agreement,
+        overlap_share=link.overlap_share,
+        stretch=link.stretch if np.isfinite(link.stretch) else None,
+        rejected=link.refused,
+    )
+
+
+def _seam(plan: Plan, number: int) -> dict[str, float]:
+    """What lies between both presses of a link after levelling; empty where it is not in use."""
+    one = plan.meetings.get(number)
+    if one is None or not one.apart_um.size:
+        return {}
+    apart_um = plan.levels.apart_um(one)
+    sigmas = np.abs(apart_um) / one.sigma_um
+    return {
+        "seam_um": float(np.sqrt(np.mean(apart_um**2))),
+        "seam_sigmas": float(np.sqrt(np.mean(sigmas**2))),
+        "seam_beyond_2_sigmas": float(np.mean(sigmas > SEAM_SIGMAS)),
+    }
+
+
+def _result_record(name: str, members: list[Press], mosaic: MosaicRecord, blended: Blend) -> ResultRecord:
+    """The record of the mosaic as a result."""
+    records = [press.record for press in members]
+    rows, columns = blended.z_um.shape
+    step = max(1, int(np.sqrt(rows * columns / SAMPLES)))
+    sigma_um = blended.sigma_um[::step, ::step]
+    known = sigma_um[np.isfinite(sigma_um)]
+    calibrations = sorted({record.calibration_id for record in records} - {""})
+    passed = [record.calibration_passed for record in records]
+    scales = {record.height_scale for record in records}
+    return ResultRecord(
+        name=name,
+        program=f"retrograph {version('retrograph')}",
+        written_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        method=METHOD,
+        calibration_id=" ".join(calibrations),
+        surface_detail=records[0].surface_detail,
+        rows=rows,
+        columns=columns,
+        pixel_pitch_um=mosaic.pixel_pitch_um,
+        height_min_um=_extreme(blended.z_um, np.fmin),
+        height_max_um=_extreme(blended.z_um, np.fmax),
+        height_sigma_median_um=float(np.median(known)) if known.size else None,
+        height_zero="none: heights are relative, as each press has a level of its own",
+        masked_share=1.0 - mosaic.covered_share,
+        extrapolated_share=float(blended.extrapolated.mean()),
+        warnings=tuple(_warnings(members, mosaic)),
+        calibration_passed=False if False in passed else None if None in passed else True,
+        height_scale=scales.pop() if len(scales) == 1 else HeightScale(),
+    )
+
+
+def _extreme(z_um: Float32Array, which: np.ufunc) -> float | None:
+    value = float(which.reduce(which.reduce(z_um, axis=0)))
+    return value if np.isfinite(value) else None
+
+
+def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
+    """Why to distrust the mosaic, and what its presses warn of."""
+    if mosaic.left_out:
+        yield f"left out, as no overlap was found: {_named(mosaic.left_out)}"
+    linked = {name for link in mosaic.used for name in (link.first, link.second) if link.loops > 0}
+    alone = [place.name for place in mosaic.presses if place.name not in linked]
+    if alone:
+        yield f"the place of {_named(alone)} rests on overlaps that no other overlap confirms"
+    steps = [link for link in mosaic.used if (link.seam_sigmas or 0.0) > SEAM_SIGMAS]
+    steps.sort(key=lambda one: -(one.seam_sigmas or 0.0))
+    if steps:
+        seams = [f"{one.first} and {one.second} ({one.seam_um:.3g} µm, {one.seam_sigmas:.1f} σ)" for one in steps]
+        yield f"heights differ by more than {SEAM_SIGMAS:g} σ where presses overlap: {_named(seams)}"
+    counts: dict[str, list[str]] = {}
+    for press in members:
+        for words in press.record.warnings:
+            if not words.startswith("no zero"):
+                counts.setdefault(words, []).append(press.name)
+    for words, names in counts.items():
+        yield f"{words} ({_named(names)})"
+
+
+def _named(names: Sequence[str]) -> str:
+    """Some of the names, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
