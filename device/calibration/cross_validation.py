@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from device.calibration.product_features import ProductFeatures
 from device.surface.fields import Float64Array, MaskArray
@@ -99,6 +98,8 @@ class GroupedRidgeCV:
         A Cholesky factor takes a fraction of a decomposition into eigenvectors, which is only taken where rounding
         leaves a Gram matrix that is not positive.
         """
+        from scipy.linalg import cho_factor, cho_solve  # here, because reading a map solves nothing
+
         drawn_to = 0.0 if self.prior is None else self.prior
         penalised = gram.copy()
         penalised.flat[:: len(gram) + 1] += self._scale * penalty

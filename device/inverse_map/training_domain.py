@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from device.inverse_map.feature_scaling import log_intensity
 from device.surface.fields import Float32Array
@@ -45,6 +44,8 @@ class TrainingDomain:
     @classmethod
     def observed(cls, intensity: Float32Array) -> TrainingDomain:
         """The domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
+        from scipy.ndimage import distance_transform_edt  # here, because only calibrating needs it
+
         logs = log_intensity(np.concatenate([intensity, np.ones((1, 3), np.float32)]))
         spread = max(float(logs.std(axis=0).mean()), 1e-3)
         low = logs.min(axis=0) - np.float32(MARGIN * spread)

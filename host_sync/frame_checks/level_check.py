@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.frame_checks.light_levels import LevelSight, SlopeResponse, pressed_levels, untouched_levels
@@ -87,6 +86,8 @@ class LevelModel:
 
     def _outside(self, sight: LevelSight) -> float:
         """Distance of levels from the allowed ones, standard deviations."""
+        from scipy.optimize import lsq_linear  # here, because it takes 0.15 s to load
+
         allowed = self._excess_of_common(sight)
         root = np.linalg.cholesky(np.linalg.inv(sight.covariance)).T
         fit = lsq_linear(root, root @ sight.levels, (self.low, self.high))

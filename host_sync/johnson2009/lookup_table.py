@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.johnson2009.mean_shift import cluster_bins
@@ -175,6 +174,8 @@ def nearest_filled(filled: NDArray[np.intp], step: Float32Array, bins: int) -> N
     filled : int array of shape (N,), numbers of the filled bins
     step : float32 array of shape (3,), intensity range of a bin
     """
+    from scipy.ndimage import distance_transform_edt  # here, because only calibrating needs it
+
     index = np.full(bins**3, -1, np.int32)
     index[filled] = np.arange(len(filled), dtype=np.int32)
     cube = index.reshape(bins, bins, bins)

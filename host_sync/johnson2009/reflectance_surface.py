@@ -8,16 +8,17 @@ spline gives value and Jacobian at every slope.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import gaussian_filter
 
 from device.surface.fields import Float64Array
 from host_sync.johnson2009.reflectance_map import ReflectanceMaps
 from host_sync.johnson2009.spherical_harmonics import HarmonicFit
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 EXTENSION: Final = 0.08
 """How far the surface extends beyond the steepest observed slope, as a fraction of it."""
@@ -47,6 +48,8 @@ class ReflectanceSurface:
 
 def reflectance_surface(maps: ReflectanceMaps, harmonics: HarmonicFit) -> ReflectanceSurface:
     """Surface through the observed maps, extended a little by the harmonics."""
+    from scipy.interpolate import RectBivariateSpline  # here, because reading the fitted model needs no spline
+
     margin = int(np.ceil(EXTENSION * len(maps.count) / 2)) + 2
     size = len(maps.count) + 2 * margin
     slopes = (np.arange(size) + 0.5) * maps.cell - maps.reach - margin * maps.cell
@@ -65,6 +68,8 @@ def _smoothed_remainder(maps: ReflectanceMaps, model: Float64Array, margin: int)
     The remainder has a variance of its own, and an observed cell adds the scatter over its count. Their ratio is the
     count at which the remainder is shrunk to half.
     """
+    from scipy.ndimage import gaussian_filter  # here, because only calibrating needs it
+
     seen = maps.observed
     count = np.pad(np.where(seen, maps.count, 0).astype(np.float64), margin)
     remainder = np.pad(np.where(seen[..., None], maps.mean - model, 0.0), ((margin, margin), (margin, margin), (0, 0)))
