@@ -74,24 +74,26 @@ class LevelModel:
                 f"a change of the lights below {np.expm1(reach):.0%} cannot be told from how the calibration's presses "
                 f"differ{'' if largest.untouched else ' and what is pressed'}",
             )
-        outside = self._outside(largest)
         cleared = any(
-            self._outside(other) <= SIGMAS and other.untouched > SECOND_LARGEST * largest.untouched
-            for other in sights[1:]
+            self._is_allowed(other) and other.untouched > SECOND_LARGEST * largest.untouched for other in sights[1:]
         )
-        if outside <= SIGMAS or cleared or (largest.untouched and self._is_tilt(cells, largest)):
+        if self._is_allowed(largest) or cleared or (largest.untouched and self._is_tilt(cells, largest)):
             worst = float(np.abs(largest.levels).max())
             return FrameCheck(NAME, "passed", float(np.expm1(worst)), float(np.expm1(reach)), "relative")
         return self._refusal(largest)
 
-    def _outside(self, sight: LevelSight) -> float:
-        """Distance of levels from the allowed ones, standard deviations."""
+    def _is_allowed(self, sight: LevelSight) -> bool:
+        """Whether levels lie within `SIGMAS` standard deviations of the allowed ones."""
+        if self._excess_of_common(sight) > SIGMAS:
+            return False
+        root = np.linalg.cholesky(np.linalg.inv(sight.covariance)).T
+        near = np.clip(sight.levels, self.low, self.high)
+        if np.linalg.norm(root @ (sight.levels - near)) <= SIGMAS:
+            return True  # the nearest allowed levels are no farther
         from scipy.optimize import lsq_linear  # here, because it takes 0.15 s to load
 
-        allowed = self._excess_of_common(sight)
-        root = np.linalg.cholesky(np.linalg.inv(sight.covariance)).T
         fit = lsq_linear(root, root @ sight.levels, (self.low, self.high))
-        return float(max(np.sqrt(2.0 * fit.cost), allowed))
+        return bool(np.sqrt(2.0 * fit.cost) <= SIGMAS)
 
     def _excess_of_common(self, sight: LevelSight) -> float:
         """Distance of the mean of the three levels from the allowed ones, standard deviations."""
@@ -105,9 +107,9 @@ class LevelModel:
             return False
         answer = self.response.terms[0]
         tilted = LevelSight(sight.levels, sight.covariance + self.response.tilt**2 * answer.T @ answer, sight.untouched)
-        if self._outside(tilted) > SIGMAS:
+        if not self._is_allowed(tilted):
             return False
-        return self._outside(pressed_levels(cells, self.response)) <= SIGMAS
+        return self._is_allowed(pressed_levels(cells, self.response))
 
     def _reach(self, sight: LevelSight) -> float:
         """Largest log change of all lights together that could pass."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import get_args
 
 from host_sync.calibration.calibrate import METHODS
@@ -17,3 +19,12 @@ def test_commands_know_every_method() -> None:
 def test_every_command_is_found_by_its_name() -> None:
     assert [name for name in app if not name.startswith("-")] == [command.name for command in COMMANDS]
     assert {command.name for command in COMMANDS if not command.summary} == {"gage", "figures"}
+
+
+def test_reconstructing_with_a_kept_calibration_loads_only_what_it_needs() -> None:
+    """Of scipy the transforms; the rest is for calibrating and takes as long to load as a reconstruction."""
+    program = "import sys; from host_sync.reconstruction import from_frame_set, from_library; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert "scipy.fft" in loaded
+    rest = {"scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "matplotlib"}
+    assert not rest & set(loaded)
