@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal, cast, get_args
 
@@ -42,8 +43,8 @@ def export_command(
     Parameters
     ----------
     sources
-        Folders that reconstruct wrote, or GelSight TMD files; or scans by id, its beginning or end, or by the name of
-        the part, for the newest result of each.
+        Folders that reconstruct wrote, or GelSight TMD files; or scans by id, its beginning or end, by the name that
+        `retrosync label` gave, or by that of the part, for the newest result of each.
     to
         gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
         are its raw frame, the counts as the sensor gave them.
@@ -62,7 +63,7 @@ def export_command(
         Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file:
         gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv hold it beside the heights in any case.
     overwrite
-        Replace files of the same name.
+        Replace files of the same name, though never those of another source of the same command.
     """
     if not sources:
         raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
@@ -77,6 +78,7 @@ def export_command(
             failed += 1
             print_error(f"{source}: {error}", PARTLY)
             continue
+        choices = replace(choices, reserved=choices.reserved | set(written))
         for path in written:
             print_line(str(path))
     if failed == len(sources):

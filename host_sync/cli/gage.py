@@ -87,7 +87,7 @@ def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
     """Part, operator and newest results of each scan."""
     from host_sync.gage.gage_table import GageRow
 
-    scans = [library.find(name) for name in names] if names else list(library.scans().bundles)
+    scans = [library.named(name) for name in names] if names else list(library.scans().bundles)
     rows = []
     for scan in scans:
         notes = scan.record.annotations

@@ -152,7 +152,7 @@ def label_command(
     Parameters
     ----------
     scans
-        Scans by id, its beginning or end, or by the name of the part.
+        Scans by id, its beginning or end, by their name, or by the name of the part.
     library
         Folder of the library; ~/Retrograph by default.
     name

@@ -49,7 +49,8 @@ def measure_command(
     ----------
     results
         Folders that reconstruct wrote, folders of such folders, or surface files of other instruments (TMD; with the
-        extra `formats` X3P, SUR, AL3D, SDF, GWY, OPD, PLUX and more). With --library, scans of it; all by default.
+        extra `formats` X3P, SUR, AL3D, SDF, GWY, OPD, PLUX and more). With --library, scans of it by id, label's name
+        or part; all by default.
     recipe
         TOML file of the measurement recipe; the options below change it. A number that fails its tolerance ends the
         command with exit code 1.
@@ -80,7 +81,7 @@ def measure_command(
         Also write all quantities to this file; - writes only them, to the output.
     trend
         Also print each number's trend over the results (mean, range, control limits, Cpk) with its ±, and draw it to
-        this .png, .pdf or .svg: numbers with a tolerance, or the first twelve.
+        this .png, .pdf or .svg: numbers with a tolerance, or the first twelve. JSON gets them as its last element.
     """
     given = {
         "form": form,
@@ -93,6 +94,8 @@ def measure_command(
         "coverage_factor": coverage_factor,
     }
     chosen = chosen_recipe(recipe, {name: value for name, value in given.items() if value is not None})
+    if trend is not None:
+        _check_trend(trend)
     for place in (json_file, csv, trend):
         if place is not None and place != Path("-"):
             check_output(place)  # before minutes of work
@@ -113,7 +116,7 @@ def measure_command(
                 print_line(line)
     for path in (Path("-") if json else None, json_file):
         if path is not None:
-            _write_json(done, path)
+            _write_json(done, path, with_trend=trend is not None)
     if csv is not None:
         _write_csv(done, csv)
     if trend is not None:
@@ -153,7 +156,7 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
         return [found for name in names for found in _results_in(name)]
     held = Library(library)
     listing = held.scans()
-    scans = [held.find(str(name)) for name in names] if names else list(listing.bundles)
+    scans = [held.named(str(name)) for name in names] if names else list(listing.bundles)
     found: list[Path | str] = []
     for scan in scans:
         try:
@@ -191,16 +194,25 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = T
                 yield words if words.startswith(str(folder)) else f"{folder}: {words}"
 
 
-def _write_json(done: Sequence[Measurement], path: Path) -> None:
+def _write_json(done: Sequence[Measurement], path: Path, *, with_trend: bool) -> None:
     from host_sync.measurement.measurement_text import as_record
+    from host_sync.measurement.trend import trend_record
 
-    write_text(path, msgspec.json.format(msgspec.json.encode([as_record(one) for one in done]), indent=2).decode())
+    records = [as_record(one) for one in done] + ([trend_record(done)] if with_trend else [])
+    write_text(path, msgspec.json.format(msgspec.json.encode(records), indent=2).decode())
 
 
 def _write_csv(done: Sequence[Measurement], path: Path) -> None:
     from host_sync.measurement.measurement_text import as_csv
 
     write_text(path, as_csv(done))
+
+
+def _check_trend(path: Path) -> None:
+    # The drawing library is loaded only where a trend is wanted.
+    from host_sync.report.trend_chart import check_trend
+
+    check_trend(path)
 
 
 def _write_trend(done: Sequence[Measurement], path: Path, *, quiet: bool) -> None:

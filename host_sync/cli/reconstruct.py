@@ -154,7 +154,7 @@ def _reconstruct_library(
     tell: Callable[[str], None],
 ) -> list[ScanOutcome]:
     listing = library.scans()
-    scans = [library.find(name) for name in names] if names else list(listing.bundles)
+    scans = [library.named(name) for name in names] if names else list(listing.bundles)
     damaged = () if names else listing.damaged
     failed = [ScanOutcome(bundle.directory.name, reason=bundle.reason) for bundle in damaged]
     if not scans and not failed:

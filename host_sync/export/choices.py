@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from host_sync.export.csv_profile import LineUm
 
@@ -15,6 +16,7 @@ class ExportChoices:
     line_um : line of the CSV profile; None takes the middle row
     overwrite : replace files of the same name
     sigma : also write the uncertainty, as a file of its own, where a format has no place for it
+    reserved : files that the same command wrote of another source, which are never replaced
     base_mm : thickness of a base that makes STL watertight; None leaves it open
     """
 
@@ -23,3 +25,4 @@ class ExportChoices:
     overwrite: bool = False
     base_mm: float | None = None
     sigma: bool = False
+    reserved: frozenset[Path] = frozenset()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
@@ -25,6 +25,22 @@ def check_free(paths: Iterable[Path]) -> None:
     for path in paths:
         if os.path.lexists(path):
             raise ExportError(f"{path}: exists already: add --overwrite or choose another folder")
+
+
+def check_own(paths: Iterable[Path], reserved: Collection[Path]) -> None:
+    """Check that none of the paths is a file of another source; names that differ in case only are the same.
+
+    Raises
+    ------
+    ExportError
+        One is; the message names the first.
+    """
+    taken = {str(path).casefold() for path in reserved}
+    for path in paths:
+        if str(path).casefold() in taken:
+            raise ExportError(
+                f"{path}: is already the file of another source of this command: export into another folder"
+            )
 
 
 def publish(path: Path, write: Writer) -> None:

@@ -16,7 +16,7 @@ from host_sync.export.csv_profile import pixels_on_line, write_csv_profile
 from host_sync.export.gwy import write_gwy
 from host_sync.export.mesh import Mesh, grid_mesh
 from host_sync.export.mesh_formats import write_glb, write_obj, write_ply, write_stl
-from host_sync.export.publishing import Writer, check_free, publish, withdraw
+from host_sync.export.publishing import Writer, check_free, check_own, publish, withdraw
 from host_sync.export.solid import solid
 from host_sync.export.source_surface import SourceSurface, doubts_path
 from host_sync.export.surface_formats import write_al3d, write_gsf, write_sdf, write_sur
@@ -72,6 +72,7 @@ def export_surface(
     stem = file_stem(surface.name)
     files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
     stale = set() if surface.doubts else {doubts_path(path) for path in files}
+    check_own(files, choices.reserved)
     if not choices.overwrite:
         check_free([*files, *sorted(stale)])
     for path, write in files.items():

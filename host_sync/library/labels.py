@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
 
 from device.io.atomic import replace_file
 from host_sync.errors import LibraryError
-from host_sync.library.library import Library
+
+if TYPE_CHECKING:
+    from host_sync.library.library import Library
 
 LABELS_FILE: Final = "labels.json"
 MAX_BYTES: Final = 64 << 20

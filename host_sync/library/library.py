@@ -35,6 +35,7 @@ from host_sync.errors import (
 )
 from host_sync.library import set_aside
 from host_sync.library.intake import Event, IntakeHistory, append_intake, read_intake, retire_intake, write_head
+from host_sync.library.labels import read_labels
 
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
@@ -89,7 +90,7 @@ class Library:
         return read_scan(self._find("scans", name))
 
     def named(self, name: str) -> ScanBundle:
-        """The scan that `find` finds, or the only one whose part has that name.
+        """The scan that `find` finds, or the only one whose label or part has that name; a label goes before a part.
 
         Raises
         ------
@@ -97,17 +98,24 @@ class Library:
             None or several match.
         RecordError
             It is damaged.
+        LibraryError
+            The labels are damaged.
         """
         try:
             return self.find(name)
         except NoSuchBundle as error:
-            parts = [scan for scan in self.scans().bundles if scan.record.annotations.part == name]
-            if not parts:
-                raise
-            if len(parts) > 1:
-                found = ", ".join(scan.scan_id for scan in parts)
-                raise NoSuchBundle(f"{len(parts)} scans are of the part {name}: name one of {found}") from error
-            return parts[0]
+            labelled = {scan for scan, label in read_labels(self.root).scans.items() if label.name == name}
+            scans = self.scans().bundles
+            for what, found in (
+                ("have the name", [scan for scan in scans if scan.scan_id in labelled]),
+                ("are of the part", [scan for scan in scans if scan.record.annotations.part == name]),
+            ):
+                if len(found) == 1:
+                    return found[0]
+                if found:
+                    names = ", ".join(scan.scan_id for scan in found)
+                    raise NoSuchBundle(f"{len(found)} scans {what} {name}: name one of {names}") from error
+            raise
 
     def find_calibration(self, name: str) -> CalibrationBundle:
         """The calibration of that id, or the only one whose id begins or ends so; errors as for `find`."""

@@ -49,7 +49,7 @@ from host_sync.measurement.recipe import (
     StepTable,
     VolumeTable,
 )
-from host_sync.measurement.tolerance import judged, unmet
+from host_sync.measurement.tolerance import NO_PITCH_SIGMA, judged, unmet
 from host_sync.profile.profile_line import Profile
 from host_sync.profile.step_height import lines_um, used_samples
 from host_sync.results.doubts import FOREIGN_METHOD, doubts_at
@@ -61,7 +61,6 @@ NO_SHAPE_SIGMA: Final = (
     "± not stated: without an L-filter waviness dominates, which slopes determine least: set l_filter_um"
 )
 
-NO_PITCH_SIGMA: Final = "± without that of the pixel pitch, which is not known: set scale.pixel_pitch_share"
 NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: set scale.pixel_pitch_share"
 
 AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
@@ -233,7 +232,8 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
             square += (trace - first) ** 2
     sigmas = [np.sqrt(square / len(drawn)) if drawn else None for square in squares]
     spectrum = plan.spectrum(found)
-    quantities = judged(_quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised), recipe.tolerance)
+    numbers = _quantities(plan, found.numbers, drawn, recipe.coverage_factor, raised)
+    quantities = judged(numbers, recipe.tolerance, pitch_is_known=plan.pitch_is_known)
     return Measurement(
         folder=surface.folder,
         record=surface.record,

@@ -1,8 +1,8 @@
 """Tolerances: whether a number passes, by the decision rule of ISO 14253-1 with its default of 95 %.
 
 A number passes when it lies inside its limits by 1.65 standard uncertainties, and fails when it lies outside by as
-much. Between the two, without an uncertainty, or where a doubt says that the uncertainty does not hold, nothing is
-decided.
+much. Between the two, without an uncertainty, where a doubt says that the uncertainty does not hold, or where the
+uncertainty lacks that of the pixel pitch, which heights and lengths depend on, nothing is decided.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from host_sync.results.doubt import DoubtKind
 GUARD: Final = 1.65
 """Guard band in standard uncertainties: 95 % on one side of a normal distribution."""
 
-VOID: Final[tuple[DoubtKind, ...]] = (
+NO_PITCH_SIGMA: Final = "± without that of the pixel pitch, which is not known: set scale.pixel_pitch_share"
+
+VOID_DOUBTS: Final[tuple[DoubtKind, ...]] = (
     "failed calibration",
     "failed check standard",
     "uncovered sector",
@@ -30,9 +32,20 @@ VOID: Final[tuple[DoubtKind, ...]] = (
 )
 """Doubts under which an uncertainty does not hold."""
 
+VOID: Final = (*VOID_DOUBTS, NO_PITCH_SIGMA)
+"""Beginnings of warnings under which a verdict is not given."""
 
-def judged(quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable]) -> tuple[Quantity, ...]:
-    """The quantities, each with its limits and verdict where the recipe has a tolerance of it."""
+PITCH_FREE: Final = frozenset({"", "%", "°"})
+"""Units of numbers that do not depend on the pitch, unless their warnings say so: heights and lengths do."""
+
+
+def judged(
+    quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable], *, pitch_is_known: bool
+) -> tuple[Quantity, ...]:
+    """The quantities, each with its limits and verdict where the recipe has a tolerance of it.
+
+    pitch_is_known : whether uncertainties hold that of the pixel pitch
+    """
     wanted = {(one.of, one.number): one for one in tolerances}
     found = []
     for quantity in quantities:
@@ -40,6 +53,9 @@ def judged(quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable])
         if table is None:
             found.append(quantity)
             continue
+        if not pitch_is_known and quantity.uncertainty is not None and quantity.unit not in PITCH_FREE:
+            warnings = tuple(dict.fromkeys((*quantity.warnings, NO_PITCH_SIGMA)))
+            quantity = msgspec.structs.replace(quantity, warnings=warnings)
         limits = Limits(low=table.low, high=table.high, verdict=verdict_of(quantity, table.low, table.high))
         found.append(msgspec.structs.replace(quantity, limits=limits))
     return tuple(found)

@@ -5,20 +5,24 @@ result to the next (mean moving range over 1.128) against the tolerance, Ppk the
 
 Uncertainty: what the calibration does not know is common to all results, so it does not average out. It is taken as the
 median standard uncertainty of the numbers. The mean has that and s/√n; Cpk has that over three spreads, and the
-chance of so few results: 1/(9 n) for their mean, and for their mean moving range Cpk² (0.826 n - 1)/(n - 1)².
+chance of so few results: 1/(9 n) for their mean, and for their mean moving range Cpk² (0.826 n - 1)/(n - 1)². Both are
+expanded by the numbers' coverage factor, and not known where a doubt voids the ± of a number that takes part.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, get_args
 
 import msgspec
 import numpy as np
 
 from device.surface.fields import Float64Array
 from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.quantity import Quantity, decimals, plain
+from host_sync.measurement.quantity import Limits, Quantity, decimals, plain
+from host_sync.measurement.tolerance import NO_PITCH_SIGMA, VOID
+from host_sync.results.doubt import DoubtKind
 
 INDIVIDUALS: Final = 2.66
 PER_RANGE: Final = 1.128
@@ -29,9 +33,12 @@ RANGES_VARIANCE: Final = 0.826
 
 MIN_COUNT: Final = 2
 
+SCHEMA: Final = "retrograph.trend/1"
+
 
 class Trend(msgspec.Struct, frozen=True, kw_only=True):
-    """A number over results; lengths and limits in its unit, uncertainties standard (k = 1), None is not known.
+    """A number over results; lengths and limits in its unit, uncertainties expanded by `coverage_factor`, None is not
+    known.
 
     count : results with a value
     range : largest minus smallest
@@ -39,11 +46,12 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     control_low, control_high : control limits of the individuals
     beyond : which results lie outside them, counted over all from 0
     cp, cpk, ppk : None without a tolerance, or without a spread
+    doubts : what is doubted of the results that take part, and of how many
     """
 
     count: int
     mean: float
-    mean_sigma: float | None
+    mean_uncertainty: float | None
     smallest: float
     largest: float
     range: float
@@ -53,21 +61,24 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     beyond: tuple[int, ...] = ()
     cp: float | None = None
     cpk: float | None = None
-    cpk_sigma: float | None = None
+    cpk_uncertainty: float | None = None
     ppk: float | None = None
+    coverage_factor: int = 1
+    doubts: tuple[str, ...] = ()
 
     def text(self, unit: str) -> str:
-        """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2"."""
+        """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2; k = 1"."""
         after = f" {unit}" if unit else ""
-        parts = [f"mean {_with(self.mean, self.mean_sigma)}{after}", f"range {plain(self.range)}{after}"]
+        parts = [f"mean {_with(self.mean, self.mean_uncertainty)}{after}", f"range {plain(self.range)}{after}"]
         parts.append(f"s {plain(self.deviation)}{after}")
         words = f"{self.count} results: {', '.join(parts)}"
         words += f"; control limits {plain(self.control_low)} to {plain(self.control_high)}{after}"
         words += f", {len(self.beyond)} beyond" if self.beyond else ""
-        if self.cpk is None or self.ppk is None:
-            return words
-        cp = "" if self.cp is None else f"Cp {self.cp:.2f}, "
-        return f"{words}; {cp}Cpk {_with(self.cpk, self.cpk_sigma)}, Ppk {self.ppk:.2f}"
+        if self.cpk is not None and self.ppk is not None:
+            cp = "" if self.cp is None else f"Cp {self.cp:.2f}, "
+            words += f"; {cp}Cpk {_with(self.cpk, self.cpk_uncertainty)}, Ppk {self.ppk:.2f}"
+        words += "" if self.mean_uncertainty is None else f"; k = {self.coverage_factor}"
+        return f"{words}; doubts: {', '.join(self.doubts)}" if self.doubts else words
 
 
 def trend_of(
@@ -75,11 +86,16 @@ def trend_of(
     sigmas: Sequence[float | None],
     low: float | None = None,
     high: float | None = None,
+    *,
+    coverage_factor: int = 1,
+    warnings: Sequence[Sequence[str]] = (),
 ) -> Trend | None:
     """The trend of values in order, None where one is not known; None with fewer than two.
 
     sigmas : standard uncertainty of each value
     low, high : the tolerance
+    coverage_factor : of the trend's own uncertainties
+    warnings : reasons to distrust each value, its doubts among them; empty where there are none
     """
     every = np.array([np.nan if value is None else value for value in values], np.float64)
     seen = every[np.isfinite(every)]
@@ -92,18 +108,22 @@ def trend_of(
         return None
     step = float(steps.mean())
     bounds = mean - INDIVIDUALS * step, mean + INDIVIDUALS * step
+    said = [words for value, words in zip(values, warnings, strict=True) if value is not None] if warnings else []
     own = [sigma for sigma in sigmas if sigma is not None and np.isfinite(sigma)]
-    common = float(np.median(own)) if own else None
+    holds = own and not any(one.startswith(VOID) for words in said for one in words)
+    common = float(np.median(own)) if holds else None
     cp, cpk, ppk = _capability(seen, step / PER_RANGE, deviation, low, high)
-    cpk_sigma = None
+    cpk_uncertainty = None
     if cpk is not None and common is not None:
         count = steps.size
         chance = 1.0 / (9.0 * seen.size) + cpk**2 * (RANGES_VARIANCE * (count + 1) - 1.0) / count**2
-        cpk_sigma = float(np.sqrt(chance + (common / (3.0 * step / PER_RANGE)) ** 2))
+        cpk_uncertainty = coverage_factor * float(np.sqrt(chance + (common / (3.0 * step / PER_RANGE)) ** 2))
     return Trend(
         count=int(seen.size),
         mean=mean,
-        mean_sigma=None if common is None else float(np.hypot(common, deviation / np.sqrt(seen.size))),
+        mean_uncertainty=(
+            None if common is None else coverage_factor * float(np.hypot(common, deviation / np.sqrt(seen.size)))
+        ),
         smallest=float(seen.min()),
         largest=float(seen.max()),
         range=float(np.ptp(seen)),
@@ -113,9 +133,22 @@ def trend_of(
         beyond=tuple(int(at) for at in np.flatnonzero((every < bounds[0]) | (every > bounds[1]))),
         cp=cp,
         cpk=cpk,
-        cpk_sigma=cpk_sigma,
+        cpk_uncertainty=cpk_uncertainty,
         ppk=ppk,
+        coverage_factor=coverage_factor,
+        doubts=tuple(_doubted(said)),
     )
+
+
+def is_doubt(warning: str) -> bool:
+    """Whether a number's warning is one that its trend states: a doubt, or a ± that is not whole."""
+    return warning.startswith((*get_args(DoubtKind), NO_PITCH_SIGMA))
+
+
+def _doubted(warnings: Sequence[Sequence[str]]) -> Iterable[str]:
+    """For example "failed calibration (3 of 12)", the most frequent first."""
+    count = Counter(kind for words in warnings for kind in {w.partition(":")[0] for w in words if is_doubt(w)})
+    return (f"{kind} ({many} of {len(warnings)})" for kind, many in count.most_common())
 
 
 def _capability(
@@ -144,14 +177,34 @@ def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Q
             [None if one is None else one.value for one in row],
             [None if one is None or one.uncertainty is None else one.uncertainty / one.coverage_factor for one in row],
             *((limits.low, limits.high) if limits else ()),
+            coverage_factor=known[0].coverage_factor,
+            warnings=[() if one is None else one.warnings for one in row],
         )
         if trend is not None:
             found[key] = known[0], row, trend
     return found
 
 
-def _with(value: float, sigma: float | None) -> str:
-    if sigma is None:
+def trend_record(measurements: Sequence[Measurement]) -> dict[str, Any]:
+    """The record of all trends that `--json` writes after the results'; uncertainties as in `Trend`."""
+    return {
+        "schema": SCHEMA,
+        "results": [str(one.folder) for one in measurements],
+        "trends": [
+            {"subject": subject, "name": name, "unit": example.unit, "limits": example.limits and _ends(example.limits)}
+            | {"values": [None if one is None else one.value for one in row]}
+            | msgspec.to_builtins(trend)
+            for (subject, name), (example, row, trend) in trends(measurements).items()
+        ],
+    }
+
+
+def _ends(limits: Limits) -> dict[str, float | None]:
+    return {"low": limits.low, "high": limits.high}
+
+
+def _with(value: float, uncertainty: float | None) -> str:
+    if uncertainty is None:
         return f"{plain(value)}, ± not known"
-    places = max(decimals(sigma), 0)
-    return f"{value:.{places}f} ± {sigma:.{places}f}"
+    places = max(decimals(uncertainty), 0)
+    return f"{value:.{places}f} ± {uncertainty:.{places}f}"

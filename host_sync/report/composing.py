@@ -67,10 +67,15 @@ def _verdict(measurement: Measurement) -> str:
 
 
 def _signature(report: Report, hashes: Table) -> str:
-    """SHA-256 of all that is stated in words and numbers, the files' hashes among it."""
+    """SHA-256 of every word and number that the report prints, and of the files' hashes even where it leaves them out.
+
+    Pictures and the logo are not in it, but for their captions: pictures are drawn from those files.
+    """
     stated = (report.title, report.head, report.operations, report.facts, report.warnings, report.verdict)
-    tables = [(table.title, table.head, table.rows, table.remarks) for table in (*report.tables, hashes)]
-    return hashlib.sha256(msgspec.json.encode((stated, tables, report.notes))).hexdigest()
+    tables = [(t.title, t.head, t.rows, t.remarks) for t in (*report.tables, *report.appendix, hashes)]
+    captions = [picture.caption for picture in report.pictures]
+    beside = (tables, report.notes, captions, report.footer)
+    return hashlib.sha256(msgspec.json.encode((stated, beside))).hexdigest()
 
 
 def _place(folder: Path, origin: Origin) -> Path:

@@ -31,6 +31,9 @@ class Table:
     widths: tuple[float, ...] | None = None
 
 
+SIGNED: Final = "SHA-256 of the report's words and numbers and its files' hashes, without pictures and logo"
+
+
 @dataclass(frozen=True, slots=True)
 class Report:
     """One result's report.
@@ -39,7 +42,7 @@ class Report:
     head : lines above it, such as the organisation
     logo : beside the head
     verdict : pass, fail or undecided over all tolerances; empty without
-    signature : SHA-256 of everything that the report states, without pictures
+    signature : SHA-256 of every word and number that the report prints and of the files' hashes, without pictures
     footer : at the foot of every page
     appendix : tables behind the numbers, such as the calibration
     operations : operations on the surface before the measurement

@@ -9,7 +9,7 @@ import base64
 from html import escape as escape_markup
 from typing import Final
 
-from host_sync.report.content import VERDICT_HEAD, VERDICTS, Picture, Report, Table
+from host_sync.report.content import SIGNED, VERDICT_HEAD, VERDICTS, Picture, Report, Table
 from host_sync.text import printable
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -51,9 +51,7 @@ def html_page(report: Report) -> str:
         body.append(_list(report.notes))
     body += [_figure(picture) for picture in report.pictures[1:]]
     body += [_table(table, "hashes" if len(table.head) == 3 else "") for table in report.appendix]
-    body.append(
-        f'<p class="signature">SHA-256 of all that is stated above: <code>{escape(report.signature)}</code></p>'
-    )
+    body.append(f'<p class="signature">{SIGNED}: <code>{escape(report.signature)}</code></p>')
     if report.footer:
         body.append(f'<p class="remark">{escape(report.footer)}</p>')
     return "\n".join(

@@ -28,7 +28,7 @@ from reportlab.platypus import (
     TableStyle,
 )
 
-from host_sync.report.content import VERDICT_HEAD, Picture, Report, Table
+from host_sync.report.content import SIGNED, VERDICT_HEAD, Picture, Report, Table
 from host_sync.text import printable
 
 WIDTH: Final = A4[0] - 30.0 * mm - 12.0
@@ -86,7 +86,7 @@ def _story(report: Report) -> list[Flowable]:
     story += [_figure(picture) for picture in report.pictures[1:]]
     for table in report.appendix:
         story += _table(table, _HASH_SHARES, _MONO) if len(table.head) == len(_HASH_SHARES) else _table(table)
-    return [*story, Spacer(0, 3.0 * mm), _words(f"SHA-256 of all that is stated above: {report.signature}", _MONO)]
+    return [*story, Spacer(0, 3.0 * mm), _words(f"{SIGNED}: {report.signature}", _MONO)]
 
 
 def _organisation(report: Report) -> list[Flowable]:

@@ -26,6 +26,18 @@ COLOURS: Final = {"pass": "#1d5d33", "fail": "#8c2f1b", "undecided": "#7a4a00", 
 SIGNS: Final = {"pass": "o", "fail": "X", "undecided": "s", "": "o"}
 
 
+def check_trend(path: Path) -> None:
+    """Refuse a chart's file that is no picture.
+
+    Raises
+    ------
+    MeasurementError
+        Names the endings that are accepted.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeasurementError(f"{path}: a chart is a picture: name it with {', '.join(SUFFIXES)}")
+
+
 def write_trend(path: Path, measurements: Sequence[Measurement]) -> None:
     """Write the chart of the numbers that have a tolerance, or of the first ones.
 
@@ -36,8 +48,7 @@ def write_trend(path: Path, measurements: Sequence[Measurement]) -> None:
     OutputError
         The file cannot be written.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise MeasurementError(f"{path}: a chart is a picture: name it with {', '.join(SUFFIXES)}")
+    check_trend(path)
     found = trends(measurements)
     chosen = [one for one in found.values() if one[0].limits is not None] or list(found.values())
     if not chosen:

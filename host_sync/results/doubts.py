@@ -16,7 +16,7 @@ import numpy as np
 
 from device.bundles.check import CHECK_FILE, CheckRecord, doubt_of_checks
 from device.bundles.record import Identity
-from device.bundles.scan import SCAN_MANIFEST
+from device.bundles.scan import SCAN_MANIFEST, LightFaultRecord, VerdictRecord
 from device.calibration.coverage import SECTORS, sector_indices
 from device.surface.fields import Float64Array
 from host_sync.results.doubt import Doubt, DoubtKind
@@ -48,6 +48,23 @@ def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
 def video_doubts(folder: Path, record: SequenceRecord) -> tuple[Doubt, ...]:
     """The doubts of a video's result in its folder."""
     return (*record.doubts, *_check_standards(folder, record.calibration_id, None))
+
+
+def quick_look_doubts(scan: Path) -> tuple[Doubt, ...]:
+    """The doubts of the device's own height map in a scan's folder; none where its manifest cannot be read."""
+    manifest = _decoded(scan / SCAN_MANIFEST, _ScanManifest)
+    if manifest is None:
+        return ()
+    found = [*_check_standards(scan / "results" / "quick look", None, manifest.calibration_id)]
+    found += _failed_checks(scan, manifest)
+    if manifest.light_faults:
+        faults = ", ".join(f"{fault.light} is {fault.kind}" for fault in manifest.light_faults)
+        found.append(Doubt("drifted light", f"the light driver reported that {faults}"))
+    if manifest.verdict is not None and manifest.verdict.level != "good":
+        found.append(
+            Doubt("reconstruction", f"the handheld's verdict is {manifest.verdict.level}: {manifest.verdict.reason}")
+        )
+    return tuple(found)
 
 
 def stated_doubts(folder: Path) -> tuple[str, ...]:
@@ -134,11 +151,14 @@ class _Certificate(msgspec.Struct, frozen=True):
     specimens: tuple[_Specimen, ...] = ()
 
 
-def _check_standards(folder: Path, calibration_id: str, bundle: str | None) -> Iterator[Doubt]:
-    """What certificates beside the result or its calibration say of the calibration that it was made with."""
+def _check_standards(folder: Path, calibration_id: str | None, bundle: str | None) -> Iterator[Doubt]:
+    """What certificates beside the result or its calibration say of the calibration that it was made with.
+
+    calibration_id : None takes every certificate
+    """
     for place in _certificate_places(folder, bundle):
         found = _decoded(place, _Certificate)
-        if found is None or found.calibration_id != calibration_id or found.verdict != "does not agree":
+        if found is None or found.verdict != "does not agree" or calibration_id not in (None, found.calibration_id):
             continue
         names = ", ".join(one.name for one in found.specimens if one.agrees is False) or "a check standard"
         yield Doubt("failed check standard", f"the instrument does not agree with {names}")
@@ -160,6 +180,8 @@ class _ScanManifest(msgspec.Struct, frozen=True):
     identity: Identity
     calibration_id: str | None = None
     check: CheckRecord | None = None
+    light_faults: tuple[LightFaultRecord, ...] | None = None
+    verdict: VerdictRecord | None = None
 
 
 def _device_checks(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
@@ -168,8 +190,11 @@ def _device_checks(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
     if record.scan_id is None or scan.name != record.scan_id:
         return
     manifest = _decoded(scan / SCAN_MANIFEST, _ScanManifest)
-    if manifest is None:
-        return
+    if manifest is not None:
+        yield from _failed_checks(scan, manifest)
+
+
+def _failed_checks(scan: Path, manifest: _ScanManifest) -> Iterator[Doubt]:
     try:
         known = _checks_in(scan.parent, scan.parent.stat().st_mtime_ns)
     except OSError:

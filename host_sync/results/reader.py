@@ -50,6 +50,7 @@ class ResultSurface:
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training samples
     other : the height map with the other detail
     untouched : bool array of shape (H, W), True on the untouched skin that the zero was taken from
+    stated : doubts of a surface that is no result of its own; None reads them from record and folder
     """
 
     folder: Path
@@ -61,11 +62,12 @@ class ResultSurface:
     extrapolated: MaskArray | None = None
     other: HeightMap | None = None
     untouched: MaskArray | None = None
+    stated: tuple[Doubt, ...] | None = None
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """Every reason to distrust the heights."""
-        return result_doubts(self.folder, self.record)
+        return result_doubts(self.folder, self.record) if self.stated is None else self.stated
 
     @property
     def detail(self) -> DetailName:

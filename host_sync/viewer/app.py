@@ -209,6 +209,8 @@ class _TrendRequest(msgspec.Struct, forbid_unknown_fields=True):
     unit: str = ""
     low: float | None = None
     high: float | None = None
+    coverage_factor: int = 1
+    warnings: list[list[str]] = []
 
 
 def _trend(body: bytes) -> Response:
@@ -218,7 +220,16 @@ def _trend(body: bytes) -> Response:
         asked = msgspec.json.decode(body, type=_TrendRequest)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ViewError("the numbers are not valid: load the page again") from error
-    found = trend_of(asked.values, asked.sigmas, asked.low, asked.high)
+    if asked.warnings and len(asked.warnings) != len(asked.values):
+        raise ViewError("the numbers are not valid: load the page again")
+    found = trend_of(
+        asked.values,
+        asked.sigmas,
+        asked.low,
+        asked.high,
+        coverage_factor=asked.coverage_factor,
+        warnings=asked.warnings,
+    )
     if found is None:
         return json_answer({"text": "A trend needs two scans or more with this number."})
     return json_answer(msgspec.to_builtins(found) | {"text": found.text(asked.unit)})

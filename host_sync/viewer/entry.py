@@ -12,7 +12,8 @@ import msgspec
 from device.quick_look.files import HEIGHT_FILE as QUICK_LOOK_FILE
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
-from host_sync.results.doubts import result_doubts, video_doubts
+from host_sync.results.doubt import Doubt
+from host_sync.results.doubts import quick_look_doubts, result_doubts, video_doubts
 from host_sync.results.field_file import read_shape
 from host_sync.results.files import HEIGHT_FILE, HEIGHTS_FILE
 from host_sync.results.record import MAX_PITCH_UM, MIN_PITCH_UM, ResultRecord, SequenceRecord, read_listed_record
@@ -71,15 +72,22 @@ class Entry:
     record: Record | None = None
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Every reason to distrust the heights, a sentence each."""
+    def reasons(self) -> tuple[Doubt, ...]:
+        """Every reason to distrust the heights."""
         if isinstance(self.record, ResultRecord):
-            return tuple(doubt.sentence for doubt in result_doubts(self.folder, self.record))
+            return result_doubts(self.folder, self.record)
         if isinstance(self.record, SequenceRecord):
-            return tuple(doubt.sentence for doubt in video_doubts(self.folder, self.record))
+            return video_doubts(self.folder, self.record)
+        if isinstance(self.record, DifferenceRecord):
+            return tuple(Doubt("reconstruction", words) for words in self.record.warnings)
+        return quick_look_doubts(self.scan) if self.scan is not None else ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The reasons, a sentence each; those of a difference name the scan that they are of."""
         if isinstance(self.record, DifferenceRecord):
             return self.record.warnings
-        return ()
+        return tuple(doubt.sentence for doubt in self.reasons)
 
     @property
     def folder(self) -> Path:

@@ -89,10 +89,9 @@ class Measuring:
             rows=entry.shape[0],
             columns=entry.shape[1],
             pixel_pitch_um=entry.pitch_um,
-            warnings=entry.doubts,
         )
         height = HeightMap(self._heights.read(entry, page), entry.pitch_um)
-        return ResultSurface(entry.folder, record, height, sigma_um=self._heights.sigma(entry))
+        return ResultSurface(entry.folder, record, height, sigma_um=self._heights.sigma(entry), stated=entry.reasons)
 
 
 def recipe_from_page(body: bytes) -> Recipe:

@@ -31,7 +31,7 @@ export const compare = (first, second, near = {}) =>
 export const measure = (key, page, recipe, samples) => json(`/api/scan/${key}/measure?${new URLSearchParams({ page,
   samples: samples ? 1 : 0 })}`, { method: "POST", body: JSON.stringify(recipe) });
 
-/** The trend of { values, sigmas, unit, low, high } over scans. */
+/** The trend of { values, sigmas, unit, low, high, coverage_factor, warnings } over scans. */
 export const trend = (numbers) => json("/api/trend", { method: "POST", body: JSON.stringify(numbers) });
 
 /** Address of a profile; a line is { row_0, column_0, row_1, column_1 }. */

@@ -140,7 +140,8 @@ class BatchPage {
     if (shown.length < 2) return;
     const { low = null, high = null } = shown[0][1].limits ?? {};
     const asked = { unit: shown[0][1].unit, low, high, values: shown.map(([, one]) => one.value),
-      sigmas: shown.map(([, one]) => (one.uncertainty === null ? null : one.uncertainty / one.coverage_factor)) };
+      sigmas: shown.map(([, one]) => (one.uncertainty === null ? null : one.uncertainty / one.coverage_factor)),
+      coverage_factor: shown[0][1].coverage_factor, warnings: shown.map(([, one]) => one.doubts ?? []) };
     this.latest = asked;
     try {
       const found = await api.trend(asked);
@@ -150,7 +151,8 @@ class BatchPage {
     }
   }
 
-  draw(key, shown, found, { low, high, unit }) {
+  draw(key, shown, found, asked) {
+    const { low, high, unit } = asked;
     const bounds = [low, high, found.control_low, found.control_high].filter((one) => Number.isFinite(one));
     const ends = shown.filter(([, one]) => one.value !== null).flatMap(([, one]) => [one.value - (one.uncertainty ?? 0), one.value + (one.uncertainty ?? 0)]);
     const [least, most] = [Math.min(...ends, ...bounds), Math.max(...ends, ...bounds)];
@@ -164,14 +166,14 @@ class BatchPage {
         ...shown.flatMap(([entry, one], at) => (one.value === null ? [] : [this.point(x(at + 1), y, one, entry)])),
       ], { width: 900, height: 300 });
     this.chart.replaceChildren(drawing, h("p", {}, found.text.replaceAll("-", "−")),
-      h("p", { class: "hint" }, "Line: mean; dotted: control limits of individuals; red: tolerance; bars: ±. ✗ squares fail, ? rings are undecided."));
+      h("p", { class: "hint" }, `Line: mean; dotted: control limits of individuals; red: tolerance; bars: ± (k = ${asked.coverage_factor}). ✗ squares fail, ? rings are undecided.`));
   }
 
   point(x, y, one, entry) {
     const verdict = one.limits?.verdict ?? "";
     const half = one.uncertainty ?? 0;
     const title = svg("title");
-    title.textContent = `${entry.title}: ${one.number} ${verdict}`;
+    title.textContent = [`${entry.title}: ${one.number} ${verdict}`, ...(one.doubts ?? [])].join("\n");
     const mark = verdict === "fail" ? svg("rect", { x: x - 5, y: y(one.value) - 5, width: 10, height: 10 }) : svg("circle", { cx: x, cy: y(one.value), r: 5 });
     return svg("g", { class: `dot ${verdict}` }, title, svg("line", { x1: x, x2: x, y1: y(one.value - half), y2: y(one.value + half) }), mark);
   }

@@ -62,6 +62,10 @@ export class MeasurePanel {
       [["", "as it is"], ["skin", "untouched skin"], ["drawn", "as drawn"]].map(([value, text]) => h("option", { value }, text))), null];
     const [s, sField] = number("s_filter_um", "S-filter");
     const [l, lField] = number("l_filter_um", "L-filter");
+    const pitch = h("input", { type: "number", min: 0, max: 50, step: "any", placeholder: "as measured", onchange: () => {
+      const share = Number(pitch.value) > 0 ? Number(pitch.value) / 100 : null;
+      set({ scale: { ...this.history.recipe.scale, pixel_pitch_share: share } });
+    } });
     const groups = GROUPS.map((group) => check(group, group === "height", (on) => {
       const now = this.history.recipe.parameters ?? GROUPS;
       set({ parameters: on ? [...now, group] : now.filter((one) => one !== group) });
@@ -76,12 +80,15 @@ export class MeasurePanel {
       s.value = recipe.s_filter_um ?? "";
       l.value = recipe.l_filter_um ?? "";
       factor.value = recipe.coverage_factor ?? 1;
+      const share = recipe.scale?.pixel_pitch_share;
+      pitch.value = share ? Number((100 * share).toPrecision(6)) : "";
       groups.forEach(({ box }, at) => (box.checked = (recipe.parameters ?? GROUPS).includes(GROUPS[at])));
       spectrum.box.checked = Boolean(recipe.spectrum);
       this.undo.disabled = !this.history.canUndo;
       this.redo.disabled = !this.history.canRedo;
     };
     return section("Surface", levelField ?? field("Level on", level), formField, sField, lField, field("± is", factor),
+      field("± of the pixel pitch", pitch, { unit: "%" }),
       h("fieldset", { class: "checks" }, h("legend", {}, "Parameters"), ...groups.map(({ element }) => element), spectrum.element));
   }
 

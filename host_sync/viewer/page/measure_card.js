@@ -124,7 +124,8 @@ export class ItemCard {
     ["low", "high"].forEach((end, at) => {
       if (document.activeElement !== row.limits[at]) row.limits[at].value = table?.[end] ?? "";
     });
-    const own = one.doubts.filter((words) => !this.hidden.includes(words) && !words.startsWith("±"));
+    // What a ± lacks is said beside a verdict that it keeps open.
+    const own = one.doubts.filter((words) => (words.startsWith("±") ? verdict === "undecided" : !this.hidden.includes(words)));
     row.words.hidden = !own.length;
     row.words.textContent = own.join("; ");
   }

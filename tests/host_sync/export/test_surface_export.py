@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -224,6 +225,22 @@ def test_a_surface_has_no_raw_frame_and_an_unreconstructed_scan_no_surface(
     assert export(scan.scan_id, tmp_path / "out", "gsf", "--library", str(store.root)) == 2
     assert "reconstruct" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_two_sources_of_one_name_do_not_replace_one_another(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = tmp_path / "twin" / "result"
+    shutil.copytree(result, twin)
+    out = tmp_path / "out"
+    for choice in ([], ["--overwrite"]):
+        assert main(["export", str(result), str(twin), "--to", "npz", "tmd", "--out", str(out), *choice]) == 1
+        said = capsys.readouterr()
+        assert f"{twin}: {out / 'part-7.npz'}: is already the file of another source" in said.err
+        assert sorted(path.name for path in out.iterdir() if path.suffix in (".npz", ".tmd")) == [
+            "part-7.npz",
+            "part-7.tmd",
+        ]
 
 
 def test_a_scans_newest_result_is_exported(

@@ -12,7 +12,9 @@ import pytest
 from device.bundles.scan import Annotations, ScanBundle, ScanRecord
 from device.store.store import BundleStore
 from host_sync.cli.main import main
-from host_sync.library.labels import LABELS_FILE
+from host_sync.errors import NoSuchBundle
+from host_sync.library.labels import LABELS_FILE, label_scan
+from host_sync.library.library import Library
 from host_sync.viewer.catalogue import Catalogue, ListFilter
 
 
@@ -53,6 +55,16 @@ def test_labels_are_given_found_and_taken_away(
     assert main([*label, "valve", "--untag", "reference"]) == 0
     assert ids[0] not in (root / LABELS_FILE).read_text()
     assert main(["verify", "--library", str(root), "--adopt"]) == 0
+
+
+def test_a_scan_is_found_by_the_name_of_its_label(store: BundleStore, scans: list[ScanBundle]) -> None:
+    library, ids = Library(store.root), [scan.scan_id for scan in scans]
+    label_scan(library, ids[0], name="seal")
+    assert library.named("seal").scan_id == ids[0]  # before the part of that name
+    assert library.named("plate").scan_id == ids[2]
+    label_scan(library, ids[2], name="seal")
+    with pytest.raises(NoSuchBundle, match="2 scans have the name seal: name one of"):
+        library.named("seal")
 
 
 def test_a_search_is_kept_and_narrowed(

@@ -36,6 +36,8 @@ radius_um = 200
 number = "Sa"
 low = {low}
 high = 2
+[scale]
+pixel_pitch_share = 0.001
 """
 TEMPLATE = """
 organisation = "Müller & Söhne <Prüflabor>"
@@ -93,6 +95,27 @@ def test_the_signature_changes_with_a_number_and_with_nothing_else(files: list[s
         found.append(signature(tmp_path / "out" / "wave.html"))
     assert found[0] == found[1] != found[2]
     assert '<p class="verdict fail">' in (tmp_path / "out" / "wave.html").read_text()
+
+
+def test_the_signature_covers_footer_calibration_and_hashes_that_are_not_printed(
+    files: list[str], tmp_path: Path
+) -> None:
+    folder, found = Path(files[1]), []
+    (tmp_path / "short.toml").write_text('footer = "internal"\nparts = ["numbers", "calibration"]\n')
+    (tmp_path / "other.toml").write_text('footer = "public"\nparts = ["numbers", "calibration"]\n')
+
+    def signed(template: str) -> None:
+        assert main([*files, "--force", "--template", str(tmp_path / template)]) == 1
+        found.append(signature(tmp_path / "out" / "wave.html"))
+
+    signed("short.toml")
+    signed("other.toml")
+    record = folder / "result.json"
+    record.write_bytes(record.read_bytes().replace(b'"warnings":[]', b'"warnings":[],"calibration_notes":["worn"]'))
+    signed("short.toml")
+    (folder / "result.json").write_bytes(record.read_bytes() + b"\n")
+    signed("short.toml")
+    assert len(set(found)) == 4
 
 
 def test_parts_are_left_out(files: list[str], tmp_path: Path) -> None:

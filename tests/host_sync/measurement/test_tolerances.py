@@ -169,9 +169,10 @@ def test_the_command_prints_verdicts_and_fails_with_them(
 ) -> None:
     folder = write_result(hole(), error_um=0.2)
     recipe, table = tmp_path / "recipe.toml", tmp_path / "table.csv"
+    scale = StatedScale(pixel_pitch_share=0.001)
     for high, verdict, code in ((520.0, "pass", 0), (480.0, "fail", 1)):
         limits = ToleranceTable(of="rim", number="diameter", low=400.0, high=high)
-        recipe.write_text(recipe_text(Recipe(parameters=("Sa",), circle=(RIM,), tolerance=(limits,))))
+        recipe.write_text(recipe_text(Recipe(parameters=("Sa",), circle=(RIM,), tolerance=(limits,), scale=scale)))
         assert main(["measure", str(folder), "--recipe", str(recipe), "--csv", str(table)]) == code
         assert f"{verdict}: 400 to {high:g}" in capsys.readouterr().out
         (row,) = [one for one in csv.DictReader(table.read_text().splitlines()) if one["name"] == "diameter"]
@@ -201,3 +202,26 @@ def test_a_doubt_under_which_the_uncertainty_does_not_hold_decides_nothing() -> 
     doubted = msgspec.structs.replace(sure, warnings=("failed calibration: held-out balls are off",))
     told = msgspec.structs.replace(sure, warnings=("extrapolated slopes: 3 % of the field",))
     assert [verdict_of(one, 4.0, 6.0) for one in (sure, told, doubted)] == ["pass", "pass", "undecided"]
+
+
+def test_nothing_is_decided_without_the_uncertainty_of_the_pixel_pitch(write_result: Write) -> None:
+    limits = (
+        ToleranceTable(of="rim", number="diameter", low=400.0, high=520.0),
+        ToleranceTable(of="rim", number="step", low=-90.0, high=-30.0),
+    )
+    recipe = Recipe(circle=(RIM,), tolerance=limits)
+    folder = write_result(hole(), error_um=0.2)
+    unsure = measure_result(folder, recipe)
+    share = 0.01
+    sure = measure_result(folder, msgspec.structs.replace(recipe, scale=StatedScale(pixel_pitch_share=share)))
+    for name, dependence in (("diameter", 1.0), ("step", 2.0)):
+        before, after = number(unsure, "rim", name), number(sure, "rim", name)
+        assert before.limits is not None
+        assert after.limits is not None
+        assert (before.limits.verdict, after.limits.verdict) == ("undecided", "pass")
+        assert any("without that of the pixel pitch" in words or "± not known" in words for words in before.warnings)
+        assert after.value is not None
+        assert (after.uncertainty or 0.0) > 0.7 * dependence * share * abs(after.value)
+    measured = write_result(hole(), name="grid", error_um=0.2, height_scale={"pixel_pitch_share": 0.002})
+    (verdict,) = {one.limits.verdict for one in measure_result(measured, recipe).quantities if one.limits}
+    assert verdict == "pass"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,9 +25,9 @@ def test_limits_and_capability_are_those_of_the_individuals_chart() -> None:
     assert found.cp == pytest.approx(11.0 / (6.0 * spread))
     assert found.cpk == pytest.approx(5.0 / (3.0 * spread))
     assert found.ppk == pytest.approx(5.0 / (3.0 * np.std(VALUES, ddof=1)))
-    assert found.mean_sigma == pytest.approx(np.hypot(0.3, np.std(VALUES, ddof=1) / np.sqrt(5.0)))
+    assert found.mean_uncertainty == pytest.approx(np.hypot(0.3, np.std(VALUES, ddof=1) / np.sqrt(5.0)))
     chance = 1.0 / 45.0 + found.cpk**2 * (0.826 * 5 - 1.0) / 16.0
-    assert found.cpk_sigma == pytest.approx(np.sqrt(chance + (0.3 / (3.0 * spread)) ** 2))
+    assert found.cpk_uncertainty == pytest.approx(np.sqrt(chance + (0.3 / (3.0 * spread)) ** 2))
     words = found.text("µm")
     assert words.startswith("5 results: mean 11.00 ± 0.77 µm, range 4 µm, s 1.581 µm; control limits ")
     assert "Cpk 0.84 ± " in words
@@ -36,7 +37,7 @@ def test_the_uncertainty_of_cpk_is_its_spread_over_many_studies() -> None:
     random = np.random.default_rng(4)
     studies = [trend_of(random.normal(10.0, 1.0, 40).tolist(), [1e-9] * 40, 6.0, 14.0) for _ in range(400)]
     cpk = np.array([one.cpk for one in studies if one is not None])
-    stated = np.median([one.cpk_sigma for one in studies if one is not None])
+    stated = np.median([one.cpk_uncertainty for one in studies if one is not None])
     assert 0.85 < stated / cpk.std() < 1.15
 
 
@@ -44,7 +45,7 @@ def test_what_jumps_lies_beyond_and_what_is_missing_keeps_its_place() -> None:
     found = trend_of([1.0, 1.1, None, 0.9, 1.0, 1.1, 0.9, 1.0, 9.0, 1.0, 1.1, 1.0, 0.9, 1.0, 1.1, 1.0], [None] * 16)
     assert found is not None
     assert found.beyond == (8,)
-    assert (found.mean_sigma, found.cpk) == (None, None)
+    assert (found.mean_uncertainty, found.cpk) == (None, None)
     assert "± not known" in found.text("")
 
 
@@ -64,7 +65,10 @@ def test_the_command_draws_what_has_a_tolerance(
 ) -> None:
     folders = [str(write_result(wave * (1.0 + 0.02 * at), name=f"part {at}", seed=at)) for at in range(4)]
     recipe = tmp_path / "recipe.toml"
-    recipe.write_text('parameters = ["Sa", "Sq"]\n[[tolerance]]\nnumber = "Sa"\nlow = 1\nhigh = 2\n')
+    recipe.write_text(
+        'parameters = ["Sa", "Sq"]\n[[tolerance]]\nnumber = "Sa"\nlow = 1\nhigh = 2\n'
+        "[scale]\npixel_pitch_share = 0.001\n"
+    )
     chart = tmp_path / "trend.png"
     assert main(["measure", *folders, "--recipe", str(recipe), "--trend", str(chart)]) == 0
     said = capsys.readouterr().out
@@ -73,8 +77,47 @@ def test_the_command_draws_what_has_a_tolerance(
     assert chart.read_bytes().startswith(b"\x89PNG")
     assert main(["measure", folders[0], "--recipe", str(recipe), "--trend", str(chart)]) == 2
     assert "two results or more" in capsys.readouterr().err
-    assert main(["measure", *folders, "--recipe", str(recipe), "--trend", str(tmp_path / "a.txt")]) == 2
-    assert ".png, .pdf, .svg" in capsys.readouterr().err
+
+
+def test_what_is_no_picture_is_refused_before_any_work(
+    write_result: Callable[..., Path], wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_result(wave)
+    (folder / "height_um.tif").write_bytes(b"never read")
+    assert main(["measure", str(folder), str(folder), "--trend", str(tmp_path / "a.txt")]) == 2
+    said = capsys.readouterr().err
+    assert ".png, .pdf, .svg" in said
+    assert "height_um" not in said
+
+
+def test_json_holds_the_trends_with_doubts_and_one_coverage_factor(
+    write_result: Callable[..., Path], wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failed = {"calibration_passed": False, "calibration_failed_checks": ["held-out error"]}
+    recipe, chart = tmp_path / "recipe.toml", tmp_path / "trend.svg"
+    recipe.write_text(
+        'parameters = ["Sa"]\n[[tolerance]]\nnumber = "Sa"\nhigh = 2\n[scale]\npixel_pitch_share = 0.001\n'
+    )
+    trends = {}
+    for k, facts in ((1, {}), (2, {}), (2, failed)):
+        folders = [
+            str(write_result(wave * (1.0 + 0.02 * at), name=f"part {at}", seed=at, **(facts if at == 3 else {})))
+            for at in range(4)
+        ]
+        asked = ["measure", *folders, "--recipe", str(recipe), "-k", str(k), "--trend", str(chart), "--json"]
+        assert main(asked) == 0
+        *results, record = json.loads(capsys.readouterr().out)
+        assert len(results) == 4
+        assert record["schema"] == "retrograph.trend/1"
+        (trends[k, bool(facts)],) = record["trends"]
+    plain, double, doubted = trends[1, False], trends[2, False], trends[2, True]
+    assert (plain["coverage_factor"], double["coverage_factor"]) == (1, 2)
+    for name in ("mean_uncertainty", "cpk_uncertainty"):
+        assert double[name] == pytest.approx(2.0 * plain[name])
+        assert doubted[name] is None
+    assert (double["doubts"], doubted["doubts"]) == ([], ["failed calibration (1 of 4)"])
+    assert doubted["cpk"] == pytest.approx(plain["cpk"])
+    assert "failed calibration (1 of 4)" in "".join(chart.read_text().split("<!--")[1:])
 
 
 @pytest.mark.parametrize("option", ["--csv", "--json-file", "--trend"])

@@ -8,9 +8,9 @@ import pytest
 
 from device.bundles.check import CHECK_FILE, CheckRecord
 from device.bundles.record import encode_record
-from device.bundles.scan import ScanBundle, ScanRecord
+from device.bundles.scan import LightFaultRecord, ScanBundle, ScanRecord, VerdictRecord
 from device.store.store import BundleStore
-from host_sync.results.doubts import result_doubts
+from host_sync.results.doubts import quick_look_doubts, result_doubts
 from host_sync.results.record import ResultRecord
 
 CALIBRATION = "rg-cal"
@@ -59,3 +59,26 @@ def test_scans_since_the_last_good_check_are_doubtful(store: BundleStore, librar
     for number in (1, 2, 4):
         (sentence,) = found[number]
         assert sentence.startswith("failed check standard: check of ball 3 FAILED: 3.5 mm, 3 ± 0.3 mm expected")
+
+
+def test_a_quick_look_has_the_doubts_of_its_scan(
+    store: BundleStore, library: list[str], scan_record: Callable[..., ScanRecord]
+) -> None:
+    folders = [store.root / "scans" / scan_id for scan_id in library]
+    assert [len(quick_look_doubts(folder)) for folder in folders] == [0, 1, 1, 0, 1]
+    record = msgspec.structs.replace(
+        scan_record(store, "other-cal"),
+        verdict=VerdictRecord(level="doubtful", reason="it moved"),
+        light_faults=(LightFaultRecord(light="red", kind="open"),),
+    )
+    scan = store.publish_scan(record, lambda folder: (folder / "raw.tif").write_bytes(b"x"))
+    assert [doubt.sentence for doubt in quick_look_doubts(scan.directory)] == [
+        "drifted light: the light driver reported that red is open",
+        "reconstruction: the handheld's verdict is doubtful: it moved",
+    ]
+    certificate = store.root / "calibrations" / "other-cal" / "results" / "0.1.0-abc" / "certificate.json"
+    certificate.parent.mkdir(parents=True)
+    specimens = [{"name": "step 100", "agrees": False}]
+    content = {"calibration_id": "abc", "verdict": "does not agree", "specimens": specimens}
+    certificate.write_bytes(msgspec.json.encode(content))
+    assert "the instrument does not agree with step 100" in quick_look_doubts(scan.directory)[0].sentence

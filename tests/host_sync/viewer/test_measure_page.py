@@ -66,6 +66,9 @@ def test_what_is_clicked_is_measured_and_saved(
     page.get_by_label("L-filter").press("Tab")
     page.get_by_label("Sa of surface: at most, µm").fill("0.001")
     page.get_by_label("Sa of surface: at most, µm").press("Tab")
+    page.wait_for_selector(".number[data-verdict=undecided]:has-text('without that of the pixel pitch')")
+    page.get_by_label("± of the pixel pitch").fill("0.2")
+    page.get_by_label("± of the pixel pitch").press("Tab")
     page.wait_for_selector(".number[data-verdict=fail]:has-text('Sa')")
     calm(page)
     with page.expect_download() as saving:
@@ -75,6 +78,7 @@ def test_what_is_clicked_is_measured_and_saved(
     assert main(["measure", str(results / "hill"), "--recipe", str(path), "--json"]) == 1
     (record,) = json.loads(capsys.readouterr().out)
     assert record["recipe"]["l_filter_um"] == 400.0
+    assert record["recipe"]["scale"]["pixel_pitch_share"] == 0.002
     assert len(record["recipe"]["mask"]) == 1
     for name in ("surface", "step 1", "angle 1"):
         shown = numbers(page, name)
@@ -164,6 +168,9 @@ def test_one_recipe_measures_many_scans_with_their_trend(
     open_measuring(page, "hill")
     page.get_by_label("Sa of surface: at most, µm").fill("1")
     page.get_by_label("Sa of surface: at most, µm").press("Tab")
+    page.get_by_label("± of the pixel pitch").fill("0.2")
+    page.get_by_label("± of the pixel pitch").press("Tab")
+    page.get_by_label("± is").select_option("2")
     calm(page)
     page.get_by_role("button", name="Measure many scans …").click()
     page.get_by_role("button", name="Measure", exact=True).click()
@@ -171,7 +178,9 @@ def test_one_recipe_measures_many_scans_with_their_trend(
     assert page.locator(".numbers tbody tr").count() == 3
     assert page.locator(".numbers td.fail").count() >= 1
     page.wait_for_selector(".trend .chart .dot")
-    assert "control limits" in page.locator(".trend p").first.text_content()
+    words = page.locator(".trend p").first.text_content()
+    assert "control limits" in words
+    assert "; k = 2" in words
     found = axe.Axe().run(page).response["violations"]
     assert [(one["id"], [node["target"] for node in one["nodes"]]) for one in found] == []
     with page.expect_download() as saving:

@@ -2,14 +2,17 @@
 
 import http.client
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from device.bundles.scan import ScanBundle
 from host_sync.cli.main import main
 from host_sync.viewer.app import MAX_BODY
+from host_sync.viewer.catalogue import Catalogue, ListFilter
 
 RECIPE = {
     "region_um": [200, 200, 2600, 2000],
@@ -18,6 +21,7 @@ RECIPE = {
     "parameters": ["Sa", "functional"],
     "step": [{"name": "step 1", "from_um": [100, 600], "to_um": [3000, 640], "width_um": 100}],
     "tolerance": [{"number": "Sa", "low": 0.1, "high": 500}],
+    "scale": {"pixel_pitch_share": 0.001},
 }
 
 
@@ -114,3 +118,28 @@ def test_a_body_without_end_is_refused(served: Any) -> None:
 
 def test_without_the_token_nothing_is_measured(served: Any, serve: Callable[[Path], Any]) -> None:
     assert served.ask(f"/api/scan/{served.keys()['hill']}/measure", "POST")[0] == 403
+
+
+def test_numbers_of_quick_looks_and_videos_carry_their_doubts(
+    serve: Callable[[Path], Any], library: tuple[Path, list[ScanBundle]], results: Path, tmp_path: Path
+) -> None:
+    root, _ = library
+    asked = {"parameters": ["Sa"]}
+    quick = next(entry for entry in Catalogue(root).list(ListFilter()).entries if entry.kind == "quick look")
+    expected = ["reconstruction: the handheld's verdict is retake: as pressed"]
+    assert list(quick.doubts) == expected
+    answer = measured(serve(root), quick.title, asked, samples=0)
+    assert answer["doubts"] == expected
+    assert all(set(expected) <= set(one["doubts"]) for one in answer["quantities"])
+    film = tmp_path / "films" / "film"
+    shutil.copytree(results / "film", film)
+    record = json.loads((film / "result.json").read_text())
+    doubts = [
+        {"kind": "failed calibration", "reason": "held-out error"},
+        {"kind": "uncovered sector", "reason": "no ball", "sectors": ["upper left corner"]},
+    ]
+    (film / "result.json").write_text(json.dumps(record | {"doubts": doubts}))
+    answer = measured(serve(film.parent), "a film", asked | {"region_um": [2000, 1500, 2600, 2000]}, samples=0)
+    assert answer["doubts"] == ["failed calibration: held-out error", "uncovered sector: no ball"]
+    for one in answer["quantities"]:  # the region lies in another sector
+        assert [words for words in one["doubts"] if "sector" in words or "calibration" in words] == answer["doubts"][:1]
