@@ -10,32 +10,29 @@ import msgspec
 
 from hal.errors import BoardProfileError
 from hal.frame import BayerOrder, CameraSettings
+from hal.optics_tables import BeamConfig, LensConfig
 from hal.profile_files import profile_folder, profile_names
+from hal.profile_values import (
+    BusAddress,
+    BusNumber,
+    Channel,
+    EvenSize,
+    Exposure,
+    Fraction,
+    Gain,
+    LineOffset,
+    NotNegative,
+    Positive,
+    Table,
+    Triple,
+)
 from hal.validation import explain_with_accepted, not_finite
 
 ASPECT_TOLERANCE: Final = 0.02
 """Relative tolerance of the aspect ratio; libcamera crops an aiming view that differs more from the sensor."""
 
-
 LIVE_AIMING_US: Final = 80_000.0
 """Maximum frame period for ten aiming views per second with time to spare."""
-
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-Channel = Annotated[int, msgspec.Meta(ge=0, le=15)]
-BusNumber = Annotated[int, msgspec.Meta(ge=0, le=99)]
-BusAddress = Annotated[int, msgspec.Meta(ge=0x08, le=0x77)]
-LineOffset = Annotated[int, msgspec.Meta(ge=0, le=255)]
-EvenSize = Annotated[int, msgspec.Meta(ge=16, multiple_of=2)]
-Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Exposure = Annotated[float, msgspec.Meta(gt=0, le=1e7)]
-Gain = Annotated[float, msgspec.Meta(ge=1, le=64)]
-Triple = tuple[float, float, float]
-
-
-class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the profile; unknown keys are refused."""
 
 
 class SensorConfig(Table, frozen=True):
@@ -149,7 +146,7 @@ class UvcConfig(Table, frozen=True):
     gain_units: Positive | None = None
     white_balance_k: Annotated[int, msgspec.Meta(ge=1000, le=20_000)] | None = None
     focus_units: Annotated[int, msgspec.Meta(ge=0)] | None = None
-    controls: dict[str, int] = {}
+    controls: dict[str, int] = msgspec.field(default_factory=dict)
     settle_frames: Annotated[int, msgspec.Meta(ge=1, le=12)] = 4
     lights: Literal["always on", "zoom control"] = "always on"
 
@@ -201,6 +198,7 @@ class TwinConfig(Table, frozen=True):
     yield_e_per_ma_ms : electrons per mA and ms in a pixel whose skin faces a light 25 mm away
     camera_distance_mm : from the untouched skin to the entrance pupil
     distortion : relative radial shift at the corner of the field, positive for barrel
+    point_spread_px : standard deviation of a point's image, without a [lens]; with one, blur follows from it
     pigment_contrast : standard deviation of the coat's reflectance from pixel to pixel, a fraction; 0: an even coat
     """
 
@@ -232,6 +230,8 @@ class BoardProfile(Table, frozen=True):
     camera: CameraConfig
     lights: tuple[LightConfig, LightConfig, LightConfig]
     gel: GelConfig
+    lens: LensConfig | None = None
+    beam: BeamConfig | None = None
     twin: TwinConfig | None = None
     libcamera: LibcameraConfig | None = None
     uvc: UvcConfig | None = None

@@ -32,7 +32,9 @@ PORTABLE_HAL = {
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
+    "hal.optics_tables",
     "hal.profile_files",
+    "hal.profile_values",
     "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")

@@ -14,6 +14,7 @@ import numpy as np
 
 from hal.board_profile import BoardProfile
 from hal.simulator.arrays import Float32Array, FloatArray
+from hal.simulator.blur import Blur, blur_of
 from hal.simulator.surfaces import Surface
 
 
@@ -24,6 +25,7 @@ class Lens:
     column_mm, row_mm : float32 arrays of shape (1, W) and (H, 1), mm; nominal position of each pixel on the untouched
         skin
     distortion : relative radial shift at the corner of the field
+    blur : of a lens with an f-number, in place of `point_spread_px`
     """
 
     column_mm: Float32Array
@@ -33,6 +35,7 @@ class Lens:
     distortion: float
     vignetting: float
     point_spread_px: float
+    blur: Blur | None = None
 
     @classmethod
     def of(cls, profile: BoardProfile) -> Self:
@@ -49,6 +52,7 @@ class Lens:
             twin.distortion,
             twin.vignetting,
             twin.point_spread_px,
+            None if profile.lens is None else blur_of(profile.lens, sensor.pixel_pitch_um),
         )
 
     @property
@@ -96,10 +100,12 @@ class Lens:
         stretch = 1.0 / (nearer - leaning / np.float32(self.distance_mm))
         return p * stretch, q * stretch
 
-    def transmit(self, radiance: Float32Array) -> Float32Array:
-        """Radiance, float32 array of shape (H, W), after vignetting and point spread."""
+    def transmit(self, radiance: Float32Array, height_mm: FloatArray) -> Float32Array:
+        """Radiance of a skin at `height_mm`, arrays of shape (H, W), after vignetting and point spread; float32."""
         radius2 = (self.column_mm**2 + self.row_mm**2) / np.float32(self.corner_mm**2)
         passed = radiance * (1.0 - np.float32(self.vignetting) * radius2)
+        if self.blur is not None:
+            return self.blur.spread(np.asarray(passed, np.float32), height_mm)
         if self.point_spread_px > 0.0:
             passed = cv2.GaussianBlur(passed, (0, 0), self.point_spread_px, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(passed, np.float32)

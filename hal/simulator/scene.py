@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.board_profile import BoardProfile, SensorConfig
+from hal.board_profile import BoardProfile, SensorConfig, TwinConfig
 from hal.simulator.arrays import Float32Array
+from hal.simulator.beam import beam_fraction, led_places_mm
 from hal.simulator.elastomer import Skin, drape
 from hal.simulator.lens import Lens
-from hal.simulator.optics import coat, radiance, skin_geometry
+from hal.simulator.optics import SkinGeometry, coat, radiance, skin_geometry
 from hal.simulator.surfaces import Surface
 
 SPOT_PX = 2.0
@@ -65,11 +66,27 @@ def render(profile: BoardProfile, press: Press | None) -> Scene:
     pigment = pigment_pattern(skin.height_mm.shape, twin.pigment_contrast, twin.seed)
     charges = []
     for index, light in enumerate(profile.lights):
-        seen = radiance(geometry, lens, coat(twin.skin), light.position_mm, twin.light_radius_mm)
+        seen = light_on_skin(profile, geometry, lens, light.position_mm)
         red, green, blue = (row[index] for row in twin.crosstalk)
         weights = mosaic_weights(profile.sensor, (red, green, blue)) * np.float32(twin.yield_e_per_ma_ms)
-        charges.append(lens.transmit(seen * pigment) * weights)
+        charges.append(lens.transmit(seen * pigment, skin.height_mm) * weights)
     return Scene(skin, tuple(charges))
+
+
+def light_on_skin(
+    profile: BoardProfile, geometry: SkinGeometry, lens: Lens, position_mm: tuple[float, float, float]
+) -> Float32Array:
+    """Radiance of the skin under one light, float32 array of shape (H, W): a bare point, or the mean of its LEDs."""
+    twin = profile.twin or TwinConfig()
+    if profile.beam is None:
+        return radiance(geometry, lens, coat(twin.skin), position_mm, twin.light_radius_mm)
+    points_mm = (geometry.x_mm, geometry.y_mm, geometry.z_mm)
+    total = np.zeros_like(geometry.z_mm)
+    leds_mm = led_places_mm(position_mm, profile.beam)
+    for led_mm in leds_mm:
+        bare = radiance(geometry, lens, coat(twin.skin), led_mm, twin.light_radius_mm)
+        total += bare * np.asarray(beam_fraction(points_mm, led_mm, position_mm, profile.beam), np.float32)
+    return total / np.float32(len(leds_mm))
 
 
 def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:

@@ -5,13 +5,19 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
+from hal.optics_tables import BeamConfig
+from hal.simulator.as_built import twin_of
+from hal.simulator.beam import ACRYLIC
+from hal.simulator.lens import Lens
+from hal.simulator.scene import render
 from tests.drawings.board.beam import (
-    Sleeve,
     brightest_to_darkest,
     centre_to_darkest,
     half_field_mm,
@@ -46,12 +52,23 @@ def led_width_deg() -> float:
     return float(found[1])
 
 
-def sleeve() -> Sleeve:
+def sleeve() -> BeamConfig:
     """A light of the housing as its source and the bill have it."""
     leds, pitch = int(parameter("leds")), parameter("led") + 0.1
-    offsets = tuple((i - (leds - 1) / 2) * pitch for i in range(leds))
-    bore = parameter("led") - 2 * parameter("led_lip")
-    return Sleeve(led_width_deg(), offsets, parameter("distance") - parameter("facet_at"), bore)
+    return BeamConfig(
+        led_angle_deg=led_width_deg(),
+        led_offsets_mm=tuple((i - (leds - 1) / 2) * pitch for i in range(leds)),
+        behind_mm=parameter("distance") - parameter("facet_at"),
+        bore_mm=parameter("led") - 2 * parameter("led_lip"),
+    )
+
+
+def narrow_sleeve(led_offsets_mm: tuple[float, ...], behind_mm: float, bore_mm: float) -> BeamConfig:
+    return BeamConfig(led_angle_deg=30.0, led_offsets_mm=led_offsets_mm, behind_mm=behind_mm, bore_mm=bore_mm)
+
+
+def free(led_angle_deg: float) -> BeamConfig:
+    return BeamConfig(led_angle_deg=led_angle_deg, facet=False)
 
 
 @pytest.fixture(params=[*HOUSED, BENCH])
@@ -89,22 +106,62 @@ def test_no_led_gets_more_than_the_bill_says_it_stands(profile: BoardProfile) ->
 
 
 @pytest.mark.parametrize("board", HOUSED)
-def test_light_over_the_field_is_within_six_to_one(board: str) -> None:
-    profile = load_board_profile(board)
+def test_the_profiles_beam_is_the_housings_sleeve(board: str) -> None:
+    beam, built = load_board_profile(board).beam, sleeve()
+    assert beam is not None
+    assert beam.facet
+    assert beam.led_angle_deg == built.led_angle_deg
+    assert beam.led_offsets_mm == pytest.approx(built.led_offsets_mm)
+    assert (beam.behind_mm, beam.bore_mm) == pytest.approx((built.behind_mm, built.bore_mm))
+    assert parameter("n_block") == ACRYLIC
+
+
+def test_on_the_bench_the_leds_stand_free_and_aim_as_the_page_says() -> None:
+    beam = load_board_profile(BENCH).beam
+    assert beam is not None
+    assert not beam.facet
+    assert beam.led_angle_deg == led_width_deg()
+    assert len(beam.led_offsets_mm) == int(parameter("leds"))
+    geometry = (BOARD / "light-geometry.md").read_text(encoding="utf-8")
+    assert f"aim {beam.aim_past_mm:g} mm beyond" in geometry
+
+
+def test_light_over_the_field_is_within_six_to_one(profile: BoardProfile) -> None:
+    assert profile.beam is not None
     for light in profile.lights:
-        lit = light_over_field(light.position_mm, sleeve(), half_field_mm(profile))
+        lit = light_over_field(light.position_mm, profile.beam, half_field_mm(profile))
         assert centre_to_darkest(lit) <= brightest_to_darkest(lit) <= MAX_UNEVENNESS, light.name
 
 
-def test_on_the_bench_no_place_has_less_than_a_sixth_of_the_centres_light() -> None:
-    profile = load_board_profile(BENCH)
-    for light in profile.lights:
-        lit = light_over_field(light.position_mm, led_width_deg(), half_field_mm(profile))
-        assert centre_to_darkest(lit) <= MAX_UNEVENNESS, light.name
+def test_so_is_the_light_that_the_twin_of_a_board_renders(profile: BoardProfile) -> None:
+    """Light on the skin: what the lens darkens at its corners is taken off."""
+    small = in_small(twin_of(profile))
+    lens = Lens.of(small)
+    one = np.ones((small.sensor.rows, small.sensor.columns), np.float32)
+    passed = lens.transmit(one, np.zeros_like(one))
+    for light, charge_e in zip(small.lights, render(small, None).charge_e, strict=True):
+        lit = (charge_e / passed)[::2, ::2]
+        assert brightest_to_darkest(lit) <= MAX_UNEVENNESS, light.name
+        assert brightest_to_darkest(lit) > 2.0, "a near light is never even: was there a beam?"
 
 
-@pytest.mark.parametrize("narrow", [Sleeve(30.0, (0.0,), 5.0, 4.0), Sleeve(30.0, (-2.65, 2.65), 1.0, 4.4)])
-def test_narrow_leds_and_long_bores_are_found_out(narrow: Sleeve) -> None:
+def in_small(profile: BoardProfile) -> BoardProfile:
+    """The same field in an eighth of the pixels."""
+    sensor, lens = profile.sensor, profile.lens
+    assert lens is not None
+    small = msgspec.structs.replace(
+        sensor,
+        columns=sensor.columns // 16 * 2,
+        rows=sensor.rows // 16 * 2,
+        pixel_pitch_um=sensor.pixel_pitch_um * 8,
+    )
+    return msgspec.structs.replace(
+        profile, sensor=small, lens=msgspec.structs.replace(lens, pixel_um=lens.pixel_um * 8)
+    )
+
+
+@pytest.mark.parametrize("narrow", [narrow_sleeve((0.0,), 5.0, 4.0), narrow_sleeve((-2.65, 2.65), 1.0, 4.4)])
+def test_narrow_leds_and_long_bores_are_found_out(narrow: BeamConfig) -> None:
     profile = load_board_profile("pi5-imx296")
     ratios = [
         centre_to_darkest(light_over_field(light.position_mm, narrow, half_field_mm(profile)))
@@ -114,9 +171,9 @@ def test_narrow_leds_and_long_bores_are_found_out(narrow: Sleeve) -> None:
 
 
 def test_a_far_wide_light_is_even_and_a_near_one_falls_with_the_cube_of_its_distance() -> None:
-    even = light_over_field((0.0, 0.0, 5000.0), 120.0, (8.0, 6.0))
+    even = light_over_field((0.001, 0.0, 5000.0), free(120.0), (8.0, 6.0))
     assert brightest_to_darkest(even) == pytest.approx(1.0, abs=1e-4)
-    lambertian = light_over_field((0.0, 0.0, 10.0), 120.0, (10.0, 10.0))
+    lambertian = light_over_field((1e-6, 0.0, 10.0), free(120.0), (10.0, 10.0))
     assert lambertian[10, 10] / lambertian[10, 0] == pytest.approx(2.0**2)  # cos⁴ of 45 degrees
 
 
@@ -135,6 +192,9 @@ def test_the_leds_fit_the_facet() -> None:
 
 
 def test_the_f_number_is_the_same_where_the_lens_is_bought_and_where_it_is_explained() -> None:
+    stated = {board: load_board_profile(board).lens for board in HOUSED}
+    assert {board: lens.f_number for board, lens in stated.items() if lens} == dict.fromkeys(HOUSED, 4.0)
+    assert all(lens.focal_mm == parameter("focal") for lens in stated.values() if lens)
     geometry = (BOARD / "light-geometry.md").read_text(encoding="utf-8")
     assert "* `pi5-imx296`: **f/4 to f/5.6**" in geometry
     assert "* `pi4-imx477-binned`: **f/4**" in geometry

@@ -20,8 +20,8 @@ from device.surface.fields import Float32Array
 from hal.board_profile import BoardProfile, TwinConfig
 from hal.frame import RawFrame
 from hal.simulator.lens import Lens
-from hal.simulator.optics import SkinGeometry, coat, radiance, skin_geometry
-from hal.simulator.scene import expose, mosaic_weights
+from hal.simulator.optics import SkinGeometry, skin_geometry
+from hal.simulator.scene import expose, light_on_skin, mosaic_weights
 from tests.benchmarks.accuracy.pattern import Patch
 
 POINTS: Final = 4
@@ -48,27 +48,33 @@ def skin_light(profile: BoardProfile, height_mm: Float32Array) -> tuple[Float32A
 
 
 def mosaic_frame(profile: BoardProfile, light: Sequence[Float32Array], seed: int) -> RawFrame:
-    """Raw frame of this light by the profile's own camera."""
+    """Raw frame of this light by the profile's own camera, blurred as untouched skin is."""
     sensor, camera, twin = profile.sensor, profile.camera, _twin(profile)
     lens = Lens.of(profile)
-    charge = np.zeros((sensor.rows, sensor.columns), np.float32)
+    untouched = np.zeros((sensor.rows, sensor.columns), np.float32)
+    charge = np.zeros_like(untouched)
     for index, (source, seen) in enumerate(zip(profile.lights, light, strict=True)):
         red, green, blue = (row[index] for row in twin.crosstalk)
-        charge += lens.transmit(seen) * mosaic_weights(sensor, (red, green, blue)) * _dose_e(profile, source.current_ma)
+        charge += (
+            lens.transmit(seen, untouched)
+            * mosaic_weights(sensor, (red, green, blue))
+            * _dose_e(profile, source.current_ma)
+        )
     counts = expose(charge, sensor, camera.analogue_gain, np.random.default_rng(seed))
     return RawFrame(counts, sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn, camera.settings, 0)
 
 
 def rgb_frame(profile: BoardProfile, light: Sequence[Float32Array], seed: int) -> NDArray[np.uint16]:
-    """Frame of this light by three sensors: uint16 array of shape (H, W, 3), linear, black at 0."""
+    """Frame of this light by three sensors: uint16 array of shape (H, W, 3), linear, black 0; blurred as flat skin."""
     sensor, twin = profile.sensor, _twin(profile)
     lens = Lens.of(profile)
     random = np.random.default_rng(seed)
+    untouched = np.zeros((sensor.rows, sensor.columns), np.float32)
     planes = []
     for passed in twin.crosstalk:
         charge = np.zeros((sensor.rows, sensor.columns), np.float32)
         for source, share, seen in zip(profile.lights, passed, light, strict=True):
-            charge += lens.transmit(seen) * np.float32(share) * _dose_e(profile, source.current_ma)
+            charge += lens.transmit(seen, untouched) * np.float32(share) * _dose_e(profile, source.current_ma)
         counts = expose(charge, sensor, profile.camera.analogue_gain, random).astype(np.float64)
         full_scale = sensor.white_level_dn - sensor.black_level_dn
         planes.append(np.clip((counts - sensor.black_level_dn) / full_scale, 0.0, 1.0) * 65_535.0)
@@ -98,10 +104,7 @@ def _patterned_skin(lens: Lens, patches: Sequence[Patch], right_px: float, down_
 
 
 def _light(profile: BoardProfile, lens: Lens, skin: SkinGeometry) -> tuple[Float32Array, ...]:
-    twin = _twin(profile)
-    return tuple(
-        radiance(skin, lens, coat(twin.skin), light.position_mm, twin.light_radius_mm) for light in profile.lights
-    )
+    return tuple(light_on_skin(profile, skin, lens, light.position_mm) for light in profile.lights)
 
 
 def _dose_e(profile: BoardProfile, current_ma: float) -> np.float32:

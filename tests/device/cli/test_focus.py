@@ -15,6 +15,7 @@ from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import PressObject
+from hal.optics_tables import LensConfig
 from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 
@@ -32,6 +33,22 @@ def test_the_sharper_the_lens_the_larger_the_figure(small_twin: BoardProfile) ->
     figures = [figure_with(small_twin, blur) for blur in (0.5, 1.0, 2.0, 4.0)]
     assert figures == sorted(figures, reverse=True)
     assert figures[0] > 1.2 * figures[2]
+
+
+def test_the_figure_is_largest_with_the_coins_face_in_focus(small_twin: BoardProfile) -> None:
+    """The lens stands at f/1.4 and its focus ring goes through the depth at which the coin's relief lies."""
+    figures = {}
+    for focus_mm in (-2.0, -1.0, 0.0, 0.4, 1.5, 2.5):
+        lens = LensConfig(
+            focal_mm=25.0, f_number=1.4, pixel_um=0.3 * small_twin.sensor.pixel_pitch_um, focus_mm=focus_mm
+        )
+        figures[focus_mm] = figure_with(msgspec.structs.replace(small_twin, lens=lens), 0.0)
+    order = [figures[focus_mm] for focus_mm in sorted(figures)]
+    best = order.index(max(order))
+    assert sorted(figures)[best] in {0.0, 0.4}
+    assert order[: best + 1] == sorted(order[: best + 1])
+    assert order[best:] == sorted(order[best:], reverse=True)
+    assert order[best] > 1.2 * max(order[0], order[-1])
 
 
 def test_darkness_has_no_focus() -> None:

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from hal.board_profile import load_board_profile
-from tests.drawings.board.aperture import PIXELS, blur
+from hal.optics_tables import BeamConfig
+from tests.drawings.board.aperture import BOARDS, blur
 from tests.drawings.board.beam import (
     ENDLESS,
-    Sleeve,
     brightest_to_darkest,
     centre_to_darkest,
     half_field_mm,
@@ -33,11 +33,17 @@ BLOCK = re.compile(r"(<!-- made by `make board`: (\w+) -->\n).*?(<!-- end -->\n)
 ELEVATIONS_DEG = (15, 20, 25, 30, 35, 40, 50, 60)
 DISTANCES_MM = (15, 20, 25, 35, 50, 100, 250)
 GAPS_DEG = (120, 130, 150, 180, 210)
+
+
+def _sleeve(led_angle_deg: float, led_offsets_mm: tuple[float, ...], behind_mm: float, bore_mm: float) -> BeamConfig:
+    return BeamConfig(led_angle_deg=led_angle_deg, led_offsets_mm=led_offsets_mm, behind_mm=behind_mm, bore_mm=bore_mm)
+
+
 SLEEVES = {
-    "30° wide, one | bore of 4 mm, 5 mm before the LED": Sleeve(30.0, (0.0,), 5.0, 4.0),
-    "30° wide, two | at the facet": Sleeve(30.0, (-2.65, 2.65), 1.0, 4.4),
-    "**60° wide, two** | **at the facet**": Sleeve(60.0, (-2.65, 2.65), 1.0, 4.4),
-    "120° wide, two | at the facet": Sleeve(120.0, (-2.65, 2.65), 1.0, 4.4),
+    "30° wide, one | bore of 4 mm, 5 mm before the LED": _sleeve(30.0, (0.0,), 5.0, 4.0),
+    "30° wide, two | at the facet": _sleeve(30.0, (-2.65, 2.65), 1.0, 4.4),
+    "**60° wide, two** | **at the facet**": _sleeve(60.0, (-2.65, 2.65), 1.0, 4.4),
+    "120° wide, two | at the facet": _sleeve(120.0, (-2.65, 2.65), 1.0, 4.4),
 }
 MOVES_MM = (0.02, 0.05, 0.1, 0.5)
 
@@ -63,7 +69,7 @@ def _beam() -> Iterator[str]:
 def _aperture() -> Iterator[str]:
     yield "| board | f-number | diffraction | depth ± | in focus | 0.25 mm below | 0.5 mm below |"
     yield "|---|---|---|---|---|---|---|"
-    for board in PIXELS:
+    for board in BOARDS:
         for f_number in (2.8, 4.0, 5.6, 8.0):
             b = blur(board, f_number)
             cells = (b.at_um(0.0), b.at_um(0.25), b.at_um(0.5))

@@ -55,7 +55,7 @@ def test_point_spread_keeps_the_light_and_spreads_a_point(profile: BoardProfile)
     lens = Lens.of(profile)
     point = np.zeros((lens.row_mm.size, lens.column_mm.size), np.float32)
     point[136, 182] = 1.0
-    seen = lens.transmit(point)
+    seen = lens.transmit(point, np.zeros_like(point))
     assert seen.sum() == pytest.approx(1.0, rel=1e-3)
     spread = (seen * (np.arange(seen.shape[1]) - 182) ** 2).sum()
     assert np.sqrt(spread) == pytest.approx(lens.point_spread_px, abs=0.05)
@@ -63,6 +63,7 @@ def test_point_spread_keeps_the_light_and_spreads_a_point(profile: BoardProfile)
 
 def test_vignetting_darkens_the_corner(profile: BoardProfile) -> None:
     lens = Lens.of(profile)
-    seen = lens.transmit(np.ones((lens.row_mm.size, lens.column_mm.size), np.float32))
+    even = np.ones((lens.row_mm.size, lens.column_mm.size), np.float32)
+    seen = lens.transmit(even, np.zeros_like(even))
     assert seen[136, 182] == pytest.approx(1.0, abs=1e-3)
     assert seen[0, 0] == pytest.approx(1.0 - lens.vignetting, abs=5e-3)
