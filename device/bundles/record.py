@@ -69,7 +69,7 @@ Files = Annotated[dict[FileName, FileEntry], msgspec.Meta(max_length=1000)]
 class Identity(Record, frozen=True):
     """Identity of a bundle; it does not depend on the wall clock.
 
-    counter : presses of this device since it was first set up, over all boots
+    counter : of this device's scans, or of its calibrations, since it was first set up, over all boots
     monotonic_ns : time since this boot, ns
     """
 

@@ -18,17 +18,20 @@ from device.bundles.scan import Annotations
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup, gel_state
 from device.instrument.calibration_ball import BALL_RADIUS_MM
-from device.instrument.events import Event, Failed
+from device.instrument.deleted_scans import DeletedScans
+from device.instrument.events import Event, Failed, Info
 from device.instrument.history import History, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
+from device.instrument.scan_labels import ScanLabels
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, StateStore
 from device.instrument.worker import InstrumentWorker
 from device.pairing_service.service import PairingSetup
 from device.store.gels import known_gels
 from device.store.marks import Opinion, ScanMark, write_mark
+from device.store.presets import add_preset, read_presets
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
 from device.store.settings import Settings, read_settings, write_settings
-from device.store.sticky import read_sticky, write_sticky
+from device.store.sticky import read_sticky
 from device.store.store import BundleStore
 from device.surface.fields import HeightMap
 from hal.clock import VirtualClock
@@ -71,7 +74,11 @@ class Instrument:
         self._states = StateStore(_first_state(hardware, store))
         working = executor or (InlineExecutor() if virtual else ThreadPoolExecutor(1, "processing"))
         window = PairingRun(self._states, store, hardware.clock, self._setup)
-        self._worker = InstrumentWorker(hardware, store, self._states, working, window, ball_radius_mm)
+        self._labels = ScanLabels(self._states, store)
+        self._deleted = DeletedScans(self._states, store)
+        self._worker = InstrumentWorker(
+            hardware, store, self._states, working, window, ball_radius_mm, self._labels, self._deleted
+        )
 
     # State and events: from any thread.
 
@@ -104,11 +111,19 @@ class Instrument:
 
     def set_sticky(self, annotations: Annotations) -> None:
         """Set job, part, operator and note of every later scan, also after a restart."""
-        self._states.update(sticky=annotations)
-        try:
-            write_sticky(self._store.root, annotations)
-        except DeviceError as error:
-            self._states.publish(Failed(str(error)))
+        self._labels.set(annotations)
+
+    def retake(self) -> None:
+        """The next scan replaces the last one, with its job and part; once more: it does not."""
+        state = self._states.state
+        if state.last is None:
+            self._states.publish(Failed("there is no scan to take again yet: scan first"))
+        elif state.replaces:
+            self._states.update(replaces=None)
+            self._states.publish(Info("The next press is one more scan."))
+        else:
+            self._states.update(replaces=state.last.scan_id)
+            self._states.publish(Info(f"Press again: the next scan replaces #{state.last.counter}."))
 
     def set_settings(self, settings: Settings) -> None:
         """Change the operator's settings, also after a restart; `Failed` if this hardware cannot do it."""
@@ -186,6 +201,22 @@ class Instrument:
     def mark(self, scan_id: str, opinion: Opinion | None, note: str = "") -> None:
         """Mark a scan good or bad (None: neither) with a note; errors as for `write_mark`."""
         write_mark(self._store.root, ScanMark(scan_id=scan_id, opinion=opinion, note=note))
+
+    def delete(self, scan_id: str) -> None:
+        """Delete a scan; `undo_delete` brings it back until power off. Errors as for `delete_scan`."""
+        self._deleted.delete(scan_id)
+
+    def undo_delete(self) -> str:
+        """Bring the scan that was deleted last back; returns its id. Errors as for `DeletedScans.undo`."""
+        return self._deleted.undo()
+
+    def presets(self) -> tuple[Annotations, ...]:
+        """Stored presets of job, part and operator, newest first."""
+        return read_presets(self._store.root)
+
+    def add_preset(self, preset: Annotations) -> None:
+        """Store a preset; errors as for `add_preset`."""
+        add_preset(self._store.root, preset)
 
     def gels(self) -> tuple[GelState, ...]:
         """Every gel that was ever mounted here."""

@@ -21,6 +21,7 @@ from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.instrument.button import ButtonWatch
+from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import (
     REFUSALS,
     CaptureDone,
@@ -33,6 +34,7 @@ from device.instrument.events import (
     ScanFinished,
     show,
 )
+from device.instrument.scan_labels import ScanLabels
 from device.instrument.state import LastScan, StateStore
 from hal.errors import HalError
 from hal.frame import RawFrame
@@ -46,6 +48,8 @@ MAX_CUE_DELAY_MS: Final = 100.0
 """The "busy" cue is skipped for older presses: the operator could not relate it to the push."""
 
 AWAKE: Final = "Lights on: push again to scan."
+REPLACED: Final = "The scan before was replaced: z on Scans brings it back until power off."
+KEPT_BOTH: Final = "The new scan is no better: both are kept."
 LIFT_OFF: Final = "lift off: the lights are checked on untouched skin, then comes the verdict"
 
 Source = Literal["button", "screen", "auto-shutter"]
@@ -58,6 +62,7 @@ Taken = tuple[Scanner, RawCapture]
 class Pending:
     """A press on its way to the disk.
 
+    replaces : id of the scan that it replaces
     assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
         skin, until `until_ns`
     """
@@ -69,6 +74,7 @@ class Pending:
     assessing: Future[tuple[Assessment, float]]
     publishing: Future[tuple[ScanOutcome, float]] | None = None
     is_announced: bool = False
+    replaces: str | None = None
 
 
 class ScanQueue:
@@ -80,6 +86,7 @@ class ScanQueue:
     motion : how much a frame differs from the last live frame
     on_long_press : called after a long push
     is_asleep : whether the next push only wakes the instrument
+    labels, deleted : annotations of scans, and where a replaced one goes
     """
 
     def __init__(
@@ -91,6 +98,8 @@ class ScanQueue:
         motion: Callable[[RawFrame], float | None],
         on_long_press: Callable[[], None],
         is_asleep: Callable[[], bool],
+        labels: ScanLabels,
+        deleted: DeletedScans,
     ) -> None:
         self._hardware = hardware
         self._states = states
@@ -99,6 +108,8 @@ class ScanQueue:
         self._motion = motion
         self._on_long_press = on_long_press
         self._is_asleep = is_asleep
+        self._labels = labels
+        self._deleted = deleted
         self._works: deque[Pending] = deque()
         self._held: Taken | None = None
         self._button = ButtonWatch(hardware)
@@ -159,7 +170,14 @@ class ScanQueue:
         state = self._states.state
         standard = state.check.standard if state.check.is_next else None
         self._states.update(check=replace(state.check, is_next=False))
-        self._works.append(Pending(scanner, state.sticky, standard, until_ns, assessing))
+        replaces = None if standard else state.replaces
+        if replaces and state.last and state.last.scan_id == replaces:
+            annotations = state.last.annotations
+        else:
+            annotations = state.sticky if standard or replaces else self._labels.take()
+        if replaces:
+            self._states.update(replaces=None)
+        self._works.append(Pending(scanner, annotations, standard, until_ns, assessing, replaces=replaces))
         self._states.update(processing=len(self._works))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
@@ -174,16 +192,38 @@ class ScanQueue:
             except DeviceError as error:
                 self._works.remove(pending)
                 self._states.update(processing=len(self._works), sentence=str(error))
-                if pending.standard is not None:  # a check that was refused is still to be made
-                    self._states.update(check=replace(self._states.state.check, is_next=True))
+                self._give_back(pending)
                 self._states.publish(Failed(str(error)))
                 show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue
             if outcome:
                 self._works.remove(pending)
                 self._finish(*outcome)
+                if pending.replaces:
+                    self._replace(pending.replaces, outcome[0])
                 finished.append(outcome[0])
         return finished
+
+    def _give_back(self, pending: Pending) -> None:
+        """After a press that was not stored: the check, the retake or the part's number is still to come."""
+        if pending.standard is not None:
+            self._states.update(check=replace(self._states.state.check, is_next=True))
+        elif pending.replaces:
+            self._states.update(replaces=pending.replaces)
+        else:
+            self._labels.give_back(pending.annotations)
+
+    def _replace(self, scan_id: str, outcome: ScanOutcome) -> None:
+        """Delete the scan that was taken again, unless the new one is to be taken again too."""
+        if outcome.bundle.record.verdict.level == "retake":
+            self._states.publish(Info(KEPT_BOTH))
+            return
+        try:
+            self._deleted.delete(scan_id)
+        except DeviceError as error:
+            self._states.publish(Failed(str(error)))
+            return
+        self._states.publish(Info(REPLACED))
 
     def forget_push(self) -> bool:
         """Drop a push whose release was missed while a part did not answer; returns whether there was one."""
@@ -287,12 +327,12 @@ class ScanQueue:
         record = outcome.bundle.record
         height = outcome.quick_look.height if outcome.quick_look else None
         fault = outcome.quick_look_fault
-        last = LastScan(record.scan_id, record.identity.counter, record.verdict, height, fault)
-        stored = self._states.state.scans_stored
+        number = record.identity.counter
+        last = LastScan(record.scan_id, number, record.verdict, height, fault, record.annotations)
+        self._states.count_stored(1)
         self._states.update(
             processing=len(self._works),
             last=last,
-            scans_stored=None if stored is None else stored + 1,
             sentence=f"{record.verdict.level}: {record.verdict.reason}",
         )
         now_ns = self._hardware.clock.monotonic_ns()

@@ -104,6 +104,7 @@ class LastScan:
     verdict: VerdictRecord
     height: HeightMap | None
     fault: str
+    annotations: Annotations = field(default_factory=Annotations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +151,7 @@ class InstrumentState:
     sticky : job, part, operator and note of every scan
     settings : what the operator chose, such as how presses are taken
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
+    replaces : id of the scan that the next one is to replace; None: it is one more
     alarms : battery and room for scans, most urgent first
     sentence : the last message
     """
@@ -170,6 +172,7 @@ class InstrumentState:
     auto_shutter: bool = False
     live: LiveView | None = None
     last: LastScan | None = None
+    replaces: str | None = None
     guide: CalibrationProgress | None = None
     pairing: PairingState | None = None
     check: CheckState = field(default_factory=CheckState)
@@ -193,6 +196,12 @@ class StateStore:
         """Replace some of the state's fields in one step."""
         with self._lock:
             self._state = replace(self._state, **fields)
+
+    def count_stored(self, more: int) -> None:
+        """Count scans that came or went on the disk."""
+        with self._lock:
+            stored = self._state.scans_stored
+            self._state = replace(self._state, scans_stored=None if stored is None else max(stored + more, 0))
 
     def publish(self, event: Event) -> None:
         """Append an event."""

@@ -15,9 +15,11 @@ from device.instrument.active_setup import ActiveSetup
 from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.button import LONG_PUSH_S, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
+from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
 from device.instrument.live import LiveLoop
 from device.instrument.pairing_run import PairingRun
+from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.state import StateStore
 from device.store.store import BundleStore
@@ -48,6 +50,8 @@ class InstrumentWorker:
         executor: Executor,
         pairing: PairingRun,
         ball_radius_mm: float,
+        labels: ScanLabels,
+        deleted: DeletedScans,
     ) -> None:
         self.hardware = hardware
         self.states = states
@@ -65,7 +69,10 @@ class InstrumentWorker:
             self._live.motion,
             self._on_long_press,
             self._live.is_asleep,
+            labels,
+            deleted,
         )
+        self._deleted = deleted
         calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
         self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
         self._run: CalibrationRun | None = None
@@ -170,6 +177,7 @@ class InstrumentWorker:
     def power_off(self) -> None:
         """Finish running work, switch the lights off and report it."""
         self.close()
+        self._deleted.purge()
         self.states.update(activity="off", live=None)
         self.states.publish(PowerOffRequested())
 

@@ -1,4 +1,4 @@
-"""The device's id and its count of presses: they identify every bundle without the wall clock."""
+"""The device's id, and its counts of scans and calibrations: they identify every bundle without the wall clock."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from device.io.permissions import FILE_MODE
 
 DEVICE_SCHEMA: Final = "retrograph.device/1"
 DEVICE_FILE: Final = "device.json"
+CALIBRATION_COUNT_FILE: Final = "calibration-count.json"
 _REMEDY: Final = "restore a copy, or move it away and the store starts as a new device"
 _BOOT_ID_FILE: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class DeviceState(Record, frozen=True, tag_field="schema", tag=DEVICE_SCHEMA):
-    """The device's random id, made once, and its count of presses since, over all boots."""
+    """The device's random id, made once, and its count of scans since, over all boots."""
 
     device_id: BundleId
     counter: Count
 
 
 def new_device() -> DeviceState:
-    """A device with a new random id and no presses."""
+    """A device with a new random id and no scans."""
     return DeviceState(device_id=f"rg{secrets.token_hex(4)}", counter=0)
 
 
@@ -53,9 +54,35 @@ def write_device(root: Path, state: DeviceState) -> None:
     replace_file(root / DEVICE_FILE, encode_record(state), FILE_MODE)
 
 
-def count_press(state: DeviceState) -> DeviceState:
-    """The state after one more press."""
-    return msgspec.structs.replace(state, counter=state.counter + 1)
+def start_device(root: Path) -> None:
+    """Store a new device, with no scans and no calibrations. Errors as for `write_device`."""
+    device = new_device()
+    replace_file(root / CALIBRATION_COUNT_FILE, encode_record(device), FILE_MODE)
+    write_device(root, device)
+
+
+def count_scan(root: Path, state: DeviceState) -> int:
+    """The number of the next scan, stored durably. Errors as for `write_device`."""
+    write_device(root, msgspec.structs.replace(state, counter=state.counter + 1))
+    return state.counter + 1
+
+
+def count_calibration(root: Path, state: DeviceState) -> int:
+    """The number of the next calibration, stored durably: calibrations take no numbers of scans.
+
+    A store of a program that numbered both together goes on from their common count.
+
+    Raises
+    ------
+    RecordError
+        The file is damaged.
+    OSError
+        The disk refused; the old count is kept.
+    """
+    path = root / CALIBRATION_COUNT_FILE
+    last = decode_record(read_small(path, _REMEDY), DeviceState, path, _REMEDY) if path.exists() else state
+    replace_file(path, encode_record(msgspec.structs.replace(last, counter=last.counter + 1)), FILE_MODE)
+    return last.counter + 1
 
 
 def current_boot_id() -> str:

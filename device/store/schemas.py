@@ -21,6 +21,7 @@ from device.store.active import ActiveCalibration
 from device.store.device_id import DeviceState
 from device.store.gels import GelRecord, MountedGel
 from device.store.marks import ScanMark
+from device.store.presets import Presets
 from device.store.registry_file import RegistryFile
 from device.store.settings import Settings
 from device.store.sticky import StickyAnnotations
@@ -37,6 +38,7 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     MountedGel,
     RegistryFile,
     StickyAnnotations,
+    Presets,
     Settings,
     CheckStandard,
     CheckRecord,

@@ -20,9 +20,11 @@ class Settings(Record, frozen=True, tag_field="schema", tag=SETTINGS_SCHEMA):
     """What holds until it is changed.
 
     capture : how presses are taken
+    number_parts : whether the part's number grows with every scan
     """
 
     capture: CaptureMode = "single"
+    number_parts: bool = False
 
 
 def read_settings(root: Path) -> Settings:

@@ -36,7 +36,15 @@ from device.io.permissions import (
 )
 from device.store.active import read_active, write_active
 from device.store.allowance import tidy_shared_folders
-from device.store.device_id import DeviceState, count_press, current_boot_id, new_device, read_device, write_device
+from device.store.deletion import purge_deleted
+from device.store.device_id import (
+    DeviceState,
+    count_calibration,
+    count_scan,
+    current_boot_id,
+    read_device,
+    start_device,
+)
 from device.store.eviction import evict_acknowledged
 from device.store.inbox import InboxItem, copy_calibration, import_inbox
 from hal.errors import HalError
@@ -80,7 +88,7 @@ class BundleStore:
             with locked_directory(root):
                 clear_unpublished(root)
                 if read_device(root) is None:
-                    write_device(root, new_device())
+                    start_device(root)
 
     @property
     def device_id(self) -> str:
@@ -96,14 +104,14 @@ class BundleStore:
             The counter cannot be stored.
         """
         with self._translating("written"), locked_directory(self.root):
-            state = count_press(self._device())
-            write_device(self.root, state)
+            state = self._device()
+            count = (count_scan if kind == "scans" else count_calibration)(self.root, state)
         suffix = "-cal" if kind == "calibrations" else ""
         return Identity(
-            id=f"{state.device_id}-{self._boot_id}-{state.counter:06d}{suffix}",
+            id=f"{state.device_id}-{self._boot_id}-{count:06d}{suffix}",
             device_id=state.device_id,
             boot_id=self._boot_id,
-            counter=state.counter,
+            counter=count,
             monotonic_ns=self._clock.monotonic_ns(),
         )
 
@@ -201,13 +209,14 @@ class BundleStore:
     def make_room(self, size_bytes: int) -> list[str]:
         """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
 
-        What workstations left beyond their allowance goes first.
+        Deleted scans go first, then what workstations left beyond their allowance.
 
         Raises
         ------
         StoreError
             The disk refused.
         """
+        purge_deleted(self.root)
         with self._translating("written"), locked_directory(self.root):
             tidy_shared_folders(self.root, {name for kind in MANIFESTS for name in bundle_ids(self.root, kind)})
             return evict_acknowledged(self.root, lambda: self.scans_left(size_bytes) > 0)

@@ -61,9 +61,9 @@ def gauge_text(name: str, fraction: float | None, columns: int, words: str | Non
     return f"{label}{GAUGE_FULL * filled}{GAUGE_EMPTY * (room - filled)}{number}"
 
 
-def sticky_text(sticky: Annotations) -> str:
-    """Job, part and operator in a line; a dash for what is not set."""
-    return f"Job {sticky.job or '-'} · Part {sticky.part or '-'} · Operator {sticky.operator or '-'}"
+def sticky_text(sticky: Annotations, beside_part: str = "") -> str:
+    """Job, part and operator in a line; a dash for what is not set; `beside_part` follows the part."""
+    return f"Job {sticky.job or '-'} · Part {sticky.part or '-'}{beside_part} · Operator {sticky.operator or '-'}"
 
 
 def hanging(text: str, columns: int, indent: int) -> str:

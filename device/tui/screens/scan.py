@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import ClassVar, Final
 
 from msgspec import structs
@@ -13,6 +14,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from device.bundles.scan import Annotations, CaptureMode
+from device.errors import DeviceError
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState, LastScan
@@ -20,9 +22,10 @@ from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
 from device.tui.screens.base import InstrumentScreen
-from device.tui.widgets.dialogs import FieldsDialog
+from device.tui.widgets.dialogs import ChoiceDialog, FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.live_view import LiveView
+from device.tui.widgets.navigation import Notice
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
 
@@ -41,8 +44,11 @@ class ScanScreen(InstrumentScreen):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("space", "scan", "scan"),
         Binding("j", "sticky", "job"),
+        Binding("o", "presets", "presets of job, part and operator", show=False),
+        Binding("i", "number", "number parts, or no longer", show=False),
+        Binding("r", "retake", "retake"),
         Binding("a", "auto", "auto"),
-        Binding("m", "mode", "mode"),
+        Binding("m", "mode", "one frame, precise, or each light", show=False),
         Binding("z", "zero", "zero"),
         Binding("d", "demonstrate", "press"),
     ]
@@ -75,7 +81,10 @@ class ScanScreen(InstrumentScreen):
         auto = " · auto-shutter on" if state.auto_shutter else ""
         if state.check.is_next and state.check.standard:
             auto += f" · next: check of {state.check.standard.name}"
-        self._sticky.update(f"{sticky_text(state.sticky)}{_MODE_WORDS[state.settings.capture]}{auto}")
+        elif state.replaces:
+            auto += f" · next: retake of #{state.last.counter if state.last else '?'}"
+        numbered = " (numbered)" if state.settings.number_parts else ""
+        self._sticky.update(f"{sticky_text(state.sticky, numbered)}{_MODE_WORDS[state.settings.capture]}{auto}")
         self._show_last(state)
 
     def show_live(self, state: InstrumentState) -> None:
@@ -111,6 +120,39 @@ class ScanScreen(InstrumentScreen):
     def action_zero(self) -> None:
         """Run the zero check."""
         self.instrument.zero_check()
+
+    def action_retake(self) -> None:
+        """Let the next scan replace the last one."""
+        self.instrument.retake()
+        self.show_body(self.instrument.state)
+
+    def action_number(self) -> None:
+        """Give each scan's part the next number, or no longer."""
+        settings = self.instrument.state.settings
+        self.instrument.set_settings(structs.replace(settings, number_parts=not settings.number_parts))
+        self.show_body(self.instrument.state)
+
+    def action_presets(self) -> None:
+        """Choose job, part and operator from those that were stored, or store the present ones."""
+        presets, present = self.instrument.presets(), self.instrument.state.sticky
+        lines = [f"Store: {sticky_text(present)}", *(sticky_text(preset) for preset in presets)]
+        dialog = ChoiceDialog("Job, part and operator", lines, 1 if presets else 0)
+        self.app.push_screen(dialog, partial(self._choose_preset, presets))
+
+    def _choose_preset(self, presets: tuple[Annotations, ...], chosen: int | None) -> None:
+        if chosen is None:
+            return
+        sticky = self.instrument.state.sticky
+        if chosen:
+            self.instrument.set_sticky(structs.replace(presets[chosen - 1], note=sticky.note))
+            self.show_body(self.instrument.state)
+            return
+        try:
+            self.instrument.add_preset(structs.replace(sticky, note=None))
+        except DeviceError as error:
+            self.retroscan.report_failure(str(error))
+        else:
+            self.retroscan.notice = Notice("Stored: o lists it.")
 
     def action_demonstrate(self) -> None:
         """Let the twin's operator press the next object."""

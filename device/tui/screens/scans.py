@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import ClassVar
 
@@ -19,12 +19,14 @@ from device.store.marks import Opinion
 from device.surface.fields import HeightMap
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.text import local_time, sticky_text
+from device.tui.drawing.history_lines import ORDERS, Order, chosen_scans, details_of, scan_line
 from device.tui.screens.base import InstrumentScreen
 from device.tui.widgets.dialogs import FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.line_list import LineList
+from device.tui.widgets.navigation import Notice
 
+FIND_HINT = "For example: lid doubtful, #12, unsent, marked bad, 2026-11; nothing: all scans"
 HEADING = "     # verdict  mark sent part"
 
 
@@ -39,6 +41,10 @@ class ScansScreen(InstrumentScreen):
         Binding("u", "mark('')", "unmark", show=False),
         Binding("n", "note", "note"),
         Binding("p", "profile", "profile"),
+        Binding("x,delete", "delete", "delete", key_display="x"),
+        Binding("z", "undo", "undo"),
+        Binding("slash", "find", "find", key_display="/"),
+        Binding("s", "sort", "sort"),
         Binding("v", "view", show=False),
     ]
 
@@ -48,6 +54,10 @@ class ScansScreen(InstrumentScreen):
         self._relief = HeightView(depth, below=6)
         self._words = Static(id="words", markup=False)
         self._history = History((), ())
+        self._heading = Static(HEADING, id="history-heading", markup=False)
+        self._words_wanted = ""
+        self._order: Order = ORDERS[0]
+        self._scans: tuple[ScanEntry, ...] = ()
         self._known: tuple[object, ...] | None = None
         self._shown: str | None = None
 
@@ -55,7 +65,7 @@ class ScansScreen(InstrumentScreen):
         """The list on the left; relief and details on the right."""
         with Horizontal(id="review"):
             with Vertical(id="history-side"):
-                yield Static(HEADING, id="history-heading", markup=False)
+                yield self._heading
                 yield self._list
             with Vertical(id="scan-side"):
                 yield self._relief
@@ -89,6 +99,47 @@ class ScansScreen(InstrumentScreen):
             dialog = FieldsDialog(f"Scan #{entry.counter}", {"Note": note}, "Enter: save · Escape: cancel")
             self.app.push_screen(dialog, partial(self._save_note, entry))
 
+    def action_delete(self) -> None:
+        """Delete the chosen scan; undo brings it back until power off."""
+        if entry := self._entry():
+            sentence = f"Scan #{entry.counter} is deleted: z brings it back until power off."
+            self._change(partial(self.instrument.delete, entry.scan_id), sentence)
+
+    def action_undo(self) -> None:
+        """Bring the scan that was deleted last back."""
+        self._change(self.instrument.undo_delete, "The scan is back.")
+
+    def action_find(self) -> None:
+        """Show only scans with certain words."""
+        dialog = FieldsDialog("Which scans?", {"Words": self._words_wanted}, FIND_HINT)
+        self.app.push_screen(dialog, self._find)
+
+    def action_sort(self) -> None:
+        """Show the scans in the next order."""
+        self._order = ORDERS[(ORDERS.index(self._order) + 1) % len(ORDERS)]
+        self.retroscan.notice = Notice(f"Sorted {self._order}.")
+        self._list_scans()
+
+    def _find(self, fields: dict[str, str] | None) -> None:
+        if fields is not None:
+            self._words_wanted = fields["Words"]
+            self._list_scans()
+
+    def _change(self, work: Callable[[], object], sentence: str) -> None:
+        self.run_worker(partial(self._change_then, work, sentence), thread=True, group="change")
+
+    def _change_then(self, work: Callable[[], object], sentence: str) -> None:
+        try:
+            work()
+        except DeviceError as error:
+            self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            return
+        self.app.call_from_thread(self._changed, sentence)
+
+    def _changed(self, sentence: str) -> None:
+        self.retroscan.notice = Notice(sentence)
+        self.reread()
+
     def action_profile(self) -> None:
         """Show or hide the profile."""
         if self._relief.check_action("profile", ()):
@@ -112,7 +163,7 @@ class ScansScreen(InstrumentScreen):
 
     def _entry(self) -> ScanEntry | None:
         chosen = self._list.chosen
-        return self._history.scans[chosen] if chosen is not None and chosen < len(self._history.scans) else None
+        return self._scans[chosen] if chosen is not None and chosen < len(self._scans) else None
 
     def _read_history(self) -> None:
         try:
@@ -123,22 +174,29 @@ class ScansScreen(InstrumentScreen):
         self.app.call_from_thread(self._show_history, history)
 
     def _show_history(self, history: History) -> None:
-        chosen = self._entry()
         self._history = history
-        if not history.scans:
-            self._relief.show(None, "No scans yet.")
-            self._words.update("\n".join(history.damaged))
-            return
-        ids = [entry.scan_id for entry in history.scans]
-        lines = [scan_line(entry) for entry in history.scans]
-        self._list.show(lines, ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else 0)
+        self._list_scans()
         if history.damaged:
             self.retroscan.report_failure(history.damaged[0])
 
+    def _list_scans(self) -> None:
+        """Show the wanted scans in the wanted order, and keep the chosen one."""
+        chosen, before = self._entry(), self._list.chosen or 0
+        self._scans = chosen_scans(self._history.scans, self._words_wanted, self._order)
+        what = f"{len(self._scans)} with {self._words_wanted!r}" if self._words_wanted else HEADING
+        self._heading.update(what)
+        ids = [entry.scan_id for entry in self._scans]
+        place = ids.index(chosen.scan_id) if chosen and chosen.scan_id in ids else before
+        self._list.show([scan_line(entry) for entry in self._scans], place)
+        if not self._scans:
+            self._shown = None
+            self._relief.show(None, "No such scan: / asks for other words." if self._history.scans else "No scans yet.")
+            self._words.update("\n".join(self._history.damaged))
+
     def _show(self, index: int) -> None:
-        if index >= len(self._history.scans):
+        if index >= len(self._scans):
             return
-        entry = self._history.scans[index]
+        entry = self._scans[index]
         self._words.update(details_of(entry))
         if entry.scan_id != self._shown:
             self._shown = entry.scan_id
@@ -170,22 +228,3 @@ class ScansScreen(InstrumentScreen):
             self.app.call_from_thread(self.retroscan.report_failure, str(error))
             return
         self.app.call_from_thread(self.reread)
-
-
-def scan_line(entry: ScanEntry) -> str:
-    """One line of the history: number, verdict, mark, whether it was offloaded, part."""
-    mark = entry.mark.opinion or "" if entry.mark else ""
-    sent = "yes" if entry.offloaded else ""
-    level = "doubtful" if entry.doubt and entry.verdict.level == "good" else entry.verdict.level
-    return f"{entry.counter:>4} {level:<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
-
-
-def details_of(entry: ScanEntry) -> str:
-    """Verdict, annotations, time, offload state and note of a scan."""
-    sent = "verified on a workstation" if entry.offloaded else "not offloaded"
-    note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
-    doubt = f"! {entry.doubt}\n" if entry.doubt and entry.doubt != entry.verdict.reason else ""
-    return (
-        f"{doubt}{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
-        f"{local_time(entry.wall_time)} · {sent}{note}"
-    )

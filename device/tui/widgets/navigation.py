@@ -76,7 +76,7 @@ class NavigationItem(Static):
 
 
 class KeyHints(Horizontal):
-    """The active key bindings; hints that do not fit are left out, last first."""
+    """The active key bindings; hints that do not fit are left out, last first, never that of all keys."""
 
     def compose(self) -> ComposeResult:
         """One hint per key."""
@@ -85,7 +85,7 @@ class KeyHints(Horizontal):
             binding = active.binding
             if binding.show and active.enabled and binding.action not in hints:
                 hints[binding.action] = KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
-        yield from hints.values()
+        yield from sorted(hints.values(), key=lambda hint: hint.key != "question_mark")
 
     def on_mount(self) -> None:
         """Subscribe to changes of the bindings."""
@@ -101,12 +101,12 @@ class KeyHint(Static):
 
     def __init__(self, shown: str, description: str, key: str) -> None:
         super().__init__(Content.assemble((f" {shown} ", "$accent bold"), (f"{description} ", "")))
-        self._key = key
+        self.key = key
 
     def on_click(self, event: Click) -> None:
         """Press the key."""
         event.stop()
-        self.app.simulate_key(self._key)
+        self.app.simulate_key(self.key)
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,11 +36,20 @@ def test_identities_never_repeat_whatever_the_clocks_say(tmp_path: Path) -> None
     for boot, wall_s in (("aaaaaaaa", 1.8e9), ("bbbbbbbb", 0.0), ("bbbbbbbb", 0.0)):
         store = BundleStore(tmp_path, VirtualClock(wall_start_s=wall_s), boot_id=boot)
         seen += [store.next_identity("scans"), store.next_identity("calibrations")]
-    assert [identity.counter for identity in seen] == [1, 2, 3, 4, 5, 6]
+    assert [identity.counter for identity in seen] == [1, 1, 2, 2, 3, 3]
     assert len({identity.id for identity in seen}) == 6
     assert {identity.device_id for identity in seen} == {store.device_id}
     assert seen[0].id == f"{store.device_id}-aaaaaaaa-000001"
     assert seen[1].id.endswith("-cal")
+
+
+def test_a_store_whose_calibrations_took_numbers_of_scans_goes_on_without_repeating_one(tmp_path: Path) -> None:
+    store = BundleStore(tmp_path, VirtualClock(), boot_id="aaaaaaaa")
+    for _ in range(4):
+        store.next_identity("scans")
+    (tmp_path / "calibration-count.json").unlink()
+    found = [store.next_identity(kind).counter for kind in ("calibrations", "scans", "calibrations")]
+    assert found == [5, 5, 6]
 
 
 def test_bundles_are_listed_in_order_and_damaged_ones_by_name(store: BundleStore, publish_scan: PublishScan) -> None:

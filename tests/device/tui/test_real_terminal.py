@@ -76,13 +76,13 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     terminal.keys("1")
     for number in range(1, 4):
         terminal.keys("d")
-        terminal.wait_for(rf"(GOOD|DOUBTFUL|RETAKE) #{number + 1} ")
+        terminal.wait_for(rf"(GOOD|DOUBTFUL|RETAKE) #{number} ")
     terminal.keys("3")
-    shown = terminal.wait_for(r">\s+4 ")
-    assert re.search(r"\s3 (good|doubtful)", shown)
+    shown = terminal.wait_for(r">\s+3 ")
+    assert re.search(r"\s2 (good|doubtful)", shown)
     assert "µm" in shown
     terminal.keys("g")
-    terminal.wait_for(r">\s+4 \w+\s+good")
+    terminal.wait_for(r">\s+3 \w+\s+good")
     terminal.keys("v")
     terminal.wait_for("This terminal has no graphics")
     terminal.keys("q")

@@ -25,12 +25,12 @@ def test_a_scan_shows_cue_verdict_relief_and_its_scale(play: Callable[..., None]
         await stage.live(27)
         assert "> Ready: push the button." in stage.text()
         shown = stage.text()
-        assert "GOOD #2 exposure" in shown
+        assert "GOOD #1 exposure" in shown
         assert "µm" in shown
         assert "├" in shown
         assert "5 mm" in shown
         assert "contact ■" in shown
-        assert stage.instrument.state.last.scan_id.endswith("000002")
+        assert stage.instrument.state.last.scan_id.endswith("000001")
 
     play(scenario, root)
 
@@ -40,7 +40,7 @@ def test_space_scans_like_the_button(play: Callable[..., None], root: Path) -> N
         await stage.press("space")
         await stage.live(3)
         assert stage.instrument.state.scans_stored == 1
-        assert "#2" in stage.text()
+        assert "#1" in stage.text()
         await stage.push()
         assert stage.instrument.state.scans_stored == 2
 
@@ -162,5 +162,26 @@ def test_a_long_push_leads_on_and_short_ones_never_scan_elsewhere(play: Callable
         await stage.push()
         assert stage.instrument.state.scans_stored == 0
         assert "> This instrument" in stage.text()
+
+    play(scenario, root)
+
+
+def test_presets_numbers_and_retakes_by_key(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("j", *"lids", "enter", *"A-09", "enter", *"Kim", "enter")
+        await stage.press("o", "enter")
+        assert "Stored: o lists it." in stage.text()
+        await stage.press("j", *["backspace"] * 4, *"nuts", "enter", "enter", "enter")
+        assert "Job nuts" in stage.text()
+        await stage.press("i")
+        assert "Part A-09 (numbered)" in stage.text()
+        await stage.object_pressed()
+        assert "Part A-10 (numbered)" in stage.text()
+        await stage.press("r")
+        assert "next: retake of #1" in stage.text()
+        await stage.press("r", "o")
+        assert "Store: Job nuts" in stage.text()
+        await stage.press("enter")
+        assert "Job lids · Part A-09 (numbered) · Operator Kim" in stage.text()
 
     play(scenario, root)

@@ -26,7 +26,7 @@ def test_scans_are_listed_newest_first_and_chosen_by_keys_touch_and_button(
         await _scan(stage, 3)
         await stage.press("3")
         rows = [line for line in stage.lines()[2:20] if " doubtful" in line[:20] or " good " in line[:20]]
-        assert [row.split()[1 if row.strip().startswith(">") else 0] for row in rows] == ["4", "3", "2"]
+        assert [row.split()[1 if row.strip().startswith(">") else 0] for row in rows] == ["3", "2", "1"]
         assert rows[0].lstrip().startswith(">")
         await stage.press("down")
         assert stage.lines()[3].lstrip().startswith("> ")
@@ -98,7 +98,7 @@ def test_a_damaged_scan_is_named_and_the_others_are_shown(play: Callable[..., No
         await stage.press("3")
         assert "! " in stage.text()
         assert broken.name in stage.text().replace(" ", "")
-        assert "> 3 " in stage.text()
+        assert "> 2 " in stage.text()
 
     play(scenario, root)
 
@@ -148,5 +148,41 @@ def test_a_terminal_without_graphics_is_reported(play: Callable[..., None], root
         await stage.press("3")
         await stage.press("v")
         assert "! This terminal has no graphics" in stage.text()
+
+    play(scenario, root)
+
+
+def test_scans_are_found_and_sorted(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        for part in ("nut", "bolt", "lid"):
+            await stage.press("1", "j", "tab", *["backspace"] * 4, *part, "enter", "enter")
+            await _scan(stage, 1)
+        await stage.press("3", "slash", *"bolt", "enter")
+        assert "1 with 'bolt'" in stage.text()
+        assert "Part bolt" in stage.text()
+        assert "lid" not in "".join(stage.lines()[2:6])
+        await stage.press("slash", *" #9", "enter")
+        assert "No such scan" in stage.text()
+        await stage.press("slash", *["backspace"] * 7, "enter")
+        await stage.press("s", "s")
+        assert "Sorted by part." in stage.text()
+        parts = [word for line in stage.lines()[2:6] for word in line.split() if word in ("nut", "bolt", "lid")]
+        assert parts == ["bolt", "lid", "nut"]
+
+    play(scenario, root)
+
+
+def test_a_scan_is_deleted_and_brought_back(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _scan(stage, 2)
+        await stage.press("3", "x")
+        assert "Scan #2 is deleted: z brings it back until power off." in stage.text()
+        assert [entry.counter for entry in stage.instrument.history().scans] == [1]
+        await stage.press("x")
+        assert "No scans yet." in stage.text()
+        await stage.press("z", "z")
+        assert [entry.counter for entry in stage.instrument.history().scans] == [2, 1]
+        await stage.press("z")
+        assert "no scan was deleted" in stage.text()
 
     play(scenario, root)

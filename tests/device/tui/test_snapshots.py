@@ -147,7 +147,7 @@ def test_a_resized_terminal_is_filled_again(play: Callable[..., None], root: Pat
             await stage.live()
             assert len(stage.lines()) == size[1]
             assert stage.lines()[0].startswith(" 1 Scan")
-        assert "GOOD #2" in stage.text()
+        assert "GOOD #1" in stage.text()
         assert "q quit" in stage.text()
 
     play(scenario, root)

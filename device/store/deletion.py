@@ -1,0 +1,69 @@
+"""Deleted scans: kept in `deleted/` until the instrument is switched off or the room is needed.
+
+A scan leaves and comes back in one step, so that a power cut never leaves half of it. Its mark and receipt stay until
+it is gone for good, and so does the record of a check, which belongs to the instrument.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from device.bundles.layout import is_bundle_id
+from device.bundles.receipt import RECEIPTS, receipt_name
+from device.errors import RecordError, StoreError
+from device.io.atomic import remove_tree_quietly, sync_directory
+from device.io.folder import Folder
+from device.io.lock import locked_directory
+from device.io.os_errors import explain_os_error
+from device.io.permissions import FOLDER_MODE, make_folder
+from device.store.marks import mark_path
+
+DELETED: Final = "deleted"
+
+
+def delete_scan(root: Path, scan_id: str) -> None:
+    """Delete a scan; `restore_scan` brings it back.
+
+    Raises
+    ------
+    RecordError
+        There is no such scan.
+    StoreError
+        The disk refused; the scan stays.
+    """
+    _move(root, scan_id, "scans", DELETED, "deleted")
+
+
+def restore_scan(root: Path, scan_id: str) -> None:
+    """Bring a deleted scan back. Errors as for `delete_scan`."""
+    _move(root, scan_id, DELETED, "scans", "brought back")
+
+
+def purge_deleted(root: Path) -> None:
+    """Remove deleted scans for good; one that cannot be removed is tried again the next time."""
+    with suppress(OSError):
+        for folder in sorted((root / DELETED).iterdir()):
+            if (root / "scans" / folder.name).exists():
+                continue
+            remove_tree_quietly(folder)
+            with suppress(OSError), Folder(root) as inside:
+                inside.remove_file(f"{RECEIPTS}/{receipt_name(folder.name)}")
+            with suppress(OSError):
+                mark_path(root, folder.name).unlink(missing_ok=True)
+
+
+def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None:
+    if not is_bundle_id(scan_id):
+        raise RecordError(f"{scan_id!r} is no scan id: choose a scan from the history")
+    try:
+        make_folder(root / DELETED, FOLDER_MODE)
+        with locked_directory(root):
+            (root / source / scan_id).rename(root / target / scan_id)
+            sync_directory(root / target)
+            sync_directory(root / source)
+    except FileNotFoundError as error:
+        raise RecordError(f"scan {scan_id} cannot be {done}: it is no longer there") from error
+    except OSError as error:
+        raise StoreError(f"scan {scan_id} cannot be {done} {explain_os_error(error)}") from error
