@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 from hal.errors import BoardProfileError
-from hal.frame import BayerOrder, CameraSettings
+from hal.frame import AS_GRANTED, CameraSettings, StatedOrder
 from hal.optics_tables import BeamConfig, LensConfig
 from hal.profile_files import profile_folder, profile_names
 from hal.profile_values import (
+    ASPECT_TOLERANCE,
+    LIVE_AIMING_US,
     BusAddress,
     BusNumber,
     Channel,
@@ -28,17 +30,12 @@ from hal.profile_values import (
 )
 from hal.validation import explain_with_accepted, not_finite
 
-ASPECT_TOLERANCE: Final = 0.02
-"""Relative tolerance of the aspect ratio; libcamera crops an aiming view that differs more from the sensor."""
-
-LIVE_AIMING_US: Final = 80_000.0
-"""Maximum frame period for ten aiming views per second with time to spare."""
-
 
 class SensorConfig(Table, frozen=True):
     """The sensor and its scale: counts in dn, charge in electrons, pitch at the skin in µm.
 
     exposure_step_us : exposures are multiples of this, µs: the time of one line or of two
+    bayer_order : of raw frames, or "as granted": the order in which libcamera hands them out, which kernels change
     min_exposure_us : shortest exposure, µs; one step when not stated
     min_gain, max_gain : limits of the analogue gain; libcamera clamps a request beyond them without an error
     """
@@ -46,7 +43,7 @@ class SensorConfig(Table, frozen=True):
     model: str
     columns: EvenSize
     rows: EvenSize
-    bayer_order: BayerOrder
+    bayer_order: StatedOrder
     black_level_dn: NotNegative
     white_level_dn: Positive
     pixel_pitch_um: Positive
@@ -329,6 +326,8 @@ def _errors(profile: BoardProfile) -> Iterator[str]:
     if profile.sensor.white_level_dn <= profile.sensor.black_level_dn:
         yield "sensor.white_level_dn: accepted: more than black_level_dn"
     yield from _exposure_errors(profile.sensor, profile.camera)
+    if profile.sensor.bayer_order == AS_GRANTED and profile.libcamera is None:
+        yield f"sensor.bayer_order: only libcamera grants one, not the driver {profile.driver!r}; accepted: an order"
     if profile.driver.startswith("twin") and profile.twin is None:
         yield f"twin: the driver {profile.driver!r} needs a [twin] table; it may be empty"
     if profile.driver == "uvc":

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 BayerOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+AS_GRANTED: Final = "as granted"
+StatedOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG", "as granted"]
+"""What a board profile says of its sensor: an order, or that the order which libcamera grants is taken."""
 BAYER_ORDERS: Final[tuple[BayerOrder, ...]] = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
+
+ASPECT_TOLERANCE: Final = 0.02
+"""Relative tolerance of the aspect ratio; libcamera crops an aiming view that differs more from the sensor."""
+
+LIVE_AIMING_US: Final = 80_000.0
+"""Maximum frame period for ten aiming views per second with time to spare."""
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]

@@ -11,7 +11,7 @@ from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.errors import FrameError, FrameNotConfirmed
 from hal.board_profile import SensorConfig
 from hal.errors import FrameTimeout, LightError
-from hal.frame import CameraSettings, RawFrame
+from hal.frame import AS_GRANTED, BayerOrder, CameraSettings, RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import Camera, LightFault, Lights
 
@@ -42,11 +42,13 @@ class CaptureSettings:
     settings : requested from the camera
     currents_ma : of each light as its driver grants it, mA
     granted : settings that a frame must show, for example the calibration's; None: close to the requested ones
+    bayer_order : that of the calibration's frames, for a board whose order is as granted
     """
 
     settings: CameraSettings
     currents_ma: Mapping[str, float]
     granted: CameraSettings | None = None
+    bayer_order: BayerOrder | None = None
 
     @classmethod
     def of_board(cls, hardware: Hardware) -> CaptureSettings:
@@ -143,7 +145,7 @@ def _capture(hardware: Hardware, plan: CaptureSettings, *, keep_lit: bool) -> Ca
         steady_ns = clock.monotonic_ns() + round(SETTLE_S * 1e9)
         for _ in range(MAX_FRAMES):
             frame = camera.next_frame(FRAME_TIMEOUT_S)
-            check_frame(frame, hardware.profile.sensor, camera.camera_id)
+            check_frame(frame, hardware.profile.sensor, camera.camera_id, plan.bayer_order)
             if frame.sensor_timestamp_ns >= steady_ns and plan.matches(frame.granted, step_us):
                 found = Capture(frame, _faults(lights))
                 is_kept = keep_lit
@@ -159,8 +161,10 @@ def _capture(hardware: Hardware, plan: CaptureSettings, *, keep_lit: bool) -> Ca
     )
 
 
-def check_frame(frame: RawFrame, sensor: SensorConfig, camera_id: str) -> None:
-    """Check a frame against the sensor in the board profile.
+def check_frame(
+    frame: RawFrame, sensor: SensorConfig, camera_id: str, calibrated_order: BayerOrder | None = None
+) -> None:
+    """Check a frame against the sensor in the board profile, and its Bayer order against the calibration's.
 
     Raises
     ------
@@ -169,7 +173,7 @@ def check_frame(frame: RawFrame, sensor: SensorConfig, camera_id: str) -> None:
     """
     for key, found, stated in (
         ("rows, sensor.columns", frame.shape, (sensor.rows, sensor.columns)),
-        ("bayer_order", frame.bayer_order, sensor.bayer_order),
+        ("bayer_order", frame.bayer_order, _stated_order(frame, sensor)),
         ("white_level_dn", frame.white_level_dn, sensor.white_level_dn),
     ):
         if found != stated:
@@ -177,6 +181,15 @@ def check_frame(frame: RawFrame, sensor: SensorConfig, camera_id: str) -> None:
                 f"camera {camera_id} delivers {found} but the board profile says {stated}: check that it is the "
                 f"right camera, and check sensor.{key}"
             )
+    if calibrated_order not in {None, frame.bayer_order}:
+        raise FrameError(
+            f"camera {camera_id} delivers {frame.bayer_order} but its calibration was made with {calibrated_order}: "
+            "another kernel turns the picture; run `retroscan calibrate`"
+        )
+
+
+def _stated_order(frame: RawFrame, sensor: SensorConfig) -> BayerOrder:
+    return frame.bayer_order if sensor.bayer_order == AS_GRANTED else sensor.bayer_order
 
 
 def _faults(lights: Lights) -> tuple[LightFault, ...] | None:

@@ -101,7 +101,7 @@ def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
         mean, still, moved = FrameMean(first.frame), _smooth(first.frame), 0
         while mean.frames < MAX_FRAMES:
             frame = camera.next_frame(FRAME_TIMEOUT_S)
-            check_frame(frame, hardware.profile.sensor, camera.camera_id)
+            check_frame(frame, hardware.profile.sensor, camera.camera_id, plan.bayer_order)
             if hardware.clock.monotonic_ns() > until_ns or not plan.matches(frame.granted, step_us):
                 break
             if change(still, _smooth(frame)) > MAX_CHANGE:

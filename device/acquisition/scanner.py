@@ -123,6 +123,7 @@ class Scanner:
         _check_matches(self._calibration, hardware, self._plan)
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         reference = self._calibration.reference()
+        self._plan = replace(self._plan, bayer_order=reference.bayer_order)
         self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um)
         self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
 

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from device.bundles.record import Coordinate, Positive, Record, ShortText
 from hal.board_profile import BoardProfile
-from hal.frame import BayerOrder, CameraSettings
+from hal.frame import CameraSettings, StatedOrder
 
 SETTING_TOLERANCE: Final = 0.02
 """Relative: granted exposure, gain and current differ slightly from the requested ones."""
@@ -47,13 +47,13 @@ class LightRecord(Record, frozen=True):
 class Fingerprint(Record, frozen=True):
     """Everything that determines the colour of a pixel.
 
-    channel_order : the sensor's Bayer order
+    channel_order : the sensor's Bayer order as the profile states it; "as granted": that of the frames' own files
     orientation : direction of the raw frame's rows; the first row is the upper one
     lights : in R, G, B order
     exposure_us, analogue_gain : as granted
     """
 
-    channel_order: BayerOrder
+    channel_order: StatedOrder
     orientation: Orientation
     lights: tuple[LightRecord, LightRecord, LightRecord]
     exposure_us: Positive

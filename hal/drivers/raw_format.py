@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from hal.board_profile import LibcameraConfig, SensorConfig
 from hal.errors import CameraError
-from hal.frame import BayerOrder
+from hal.frame import AS_GRANTED, BayerOrder
 
 _UNPACKED: Final = re.compile(r"S(RGGB|BGGR|GRBG|GBRG)(8|10|12|14|16)")
+_ANY_ORDER: Final[BayerOrder] = "RGGB"
+"""libcamera adjusts a raw format of another order than the sensor's to the sensor's."""
+
 _METADATA_BITS: Final = 16
 """libcamera states black levels at this number of bits for every sensor."""
 
@@ -23,8 +26,9 @@ NO_RAW: Final = "no raw stream, as a USB or virtual camera: use a sensor on the 
 
 
 def requested_format(sensor: SensorConfig, config: LibcameraConfig) -> str:
-    """libcamera's name of the unpacked format in the profile, such as "SRGGB12"."""
-    return f"S{sensor.bayer_order}{config.raw_bits}"
+    """libcamera's name of the unpacked format in the profile, such as "SRGGB12"; any order if as granted."""
+    order = _ANY_ORDER if sensor.bayer_order == AS_GRANTED else sensor.bayer_order
+    return f"S{order}{config.raw_bits}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +48,7 @@ class RawStream:
         Raises
         ------
         CameraError
-            It is compressed or packed, or differs from the profile in size, bits or Bayer order.
+            It is compressed or packed, or differs from the profile in size, bits or a stated Bayer order.
         """
         if not stream:
             raise CameraError(f"the camera grants {NO_RAW}")
@@ -63,12 +67,13 @@ class RawStream:
         columns, rows = stream["size"]
         order, bits = cast(BayerOrder, match[1]), int(match[2])
         for key, found, stated in (
-            ("sensor.bayer_order", order, sensor.bayer_order),
+            ("sensor.bayer_order", order, order if sensor.bayer_order == AS_GRANTED else sensor.bayer_order),
             ("libcamera.raw_bits", bits, config.raw_bits),
             ("sensor.columns, sensor.rows", (columns, rows), (sensor.columns, sensor.rows)),
         ):
             if found != stated:
-                raise CameraError(f"the camera grants {found} but the board profile says {stated}: correct {key}")
+                also = ', or say "as granted"' if key == "sensor.bayer_order" else ""
+                raise CameraError(f"the camera grants {found} but the board profile says {stated}: correct {key}{also}")
         return cls(rows, columns, int(stream["stride"]), bits, order)
 
     def mosaic(self, buffer: NDArray[np.uint8]) -> NDArray[np.uint16]:

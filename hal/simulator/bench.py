@@ -14,7 +14,7 @@ from hal.errors import BoardProfileError
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import ButtonPress, Clock, Cue
 from hal.simulator.arrays import Float32Array, MaskArray
-from hal.simulator.scene import Press, Scene, expose, render
+from hal.simulator.scene import Press, Scene, expose, native_order, render
 
 
 @dataclass(slots=True)
@@ -206,7 +206,7 @@ class SimulatedScene:
             charge_e *= dust((sensor.rows, sensor.columns), sensor.pixel_pitch_um, self.seed)
         random = np.random.Generator(np.random.SFC64([self.seed, index]))
         mosaic = expose(charge_e, sensor, settings.analogue_gain, random)
-        return RawFrame(mosaic, sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn, settings, began_ns)
+        return RawFrame(mosaic, native_order(sensor), sensor.black_level_dn, sensor.white_level_dn, settings, began_ns)
 
     def _scene(self, at_ns: int) -> Scene:
         press, wobble_mm = self._pressed.value_at(at_ns), self.faults.wobble_mm

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.board_profile import BoardProfile, SensorConfig, TwinConfig
+from hal.frame import AS_GRANTED, BayerOrder
 from hal.simulator.arrays import Float32Array
 from hal.simulator.beam import beam_fraction, led_places_mm
 from hal.simulator.elastomer import Skin, drape
@@ -104,8 +105,13 @@ def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:
 
 def mosaic_weights(sensor: SensorConfig, passed: tuple[float, float, float]) -> Float32Array:
     """Fraction of a light that each pixel's filter passes, float32 array of shape (H, W), from `passed` by R, G, B."""
-    cell = np.array([passed["RGB".index(letter)] for letter in sensor.bayer_order], np.float32).reshape(2, 2)
+    cell = np.array([passed["RGB".index(letter)] for letter in native_order(sensor)], np.float32).reshape(2, 2)
     return np.tile(cell, (sensor.rows // 2, sensor.columns // 2))
+
+
+def native_order(sensor: SensorConfig) -> BayerOrder:
+    """The order that the simulated sensor has, and grants to a profile that leaves it to the camera."""
+    return "RGGB" if sensor.bayer_order == AS_GRANTED else sensor.bayer_order
 
 
 def expose(

@@ -7,9 +7,11 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
+from device.bundles.calibration import CalibrationBundle
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
 from device.errors import CalibrationMismatch
+from hal.frame import AS_GRANTED
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -97,6 +99,7 @@ class LibraryReconstructor:
             return named
         bundle = self._library.calibration_for(scan)
         _check_fingerprints(scan, bundle.calibration_id, bundle.record.gel_id, bundle.record.fingerprint)
+        _check_orders(scan, bundle)
         kept = self._calibrator.of_bundle(bundle)
         if bundle.calibration_id not in self._reported:
             self._reported.add(bundle.calibration_id)
@@ -111,6 +114,18 @@ def _exposure_checks(scan: ScanBundle) -> tuple[FrameCheck, ...]:
     if scan.record.exposures.dark_file is None or share is None:
         return ()
     return (FrameCheck("ambient light taken out", "passed", value=share, unit="of full scale"),)
+
+
+def _check_orders(scan: ScanBundle, bundle: CalibrationBundle) -> None:
+    """Refuse frames that a kernel turned since the calibration; of a stated order the fingerprints already speak."""
+    if scan.record.fingerprint.channel_order != AS_GRANTED:
+        return
+    theirs, ours = bundle.reference().bayer_order, scan.raw_frame().bayer_order
+    if theirs != ours:
+        raise CalibrationMismatch(
+            f"scan {scan.scan_id}: the calibration and the frame differ in channel order ({theirs}, not {ours}): "
+            "use a calibration made as the scan was"
+        )
 
 
 def _check_fingerprints(scan: ScanBundle, calibration_id: str, gel_id: str, fingerprint: Fingerprint) -> None:

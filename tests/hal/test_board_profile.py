@@ -51,7 +51,7 @@ def test_unknown_name_lists_the_known_ones() -> None:
     [
         ("retrograph.board/1", "retrograph.board/9", r"schema: .*accepted: retrograph\.board/1"),
         ('driver = "twin"', 'driver = "webcam"', r"driver: \'webcam\' is not accepted; accepted: picamera2, twin"),
-        ('"RGGB"', '"RGBG"', r"sensor\.bayer_order: \'RGBG\'.*accepted: BGGR, GBRG, GRBG, RGGB"),
+        ('"RGGB"', '"RGBG"', r"sensor\.bayer_order: \'RGBG\'.*accepted: BGGR, GBRG, GRBG, RGGB, as granted"),
         ("rows = 1088", "rows = 1087", r"sensor\.rows: .*multiple of 2"),
         (
             "read_noise_e = 3.0",

@@ -21,7 +21,7 @@ from hal.board_profile import BoardProfile, TwinConfig
 from hal.frame import RawFrame
 from hal.simulator.lens import Lens
 from hal.simulator.optics import SkinGeometry, skin_geometry
-from hal.simulator.scene import expose, light_on_skin, mosaic_weights
+from hal.simulator.scene import expose, light_on_skin, mosaic_weights, native_order
 from tests.benchmarks.accuracy.pattern import Patch
 
 POINTS: Final = 4
@@ -61,7 +61,7 @@ def mosaic_frame(profile: BoardProfile, light: Sequence[Float32Array], seed: int
             * _dose_e(profile, source.current_ma)
         )
     counts = expose(charge, sensor, camera.analogue_gain, np.random.default_rng(seed))
-    return RawFrame(counts, sensor.bayer_order, sensor.black_level_dn, sensor.white_level_dn, camera.settings, 0)
+    return RawFrame(counts, native_order(sensor), sensor.black_level_dn, sensor.white_level_dn, camera.settings, 0)
 
 
 def rgb_frame(profile: BoardProfile, light: Sequence[Float32Array], seed: int) -> NDArray[np.uint16]:

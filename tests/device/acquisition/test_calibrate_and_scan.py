@@ -20,7 +20,7 @@ from device.quick_look.files import HEIGHT_FILE, PICTURE_FILE
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, LightFault, MayLift, OperatorRequest, PressBall, PressObject
-from hal.simulator.bench import SimulatedScene
+from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.emulated.hardware import GAUGE_AT, Chip, emulated_hardware
 
 BALL_RADIUS_MM = 3.0
@@ -41,6 +41,15 @@ class Absent:
 def press(hardware: Hardware, name: str) -> None:
     hardware.operator.ask(PressObject(name))
     hardware.button.wait_for_press(None)
+
+
+def test_scans_keep_to_the_order_of_a_calibration_as_granted(bench: SimulatedScene, store: BundleStore) -> None:
+    sensor = msgspec.structs.replace(bench.profile.sensor, bayer_order="as granted")
+    board = emulated_hardware(build(msgspec.structs.replace(bench.profile, sensor=sensor), bench.clock), "PCA9955B")
+    with board.hardware as hardware:
+        bundle = calibrate(hardware, store, BALL_RADIUS_MM, lambda _: None).bundle
+        assert bundle.record.fingerprint.channel_order == "as granted"
+        assert Scanner(hardware, store).plan.bayer_order == bundle.reference().bayer_order == "RGGB"
 
 
 def test_calibration_finds_every_ball_and_becomes_active(hardware: Hardware, store: BundleStore) -> None:

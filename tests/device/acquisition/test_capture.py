@@ -11,7 +11,7 @@ from hal.errors import FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.interfaces import LightFault
-from hal.simulator.bench import SimulatedScene
+from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.emulated.hardware import Chip, emulated_hardware
 from hal.simulator.hardware import twin_hardware
 
@@ -142,6 +142,19 @@ def test_a_frame_of_another_sensor_is_refused_by_name(
     with other, pytest.raises(FrameError, match=f"but the board profile says .*{key}"):
         capture(other, CaptureSettings.of_board(other))
     assert not any(bench.currents_ma.values())
+
+
+def test_an_order_as_granted_is_taken_but_not_another_than_the_calibrations(bench: SimulatedScene) -> None:
+    sensor = msgspec.structs.replace(bench.profile.sensor, bayer_order="as granted")
+    left_open = msgspec.structs.replace(bench.profile, sensor=sensor)
+    board = emulated_hardware(build(left_open, bench.clock), "PCA9955B")
+    board.cameras.faults.raw_format = "SBGGR12"
+    with board.hardware as hardware:
+        plan = CaptureSettings.of_board(hardware)
+        assert capture(hardware, plan).bayer_order == "BGGR"
+        assert capture(hardware, dataclasses.replace(plan, bayer_order="BGGR")).bayer_order == "BGGR"
+        with pytest.raises(FrameError, match=r"delivers BGGR but its calibration was made with RGGB.*calibrate"):
+            capture(hardware, dataclasses.replace(plan, bayer_order="RGGB"))
 
 
 def test_a_plan_names_the_currents_that_the_driver_grants(bench: SimulatedScene) -> None:

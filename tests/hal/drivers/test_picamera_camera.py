@@ -7,12 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hal.board_profile import LibcameraConfig
+from hal.board_profile import BoardProfile, LibcameraConfig
+from hal.clock import VirtualClock
 from hal.drivers.camera_picamera2 import STALLED_S, PicameraCamera
 from hal.drivers.picamera_stack import load_picamera2
 from hal.errors import CameraError, DriverMissing, FrameTimeout
-from hal.frame import CameraSettings
-from hal.simulator.bench import SimulatedScene
+from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings
+from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.emulated.hardware import CAMERA_ID, EmulatedBoard, emulated_hardware
 
 
@@ -60,7 +61,7 @@ def test_everything_automatic_is_off_before_the_first_frame(emulated: EmulatedBo
     [
         ("BGGR_PISP_COMP1", "which loses counts: .*unpacked"),
         ("SRGGB12_CSI2P", "the packed format SRGGB12_CSI2P"),
-        ("SBGGR12", r"grants BGGR but the board profile says RGGB: correct sensor\.bayer_order"),
+        ("SBGGR12", r"grants BGGR but the board profile says RGGB: correct sensor\.bayer_order, or say \"as granted\""),
         ("SRGGB10", r"grants 10 but the board profile says 12: correct libcamera\.raw_bits"),
         ("NV12", "not a raw colour format"),
     ],
@@ -75,6 +76,21 @@ def test_another_raw_format_is_refused_and_the_camera_given_back(
     emulated.cameras.faults.raw_format = ""
     with emulated.hardware as hardware:
         hardware.camera.next_frame(1.0)
+
+
+@pytest.mark.parametrize("order", BAYER_ORDERS)
+def test_the_order_that_libcamera_grants_is_taken_where_the_profile_says_so(
+    profile: BoardProfile, order: BayerOrder
+) -> None:
+    sensor = msgspec.structs.replace(profile.sensor, bayer_order="as granted")
+    left_open = msgspec.structs.replace(profile, sensor=sensor)
+    board = emulated_hardware(build(left_open, VirtualClock()), "PCA9955B")
+    board.cameras.faults.raw_format = f"S{order}12"
+    with board.hardware as hardware:
+        assert hardware.camera.next_frame(1.0).bayer_order == order
+    board.cameras.faults.raw_format = f"S{order}10"
+    with pytest.raises(CameraError, match="grants 10 but the board profile says 12"), board.hardware:
+        pass
 
 
 @pytest.mark.parametrize("fault", ["no_raw", "no_raw_granted"])
