@@ -71,6 +71,7 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route(
             "/api/scan/{key}/measure", _posted(lambda request, body: _measure(service, request, body)), methods=["POST"]
         ),
+        Route("/api/scan/{key}/label", _posted(lambda request, body: _label(service, request, body)), methods=["POST"]),
         Route("/api/trend", _posted(lambda _, body: _trend(body)), methods=["POST"]),
         Route("/api/compare", _answering(lambda request: _compare(service, request)), methods=["POST"]),
     ]
@@ -199,6 +200,12 @@ def _measure(service: ViewerService, request: Request, body: bytes) -> Response:
 
     recipe, samples = recipe_from_page(body), request.query_params.get("samples") == "1"
     return json_answer(service.measure(_key(request), _page(request), recipe, samples=samples))
+
+
+def _label(service: ViewerService, request: Request, body: bytes) -> Response:
+    from host_sync.viewer.labelling import change_label
+
+    return json_answer(entry_info(change_label(service.catalogue, _key(request), body)))
 
 
 class _TrendRequest(msgspec.Struct, forbid_unknown_fields=True):

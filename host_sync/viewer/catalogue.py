@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
@@ -104,6 +104,11 @@ class Catalogue:
         if found is None:
             raise ViewError("no such scan: go back to the list")
         return found
+
+    def replace_entries(self, changed: Callable[[Entry], Entry]) -> None:
+        """Put what `changed` makes of it in the place of each entry that was listed."""
+        with self._lock:
+            self._known = {key: changed(entry) for key, entry in self._known.items()}
 
     def add_derived(self, entry: Entry) -> None:
         """Add an entry that belongs to no library; beyond `MAX_DERIVED` the oldest is dropped."""

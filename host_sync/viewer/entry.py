@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -12,6 +12,7 @@ import msgspec
 from device.quick_look.files import HEIGHT_FILE as QUICK_LOOK_FILE
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
+from host_sync.library.labels import Label
 from host_sync.results.doubt import Doubt
 from host_sync.results.doubts import quick_look_doubts, result_doubts, video_doubts
 from host_sync.results.field_file import read_shape
@@ -128,11 +129,10 @@ def result_entry(folder: Path, scan: Path | None = None, hit: Hit | None = None)
     heights = folder / (HEIGHTS_FILE if is_video else HEIGHT_FILE)
     if min(record.rows, record.columns) < 2 or not heights.is_file():
         raise UnreadableResult(f"{folder}: holds no heights: reconstruct the scan again")
-    title = record.name[:MAX_TITLE] or folder.name
     return Entry(
         key=key_of(folder),
         kind="video" if is_video else "result",
-        title=(hit.name or hit.part or title) if hit else title,
+        title=_title(hit, record.name[:MAX_TITLE] or folder.name),
         heights=heights,
         shape=(record.rows, record.columns),
         pitch_um=record.pixel_pitch_um,
@@ -169,13 +169,27 @@ def quick_look_entry(scan: Path, hit: Hit, pixel_pitch_um: float, frame_shape: t
     return Entry(
         key=key_of(scan),
         kind="quick look",
-        title=hit.name or hit.part or hit.scan_id,
+        title=_title(hit, hit.scan_id),
         heights=heights,
         shape=shape,
         pitch_um=pitch_um,
         scan=scan,
         hit=hit,
     )
+
+
+def relabelled(entry: Entry, scan_id: str, label: Label) -> Entry:
+    """The entry with a scan's new label, if it is of that scan."""
+    if entry.hit is None or entry.hit.scan_id != scan_id:
+        return entry
+    hit = replace(entry.hit, name=label.name, tags=label.tags, note=label.note)
+    own = entry.record.name[:MAX_TITLE] or entry.folder.name if entry.record else scan_id
+    return replace(entry, hit=hit, title=_title(hit, own))
+
+
+def _title(hit: Hit | None, own: str) -> str:
+    """What lists call an entry: its label's name, else its part, else its own name."""
+    return (hit.name or hit.part or own) if hit else own
 
 
 def _scan_around(folder: Path) -> Path | None:

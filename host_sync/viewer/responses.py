@@ -75,6 +75,7 @@ def entry_info(entry: Entry) -> dict[str, Any]:
             "operator": hit.operator,
             "gel": hit.gel,
             "device": hit.device,
+            "name": readable(hit.name),
             "tags": [readable(tag) for tag in hit.tags],
             "note": readable(hit.note),
         }

@@ -39,7 +39,8 @@ class ScanPage {
     this.below = h("div", { class: "below" });
     this.charts = h("section", { class: "drawer charts", "aria-label": "Charts", hidden: true });
     this.measure = new MeasurePanel(this.stage, this.charts);
-    this.views = h("div", { class: "sections" }, this.panel.element, this.profileSection(), this.compareSection(), aboutSection(facts));
+    this.views = h("div", { class: "sections" }, this.panel.element, this.profileSection(), this.compareSection(),
+      ...(facts.scan_id ? [labelSection(facts)] : []), aboutSection(facts));
     this.measure.element.hidden = true;
     this.tabs = ["Look", "Measure"].map((words, index) => h("button", { type: "button", "aria-pressed": String(index === 0),
       onclick: () => this.turnTo(index) }, words));
@@ -178,6 +179,32 @@ class ScanPage {
 /** Facts that distinguish an entry. */
 export function nameOf(entry) {
   return [entry.title, moment(entry.taken), entry.kind === "result" ? null : entry.kind].filter(Boolean).join(" · ");
+}
+
+/** Name, tags and note, which the library keeps beside its scans. */
+function labelSection(facts) {
+  const name = h("input", { type: "text", value: facts.name ?? "", maxlength: 120, autocomplete: "off" });
+  const tags = h("input", { type: "text", value: (facts.tags ?? []).join(" "), autocomplete: "off" });
+  const note = h("textarea", { rows: 3, maxlength: 4000 }, facts.note ?? "");
+  const said = h("p", { class: "hint", role: "status" });
+  const problem = h("p", { class: "problem", role: "alert", hidden: true });
+  const save = h("button", { type: "submit", class: "small" }, "Save label");
+  const form = h("form", { class: "inside", onsubmit: async (event) => {
+    event.preventDefault();
+    save.disabled = true;
+    problem.hidden = true;
+    try {
+      const found = await api.label(facts.key, { name: name.value.trim(), tags: tags.value.split(/[\s,]+/).filter(Boolean), note: note.value.trim() });
+      tags.value = found.tags.join(" ");
+      said.textContent = `Saved. Lists call it ${found.title}.`;
+    } catch (error) {
+      said.textContent = "";
+      problem.textContent = error.message;
+      problem.hidden = false;
+    }
+    save.disabled = false;
+  } }, field("Name", name), field("Tags", tags), field("Note", note), h("div", { class: "row" }, save), said, problem);
+  return h("details", {}, h("summary", {}, "Label"), form);
 }
 
 function aboutSection(facts) {
