@@ -225,7 +225,7 @@ COMMANDS: Final = (
         (
             "retrosync reconstruct FRAMESET.toml --out results",
             "retrosync reconstruct SCANS.toml --calibration gel.calibration --out DIR",
-            "retrosync reconstruct --library scans --json",
+            "retrosync reconstruct --library scans --workers 2 --json",
         ),
     ),
     Command(

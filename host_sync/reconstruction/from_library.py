@@ -74,7 +74,7 @@ class LibraryReconstructor:
         CalibrationMismatch
             They were taken with other lights, sizes or settings.
         """
-        kept = self._kept(scan)
+        kept = self.calibration_of(scan)
         calibration = kept.calibration
         name = scan.scan_id
         self._tell(f"{name[-10:]}: slopes and height")
@@ -89,7 +89,7 @@ class LibraryReconstructor:
         write_result(folder, reconstruction, calibration, name, facts, self._band)
         return reconstruction, folder
 
-    def _kept(self, scan: ScanBundle) -> KeptCalibration:
+    def calibration_of(self, scan: ScanBundle) -> KeptCalibration:
         """The calibration of a scan: the one that was named for all, else its own."""
         if self._calibrator.is_named:
             named = self._calibrator.named()

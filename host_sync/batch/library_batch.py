@@ -1,0 +1,137 @@
+"""Scans of a library, reconstructed by several processes with calibrations that are made once and shared as files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final
+
+from device.bundles.scan import ScanBundle, read_scan
+from device.errors import DeviceError
+from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.worker_pool import Lost, outcomes_of
+from host_sync.errors import HostError
+from host_sync.filters.detail import DetailBand
+from host_sync.library.library import Library
+from host_sync.results.files import DetailName
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Method
+    from host_sync.reconstruction.from_library import LibraryReconstructor
+
+KEPT_CALIBRATIONS: Final = 2
+"""So many of the calibrations that a process read last stay in its memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTask:
+    """A scan's folder, and the file of the calibration to reconstruct it with."""
+
+    scan: Path
+    calibration: Path
+
+
+def _quiet(_: str) -> None:
+    """Where nobody looks at the steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanWork:
+    """How every scan of a batch is reconstructed; called in a process, it returns what does so.
+
+    root : the library's folder
+    method, band, force, detail : as for `LibraryReconstructor`
+    tell : is given a few words as each step begins, in the process
+    """
+
+    root: Path
+    method: Method | None = None
+    band: DetailBand | None = None
+    force: bool = False
+    detail: DetailName = "shrunk"
+    tell: Callable[[str], None] = _quiet
+
+    def __call__(self) -> Callable[[ScanTask], ScanOutcome]:
+        """What reconstructs scans in this process."""
+        import cv2
+
+        from host_sync.calibration_file.calibrator import Calibrator
+        from host_sync.reconstruction.from_library import LibraryReconstructor
+
+        cv2.setNumThreads(1)
+
+        @lru_cache(KEPT_CALIBRATIONS)
+        def job(calibration: Path) -> LibraryReconstructor:
+            return LibraryReconstructor(
+                Library(self.root),
+                self.method,
+                self.tell,
+                self.band,
+                force=self.force,
+                detail=self.detail,
+                calibrator=Calibrator.of_file(calibration),
+            )
+
+        return lambda task: _outcome(job, task)
+
+
+def _outcome(job: Callable[[Path], LibraryReconstructor], task: ScanTask) -> ScanOutcome:
+    try:
+        return _reconstructed(job(task.calibration), read_scan(task.scan))
+    except (DeviceError, HostError) as error:
+        return ScanOutcome(task.scan.name, reason=str(error))
+
+
+def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
+    from host_sync.results.doubts import stated_doubts
+
+    _, folder = job.run(scan)
+    return ScanOutcome(scan.scan_id, folder, stated_doubts(folder))
+
+
+def one_by_one(scans: Sequence[ScanBundle], job: LibraryReconstructor) -> Iterator[ScanOutcome]:
+    """What became of every scan, in this process."""
+    for scan in scans:
+        try:
+            yield _reconstructed(job, scan)
+        except (DeviceError, HostError) as error:
+            yield ScanOutcome(scan.scan_id, reason=str(error))
+
+
+def reconstruct_scans(
+    scans: Sequence[ScanBundle],
+    work: ScanWork,
+    job: LibraryReconstructor,
+    workers: int,
+    *,
+    first_alone: bool = False,
+) -> Iterator[ScanOutcome]:
+    """What became of every scan, once, in the order in which they are done.
+
+    job : makes each calibration once, in this process; scans that have none are not sent to another
+    workers : processes at a time, with one thread each
+    first_alone : the first scan is done before another begins: it compiles what all need
+    """
+    refused: list[ScanOutcome] = []
+    with TemporaryDirectory(prefix="retrosync-") as folder:
+
+        def tasks() -> Iterator[ScanTask]:
+            for scan in scans:
+                try:
+                    kept = job.calibration_of(scan)
+                except (DeviceError, HostError) as error:
+                    refused.append(ScanOutcome(scan.scan_id, reason=str(error)))
+                    continue
+                path = Path(folder) / f"{kept.facts.calibration_id}.calibration"
+                if not path.exists():
+                    kept.write(path)
+                yield ScanTask(scan.directory, path)
+
+        for task, outcome in outcomes_of(tasks(), work, workers, first_alone=first_alone):
+            yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Lost) else outcome
+            while refused:
+                yield refused.pop(0)
+        yield from refused

@@ -1,0 +1,157 @@
+"""A library by two processes: the same bits as by one, whatever dies on the way."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import pytest
+from mortal_work import DieOnce
+
+from device.acquisition.scanner import Scanner
+from device.bundles.scan import Annotations
+from device.store.store import BundleStore
+from hal.board_profile import BoardProfile
+from hal.clock import VirtualClock
+from hal.interfaces import PressObject
+from hal.simulator.bench import build
+from hal.simulator.hardware import twin_hardware
+from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans
+from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.kept_calibration import KeptCalibration
+from host_sync.cli.main import main
+from host_sync.library.library import Library
+from host_sync.reconstruction.from_library import LibraryReconstructor
+
+OBJECTS = ("coin", "sphere", "coin")
+
+
+class Said(msgspec.Struct):
+    """What the command prints as JSON."""
+
+    scans: tuple[ScanOutcome, ...]
+
+
+@pytest.fixture(scope="module")
+def library(
+    calibrated_root: Path,
+    small_twin: BoardProfile,
+    tmp_path_factory: pytest.TempPathFactory,
+    calibrated_so_far: object,
+    calibrated_once: None,
+) -> Library:
+    """Three scans of which the last has a damaged frame."""
+    root = tmp_path_factory.mktemp("library") / "scans"
+    shutil.copytree(calibrated_root, root)
+    with twin_hardware(build(small_twin, VirtualClock())) as hardware:
+        scanner = Scanner(hardware, BundleStore(root, hardware.clock, boot_id="b0075e22"))
+        for shown in OBJECTS:
+            hardware.operator.ask(PressObject(shown))
+            hardware.button.wait_for_press(None)
+            scanner.scan(Annotations())
+    raw = Library(root).scans().bundles[-1].directory / "raw.tif"
+    raw.chmod(0o600)
+    raw.write_bytes(raw.read_bytes()[:-100])
+    return Library(root)
+
+
+@pytest.fixture(scope="module")
+def alone(library: Library, tmp_path_factory: pytest.TempPathFactory) -> tuple[Library, list[ScanOutcome]]:
+    """The library's copy with the results of one process, and what it said."""
+    copy = copied(library, tmp_path_factory.mktemp("alone") / "scans")
+    return copy, list(one_by_one(copy.scans().bundles, LibraryReconstructor(copy)))
+
+
+def copied(library: Library, root: Path) -> Library:
+    shutil.copytree(library.root, root)
+    return Library(root)
+
+
+def contents(library: Library) -> dict[str, object]:
+    """Every file of results by place, without the time it was written; hidden ones too."""
+    found: dict[str, object] = {}
+    for path in library.root.rglob("results/**/*"):
+        if path.is_file():
+            place = str(path.relative_to(library.root))
+            found[place] = path.read_bytes()
+            if path.name == "result.json":
+                found[place] = {
+                    key: value for key, value in json.loads(path.read_bytes()).items() if key != "written_utc"
+                }
+    return found
+
+
+def plain(outcomes: list[ScanOutcome], library: Library) -> list[tuple[str, str | None, tuple[str, ...], str | None]]:
+    """Outcomes by scan, with places relative to the library."""
+    root = str(library.root)
+    return sorted(
+        (
+            one.scan,
+            None if one.folder is None else str(one.folder.relative_to(root)),
+            one.warnings,
+            None if one.reason is None else one.reason.replace(root, "LIB"),
+        )
+        for one in outcomes
+    )
+
+
+@pytest.mark.parametrize("at", ["slopes and height", "results"])
+def test_two_processes_give_the_bits_of_one_though_one_is_killed_in_mid_scan(
+    library: Library, alone: tuple[Library, list[ScanOutcome]], tmp_path: Path, at: str
+) -> None:
+    batch = copied(library, tmp_path / "batch")
+    scans = batch.scans().bundles
+    made: list[str] = []
+
+    def obtained(kept: KeptCalibration, source: str) -> None:
+        made.append(kept.facts.calibration_id)
+
+    job = LibraryReconstructor(batch, calibrator=Calibrator(obtained=obtained))
+    marker = tmp_path / "died"
+    found = list(reconstruct_scans(scans, ScanWork(batch.root, tell=DieOnce(marker, at)), job, 2))
+    assert marker.exists()
+    assert Counter(one.scan for one in found) == Counter(scan.scan_id for scan in scans)
+    assert plain(found, batch) == plain(alone[1], alone[0])
+    assert [one.reason is None for one in sorted(found, key=lambda one: one.scan)] == [True, True, False]
+    assert contents(batch) == contents(alone[0])
+    assert len(made) == 1
+
+
+def test_the_command_line_gives_a_library_to_processes(
+    library: Library,
+    alone: tuple[Library, list[ScanOutcome]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    batch = copied(library, tmp_path / "batch")
+    assert main(["reconstruct", "--library", str(batch.root), "--workers", "2", "--json"]) == 1
+    said = msgspec.json.decode(capsys.readouterr().out, type=Said, dec_hook=lambda kind, text: kind(text))
+    assert plain(list(said.scans), batch) == plain(alone[1], alone[0])
+    assert contents(batch) == contents(alone[0])
+
+
+def test_a_scan_without_its_calibration_is_named_and_the_rest_is_done(library: Library, tmp_path: Path) -> None:
+    batch = copied(library, tmp_path / "batch")
+    shutil.rmtree(batch.root / "calibrations")
+    scans = batch.scans().bundles
+    outcomes = list(reconstruct_scans(scans, ScanWork(batch.root), LibraryReconstructor(batch), 2))
+    assert [one.scan for one in outcomes] == [scan.scan_id for scan in scans]
+    assert all("pull it from the device" in (one.reason or "") for one in outcomes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--library", "LIB", "--workers", "0"], "workers"),
+        (["set.toml", "--out", "out", "--workers", "2"], "--workers is for the scans of a library"),
+    ],
+)
+def test_workers_that_make_no_sense_are_refused(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reconstruct", *arguments]) == 2
+    assert words in capsys.readouterr().err
