@@ -19,6 +19,7 @@ from device.instrument.events import Failed, Info, ZeroChecked, show
 from device.instrument.health import BaselineScheduler, health_state, zero_sentence
 from device.instrument.live import LiveFrame, LiveLoop
 from device.instrument.state import CalibrationState, GelState, HealthState, StateStore
+from device.io.memory import give_back_memory
 from device.quality.thresholds import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
@@ -152,6 +153,7 @@ class ActiveSetup:
         self._states.update(calibration=state)
         self.report_check()
         self.report_health()
+        give_back_memory()
 
     def check_baseline(self, live: LiveFrame) -> None:
         """Check untouched skin in a live frame if a check is due.

@@ -140,6 +140,10 @@ class Instrument:
         """Report long pushes as `ButtonPushed`; with `short_too` also short ones, which then do not scan."""
         self._worker.enqueue(lambda worker: worker.redirect_button(short_too))
 
+    def show_live(self, shown: bool) -> None:
+        """Take live frames for a screen that shows them, or fewer."""
+        self._states.update(live_shown=shown)
+
     def set_auto_shutter(self, on: bool) -> None:
         """Scan automatically when a contact is still."""
         self._states.update(auto_shutter=on)

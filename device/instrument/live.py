@@ -23,6 +23,9 @@ SLEEP_AFTER_S: Final = 120.0
 PERIOD_S: Final = 0.05
 """Interval of live frames; between them the worker waits for the button."""
 
+UNSEEN_PERIOD_S: Final = 0.25
+"""The same while no screen shows the live picture, or the lights are off: processor time costs battery."""
+
 LIVE_TIMEOUT_S: Final = 0.8
 """A camera that delivers no further live frame within this time is reported and reopened; the first may take longer."""
 
@@ -88,7 +91,8 @@ class LiveLoop:
     def wait_s(self) -> float:
         """Time until the next live frame is due, s, in which the worker may wait for the button."""
         since_s = (self._hardware.clock.monotonic_ns() - self._stepped_ns) * 1e-9
-        return min(max(PERIOD_S - since_s, 0.0), PERIOD_S)
+        period_s = self._period_s()
+        return min(max(period_s - since_s, 0.0), period_s)
 
     def step(self) -> LiveFrame | None:
         """The next live frame and its reading; None while asleep.
@@ -132,6 +136,12 @@ class LiveLoop:
             return False
         self._fired = True
         return True
+
+    def _period_s(self) -> float:
+        """Interval of live frames: slow while nobody waits for one."""
+        state = self._states.state
+        waits = state.live_shown or state.processing > 0 or state.auto_shutter
+        return PERIOD_S if waits and not self.is_asleep() else UNSEEN_PERIOD_S
 
     def is_asleep(self) -> bool:
         """Whether the lights are off because nothing has happened for a while: the next push only switches them on."""

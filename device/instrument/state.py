@@ -151,6 +151,7 @@ class InstrumentState:
     sticky : job, part, operator and note of every scan
     settings : what the operator chose, such as how presses are taken
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
+    live_shown : whether a screen shows the live picture
     replaces : id of the scan that the next one is to replace; None: it is one more
     alarms : battery and room for scans, most urgent first
     sentence : the last message
@@ -170,6 +171,7 @@ class InstrumentState:
     power: PowerReading = field(default_factory=PowerReading)
     alarms: tuple[str, ...] = ()
     auto_shutter: bool = False
+    live_shown: bool = True
     live: LiveView | None = None
     last: LastScan | None = None
     replaces: str | None = None

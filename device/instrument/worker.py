@@ -22,6 +22,7 @@ from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.state import StateStore
+from device.io.memory import give_back_memory
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware
@@ -210,6 +211,7 @@ class InstrumentWorker:
         if self._scans.collect():
             self._active.report_health()
             self._active.report_check()
+            give_back_memory()
         if self._fault:
             self._recover()
         elif self._run:

@@ -230,6 +230,7 @@ class RetroscanApp(App[str]):
         """Open a screen; the button scans on the first one and navigates on the others."""
         await self.switch_mode(place)
         self.instrument.redirect_button(short_too=place != "scan")
+        self.instrument.show_live(place in {"scan", "calibrate"})
         await self.show_state()
         self.show_live()
 

@@ -9,12 +9,12 @@ from textual.app import ComposeResult
 from textual.containers import Container
 from textual.screen import Screen
 from textual.widget import Widget
-from textual.widgets import Static
 
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.tui.screens.panels import state_text
 from device.tui.widgets.navigation import KeyHints, NavigationBar, Notice, NoticeLine, Place
+from device.tui.widgets.words import Words
 
 if TYPE_CHECKING:
     from device.tui.screens.app import RetroscanApp
@@ -35,7 +35,7 @@ class InstrumentScreen(Screen[None]):
         self.instrument = instrument
         self._bar = NavigationBar(self.PLACE)
         self._notice = NoticeLine(id="notice", markup=False)
-        self._state = Static(id="state", markup=False)
+        self._state = Words(id="state", markup=False)
 
     @property
     def retroscan(self) -> RetroscanApp:

@@ -8,7 +8,6 @@ from typing import ClassVar, Final
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widget import Widget
-from textual.widgets import Static
 
 from device.acquisition.guided_calibration import CalibrationProgress
 from device.instrument.instrument import Instrument
@@ -20,6 +19,7 @@ from device.tui.drawing.frame_picture import Circle
 from device.tui.drawing.text import check_lines, coverage_lines, gauge_text, hanging
 from device.tui.screens.base import InstrumentScreen
 from device.tui.widgets.live_view import LiveView
+from device.tui.widgets.words import Words
 
 RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Radii of commercially available balls; chosen, never typed."""
@@ -52,10 +52,10 @@ class CalibrationScreen(InstrumentScreen):
         self._radius_mm = radius_mm
         self._fitting_since_ns: int | None = None
         self._live = LiveView(depth)
-        self._instructions = Static(id="instruction", markup=False)
-        self._progress = Static(id="progress", markup=False)
-        self._coverage = Static(id="coverage", markup=False)
-        self._figures = Static(id="details", markup=False)
+        self._instructions = Words(id="instruction", markup=False)
+        self._progress = Words(id="progress", markup=False)
+        self._coverage = Words(id="coverage", markup=False)
+        self._figures = Words(id="details", markup=False)
 
     def body(self) -> Iterable[Widget]:
         """Instruction above; live picture with circles on the left; progress, coverage and numbers on the right."""

@@ -11,7 +11,6 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widget import Widget
-from textual.widgets import Static
 
 from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
@@ -26,6 +25,7 @@ from device.tui.widgets.dialogs import ChoiceDialog, FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.live_view import LiveView
 from device.tui.widgets.navigation import Notice
+from device.tui.widgets.words import Words
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
 
@@ -56,11 +56,11 @@ class ScanScreen(InstrumentScreen):
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
         super().__init__(instrument)
         self._live = LiveView(depth, below=4)
-        self._gauges = Static(id="gauges", markup=False)
+        self._gauges = Words(id="gauges", markup=False)
         self._relief = HeightView(depth, below=3)
-        self._verdict = Static(id="verdict", markup=False)
-        self._cue = Static(id="cue", markup=False)
-        self._sticky = Static(id="sticky", markup=False)
+        self._verdict = Words(id="verdict", markup=False)
+        self._cue = Words(id="cue", markup=False)
+        self._sticky = Words(id="sticky", markup=False)
 
     def body(self) -> Iterable[Widget]:
         """Live picture and gauges; quick look and verdict; cue; annotations."""

@@ -9,7 +9,6 @@ from typing import ClassVar
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widget import Widget
-from textual.widgets import Static
 
 from device.errors import DeviceError
 from device.instrument.history import History, ScanEntry
@@ -25,6 +24,7 @@ from device.tui.widgets.dialogs import FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.line_list import LineList
 from device.tui.widgets.navigation import Notice
+from device.tui.widgets.words import Words
 
 FIND_HINT = "For example: lid doubtful, #12, unsent, marked bad, 2026-11; nothing: all scans"
 HEADING = "     # verdict  mark sent part"
@@ -52,9 +52,9 @@ class ScansScreen(InstrumentScreen):
         super().__init__(instrument)
         self._list = LineList(id="history")
         self._relief = HeightView(depth, below=6)
-        self._words = Static(id="words", markup=False)
+        self._words = Words(id="words", markup=False)
         self._history = History((), ())
-        self._heading = Static(HEADING, id="history-heading", markup=False)
+        self._heading = Words(HEADING, id="history-heading", markup=False)
         self._words_wanted = ""
         self._order: Order = ORDERS[0]
         self._scans: tuple[ScanEntry, ...] = ()

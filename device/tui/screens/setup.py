@@ -9,7 +9,6 @@ from typing import Final, Literal, TypeVar
 
 from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
-from textual.widgets import Static
 
 from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
@@ -24,6 +23,7 @@ from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.panels import check_panel, instrument_panel, pairing_panel, selftest_panel
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
 from device.tui.widgets.line_list import ChoiceList
+from device.tui.widgets.words import Words
 
 Read = TypeVar("Read")
 
@@ -93,7 +93,7 @@ class SetUpScreen(InstrumentScreen):
     def __init__(self, instrument: Instrument, _depth: ColourDepth) -> None:
         super().__init__(instrument)
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
-        self._panel = Static(id="panel", markup=False)
+        self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
 
     def body(self) -> Iterable[Widget]:

@@ -24,6 +24,8 @@ class LiveView(CellsView):
 
     def show(self, picture: NDArray[np.uint8] | None, circles: tuple[Circle, ...] = (), sentence: str = "") -> None:
         """Show a picture, uint8 array of shape (h, w, 3), with circles; or the sentence that says why it is missing."""
+        if (picture is self._picture, circles, sentence) == (True, self._circles, self._sentence):
+            return
         before, self._picture = self._picture, picture
         self._circles, self._sentence = circles, sentence
         shapes = [None if shown is None else shown.shape for shown in (before, picture)]

@@ -13,6 +13,7 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from device.tui.drawing.advice import screen_advice
+from device.tui.widgets.words import Words
 
 Place = Literal["scan", "calibrate", "scans", "set-up"]
 
@@ -48,7 +49,7 @@ class NavigationBar(Horizontal):
     def __init__(self, current: Place) -> None:
         super().__init__()
         self._current: Place = current
-        self._device = Static(id="device-name", markup=False)
+        self._device = Words(id="device-name", markup=False)
 
     def compose(self) -> ComposeResult:
         """One item per screen, and the name of the device."""
@@ -117,7 +118,7 @@ class Notice:
     severity: Severity = "info"
 
 
-class NoticeLine(Static):
+class NoticeLine(Words):
     """The last notice; an empty line without one, so that the layout stays."""
 
     def show(self, notice: Notice | None) -> None:
