@@ -11,7 +11,7 @@ The line's length has no part in it, once it holds that much.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -31,6 +31,9 @@ GAP_FLANKS: Final = 2.0
 
 REACH_FLANKS: Final = 3.0
 """Length of the profile that a step uses at each side, in lengths of its flank."""
+
+SHORTER_FLANK: Final = 0.75
+"""A line that is too short cuts the flank short: what a flank of this share changes is an uncertainty too."""
 
 OTHER_REACHES: Final = (2.0, 4.0)
 MIN_FLANK_SAMPLES: Final = 3.0
@@ -73,7 +76,9 @@ def step_height_um(
 
 
 def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
-    """Standard uncertainty of what is called the height: its spread over how much of the profile is used, µm."""
+    """Standard uncertainty of what is called the height, µm: its spread over how much of the profile is used, and on a
+    line that is too short how much it still changes with the flank that is left out.
+    """
     found = [step_height_um(profile, edges)]
     room = room_share(profile, edges)  # a line that is too short varies what it has
     for ignored, reach in zip(OTHER_SHARES, OTHER_REACHES, strict=True):
@@ -81,7 +86,10 @@ def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
             found.append(step_height_um(profile, edges, ignored, min(room, 1.0) * reach))
         except MeasurementError:
             continue
-    return float(np.std(found))
+    still = 0.0
+    if room < 1.0:
+        still = found[0] - step_height_um(profile, replace(edges, flank_um=SHORTER_FLANK * edges.flank_um))
+    return float(np.hypot(np.std(found), still))
 
 
 def lines_um(profile: Profile, edges: StepEdges) -> tuple[Float64Array, Float64Array]:

@@ -14,6 +14,8 @@ from host_sync.measurement.measure import measure_result
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import DistanceTable, LevelTable, Recipe, StepTable, checked
+from host_sync.profile.profile_line import Profile
+from host_sync.profile.step_height import definition_sigma_um, find_edges, step_height_um
 from host_sync.results.field_file import write_mask
 
 Write = Callable[..., Path]
@@ -168,3 +170,14 @@ def test_a_length_has_the_pitchs_uncertainty(write_result: Write) -> None:
     unknown = number(measure_result(write_result(tilted_block(), "other"), recipe), "span", "along the skin")
     assert unknown.uncertainty is None
     assert any("pixel pitch" in words for words in unknown.warnings)
+
+
+@pytest.mark.parametrize("length_um", [600.0, 800.0, 1200.0, 2400.0, 4000.0])
+def test_a_line_too_short_for_its_flank_knows_how_much_it_lacks(length_um: float) -> None:
+    along = np.arange(0.0, length_um, 5.0)
+    z_um = 50.0 * np.tanh((along - length_um / 2.0) / 110.0)  # its flank of 240 µm wants lines of 2.4 mm
+    profile = Profile(z_um, 5.0)
+    edges = find_edges(profile, "step")
+    missing, sigma = 100.0 - step_height_um(profile, edges), definition_sigma_um(profile, edges)
+    assert abs(missing) < 2.0 * sigma + 0.1
+    assert length_um < 2400.0 or sigma < 0.5
