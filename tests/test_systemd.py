@@ -334,3 +334,18 @@ def test_the_workstations_nightly_check_is_a_command_that_exists(tmp_path: Path)
     assert run.returncode == 2
     assert "there is no library" in run.stderr
     assert settings("workstation/retrograph-verify.timer")["Persistent"] == ["true"]
+
+
+def test_the_workstations_watch_is_a_command_that_exists(tmp_path: Path) -> None:
+    said = settings("workstation/retrograph-watch.service")
+    program, *arguments = shlex.split(said["ExecStart"][0])
+    assert program == "retrosync"
+    run = subprocess.run(
+        [sys.executable, "-m", "host_sync", *arguments, tmp_path / "absent"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 2
+    assert "there is no library" in run.stderr
+    assert said["Restart"] == ["on-failure"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,12 +16,16 @@ from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
 from host_sync.filters.detail import DetailBand
+from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Method
     from host_sync.reconstruction.from_library import LibraryReconstructor
+
+SCANS_A_WORKER: Final = 4
+"""A process more takes a second to start: it is worth that for so many scans."""
 
 KEPT_CALIBRATIONS: Final = 2
 """So many of the calibrations that a process read last stay in its memory."""
@@ -90,6 +95,19 @@ def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
 
     _, folder = job.run(scan)
     return ScanOutcome(scan.scan_id, folder, stated_doubts(folder))
+
+
+def reconstruct_all(
+    scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, workers: int | None = None
+) -> Iterator[ScanOutcome]:
+    """What became of every scan, once, by so many processes; by default as many as cores and the number of scans allow.
+
+    work, job : of the same order; `job` does it where one process is enough
+    """
+    wanted = workers or min(os.cpu_count() or 1, len(scans) // SCANS_A_WORKER)
+    if wanted <= 1:
+        return one_by_one(scans, job)
+    return reconstruct_scans(scans, work, job, min(wanted, len(scans)), first_alone=not holds_kernels())
 
 
 def one_by_one(scans: Sequence[ScanBundle], job: LibraryReconstructor) -> Iterator[ScanOutcome]:

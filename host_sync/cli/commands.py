@@ -229,6 +229,15 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "watch",
+        "host_sync.cli.watch:watch_command",
+        "Reconstruct and measure whatever comes into a library, until it is stopped.",
+        (
+            "retrosync watch scans --recipe recipe.toml",
+            "retrosync watch scans --once --workers 2",
+        ),
+    ),
+    Command(
         "paper-figures",
         "host_sync.cli.reconstruct:paper_figures",
         "Draw the figures of the CVPR 2009 paper: reflectance maps, ambiguous colours, errors of a held-out ball.",

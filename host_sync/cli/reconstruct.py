@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,14 +28,10 @@ from host_sync.cli.console import (
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
-from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
 PictureFormat = Literal["png", "pdf", "svg"]
-SCANS_A_WORKER = 4
-"""A process more takes a second to start: it is worth that for so many scans."""
-
 MethodName = Literal["direct", "paper"]
 """Methods of reconstruction; defined here too because importing them loads the numerics."""
 
@@ -164,19 +159,15 @@ def _reconstruct_library(
         raise HostError(f"{library.root} holds no scans: pull some first")
     tell("loading compiled code")
     tell_of_compiling()
-    from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans
+    from host_sync.batch.library_batch import ScanWork, reconstruct_all
     from host_sync.reconstruction.from_library import LibraryReconstructor
 
     calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     job = LibraryReconstructor(
         library, order.method, tell, order.band, force=order.force, detail=order.detail, calibrator=calibrator
     )
-    workers = order.workers or min(len(os.sched_getaffinity(0)), len(scans) // SCANS_A_WORKER)
-    if workers > 1:
-        work = ScanWork(library.root, order.method, order.band, order.force, order.detail)
-        outcomes = reconstruct_scans(scans, work, job, min(workers, len(scans)), first_alone=not holds_kernels())
-    else:
-        outcomes = one_by_one(scans, job)
+    work = ScanWork(library.root, order.method, order.band, order.force, order.detail)
+    outcomes = reconstruct_all(scans, work, job, order.workers)
     done = []
     for number, outcome in enumerate(outcomes, start=1):
         tell(f"{number} of {len(scans)} scans")

@@ -1,7 +1,7 @@
 """The library: pulled bundles in plain folders that are readable without the program.
 
 <root>/scans/<id>/  <root>/calibrations/<id>/  <root>/scans/<id>/results/<version>-<calibration>/
-<root>/intake.jsonl  <root>/set-aside/  <root>/index.sqlite3
+<root>/intake.jsonl  <root>/set-aside/  <root>/index.sqlite3  <root>/measurements/<id>.json
 """
 
 from __future__ import annotations

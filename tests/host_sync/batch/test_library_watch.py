@@ -1,0 +1,70 @@
+"""What comes into a library is reconstructed and measured, once, also when that was interrupted."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from host_sync.batch.library_watch import MEASUREMENTS, LibraryWatch
+from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.cli.main import main
+from host_sync.library.library import Library
+from host_sync.measurement.recipe import Recipe
+from host_sync.reconstruction.from_library import LibraryReconstructor
+
+
+def watch_of(library: Library) -> LibraryWatch:
+    return LibraryWatch(library, LibraryReconstructor(library), Recipe(), 1)
+
+
+def by_scan(outcomes: list[ScanOutcome]) -> dict[str, str | None]:
+    assert len({one.scan for one in outcomes}) == len(outcomes)
+    return {one.scan: one.reason for one in outcomes}
+
+
+def test_what_a_pull_brings_is_reconstructed_and_measured_once(
+    library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = Library(tmp_path / "scans")
+    shutil.copytree(library.root, held.root)
+    first, second, damaged = (bundle.directory.name for bundle in held.scans().bundles)
+    calibrations, late = tmp_path / "calibrations", tmp_path / second
+    (held.root / "calibrations").rename(calibrations)
+    (held.root / "scans" / second).rename(late)
+    watch = watch_of(held)
+
+    assert all("pull it from the device" in (why or "") for why in by_scan(list(watch.look())).values())
+    assert list(watch.look()) == []
+
+    calibrations.rename(held.root / "calibrations")
+    found = by_scan(list(watch.look()))
+    assert found[first] is None
+    assert "raw.tif" in (found[damaged] or "")
+    assert list(watch.look()) == []
+
+    late.rename(held.root / "scans" / second)
+    assert by_scan(list(watch.look())) == {second: None}
+    measurements = held.root / MEASUREMENTS
+    assert {path.name for path in measurements.iterdir()} == {f"{first}.json", f"{second}.json"}
+    heights = json.loads((measurements / f"{first}.json").read_text())
+    assert "Sa" in json.dumps(heights)
+
+    written = held.newest_result(held.find(first)) / "result.json"
+    before = written.read_bytes(), written.stat().st_mtime_ns
+    (measurements / f"{first}.json").unlink()
+    assert main(["watch", str(held.root), "--once"]) == 1
+    said = capsys.readouterr()
+    assert str(written.parent) in said.out.splitlines()
+    assert second not in said.out
+    assert damaged in said.err
+    assert second not in said.err
+    assert json.loads((measurements / f"{first}.json").read_text()) == heights
+    assert (written.read_bytes(), written.stat().st_mtime_ns) == before
+
+
+def test_a_library_that_is_missing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", str(tmp_path / "absent"), "--once"]) == 2
+    assert "there is no library" in capsys.readouterr().err
