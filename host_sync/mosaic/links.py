@@ -6,7 +6,7 @@ The fit and its uncertainty are those of the registration of two presses. Both p
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -33,6 +33,17 @@ MIN_SHARE: Final = 0.04
 PATIENCE: Final = 5
 """Candidates of a press that fail one after the other before it counts as fully linked."""
 
+APART_PX: Final = 8.0
+"""Places of one pair closer than this are one, px of a press."""
+
+RIVAL: Final = 1.5
+"""Another place of the same presses competes unless its residual is larger by this factor."""
+
+UNLIKE: Final = 2.0
+"""A link is refused whose residual is larger, by this factor, than that of the better links of the mosaic."""
+
+RIVALLED: Final = "they agree about as well at another place: a pattern repeats"
+
 MAX_SIGMA_PX: Final = 0.5
 """Largest standard uncertainty of a link's place, px of the reduced presses."""
 
@@ -48,6 +59,7 @@ class Link:
     covariance : float64 array of shape (3, 3) of `there` (px) and `turn` (rad)
     agreement : correlation of the slopes over the overlap
     overlap_share : overlap as a fraction of the first press
+    residual : mean squared slope difference over a tile, the median of all tiles
     stretch : by how much the second is larger than the first, relative; NaN if the overlap does not tell
     refused : why it is no link, one clause; empty when it may be one
     """
@@ -60,6 +72,7 @@ class Link:
     covariance: Float64Array
     agreement: float
     overlap_share: float
+    residual: float = 0.0
     stretch: float = float("nan")
     refused: str = ""
 
@@ -97,7 +110,30 @@ def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int]
             found.append(link)
         accepted = link is not None and not link.refused
         failures[pair] = 0 if accepted else failures[pair] + 1
-    return found
+    return _without_rivals(found)
+
+
+def _without_rivals(found: list[Link]) -> list[Link]:
+    """The links, those refused that another place of the same presses rivals, or that agree less than links here do."""
+    pairs: dict[tuple[int, int], list[Link]] = {}
+    for link in found:
+        if not link.refused:
+            pairs.setdefault((link.first, link.second), []).append(link)
+    kept: dict[int, str] = {}
+    for links in pairs.values():
+        best = min(links, key=lambda one: one.residual)
+        others = [one for one in links if float(np.hypot(*(one.motion.of(best.here) - best.there))) > APART_PX]
+        rivals = [one for one in others if one.residual < RIVAL * best.residual]
+        kept |= {id(one): RIVALLED for one in (best, *rivals) if rivals}
+        kept |= {
+            id(one): "the presses agree better at another place" for one in links if one is not best and not rivals
+        }
+    usual = [link.residual for link in found if not link.refused and id(link) not in kept]
+    limit = UNLIKE * float(np.quantile(usual, 0.25)) if usual else np.inf
+    for link in found:
+        if not link.refused and id(link) not in kept and link.residual > limit:
+            kept[id(link)] = "their slopes differ by more than those of other presses here"
+    return [replace(link, refused=kept[id(link)]) if id(link) in kept else link for link in found]
 
 
 def linked(presses: list[Small], candidate: Candidate) -> Link | None:
@@ -128,6 +164,7 @@ def linked(presses: list[Small], candidate: Candidate) -> Link | None:
         found.covariance * np.outer(scale, scale),
         found.agreement,
         float(found.common.sum()) / one.z_um.size,
+        float(np.nanmedian(found.residual)),
         _stretch(pair, found),
         _refusal(found, pair, one),
     )

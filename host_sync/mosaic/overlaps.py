@@ -32,10 +32,10 @@ CLIPPED: Final = 1.0
 MIN_OVERLAP: Final = 0.07
 """Least overlap that is looked for, as a fraction of the field."""
 
-PEAKS: Final = 2
+PEAKS: Final = 4
 """Places of one pair that are verified."""
 
-PARTNERS: Final = 12
+PARTNERS: Final = 16
 """Presses that one press is verified with, at most: the best ranked."""
 
 APART_PX: Final = 4

@@ -12,7 +12,7 @@ from host_sync.errors import MosaicError
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.blending import blend, canvas_of
 from host_sync.mosaic.levelling import Meeting, levelled, meeting
-from host_sync.mosaic.links import verified
+from host_sync.mosaic.links import RIVALLED, verified
 from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.overlaps import Layout, candidates
 from host_sync.mosaic.plan import Plan
@@ -66,6 +66,8 @@ def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = 
     wanted = candidates(small, layout)
     links = verified(small, wanted, lambda done: tell(f"registering: {done} of {len(wanted)}"))
     good = [link for link in links if not link.refused]
+    if not good and any(link.refused == RIVALLED for link in links):
+        raise MosaicError("the presses agree at several places, as a pattern repeats: say where they are with --layout")
     if not good:
         raise MosaicError("no two presses overlap with one relief: press with a third of the field in common")
     tell("adjusting")
