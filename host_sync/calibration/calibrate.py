@@ -46,6 +46,7 @@ from host_sync.johnson2009.model import PaperModel, fit_paper_model
 from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.light_height import nearness_per_px
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
@@ -184,10 +185,10 @@ def calibrate(
     tell("fitting the position-aware inverse map")
     begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
     elevated = _elevated(located, begun.fit, flat_field) if reference else None
-    response = elevated.response if elevated and elevated.response.is_certain else None
-    if elevated and response:
+    followed = elevated.followed(_nearness(located, begun.fit)) if elevated else None
+    if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
-        located = _lowered(located, elevated)
+        located = _lowered(located, followed)
         begun = _fit_to(located, IlluminationMap.of(flat_field), begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
@@ -207,7 +208,8 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    error = measure_slope_error(kept, training, inverse, _elevation_left(kept, training, inverse, elevated))
+    error = measure_slope_error(kept, training, inverse, _elevation_left(kept, training, inverse, elevated, followed))
+    response = followed.response if followed else None
     digest = _digest(inverse, flat_field, pitch_um, shrinkage, response)
     return Calibration(
         calibration_id=digest,
@@ -324,6 +326,12 @@ def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Flo
     return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field)
 
 
+def _nearness(located: Sequence[UsedPress], inverse: InverseFit) -> float:
+    """One over the lights' height, per pixel, as gentle slopes of the balls tell it."""
+    samples = gather_samples([(press.intensity, press.balls) for press in apply_fit(located, inverse)])
+    return nearness_per_px(samples, inverse.map.shape)
+
+
 def _lowered(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[UsedPress]:
     """Presses whose balls look as if they stood at the elevation of untouched skin."""
     return [
@@ -337,12 +345,13 @@ def _elevation_left(
     training: BallSamples,
     inverse: InverseFit,
     elevated: ElevatedBalls | None,
+    followed: ElevatedBalls | None,
 ) -> ElevationCorrection:
     """What elevation leaves uncertain: of a correction its uncertainty, else as much of the lights' nearness as may
     be.
     """
-    if elevated and elevated.response.is_certain:
-        return elevated.left
+    if followed:
+        return followed.left
     nearness = elevation_correction(kept, training, inverse.map)
     return nearness.shared(elevated.response.possible_fraction) if elevated else nearness
 

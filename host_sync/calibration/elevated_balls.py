@@ -71,6 +71,17 @@ class ElevatedBalls:
         sigma = self.response.nearness_sigma_per_px
         return ElevationCorrection(float(np.median(apexes_px)), float(np.median(radii_px)), sigma)
 
+    def followed(self, nearness_per_px: float) -> ElevatedBalls | None:
+        """What slopes are to be corrected by; None where nothing is seen of elevation.
+
+        nearness_per_px : one over the lights' height, which counts where the skin is not matt
+        """
+        if self.response.is_certain:
+            return self
+        if self.response.is_unexplained and nearness_per_px > 0.0:
+            return replace(self, response=self.response.under_lamps(nearness_per_px))
+        return None
+
     def lowered(self, press: int, image: NormalizedImage) -> NormalizedImage:
         """The image of a press with each contact as it would look at the elevation of untouched skin."""
         values = image.values.copy()

@@ -21,7 +21,7 @@ that nothing is known, and nothing is corrected. The second is read from the ape
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -57,6 +57,10 @@ CONFIRMED: Final = (0.3, 3.0)
 UNEXPLAINED: Final = 0.1
 """Share from which something is seen of elevation. Sensors whose light knows none show 0.00 to 0.02, the twin's coat of
 flakes 0.20."""
+
+LAMPS_DOUBT: Final = 0.5
+"""Relative standard uncertainty of slants of a skin that is not matt, taken as under lamps of one height: the twin's flat
+tops under a coat of flakes are 6 % too low without and, at the lamps' true height, 4 % too high with them."""
 
 MODEL_DOUBT: Final = 0.15
 """Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
@@ -100,6 +104,7 @@ class ElevationResponse:
     slanting : float32 array of shape (n, n, 2, 3), c per pixel of elevation
     share, share_sigma : of the foretold common brightening that is seen, and its standard uncertainty
     direction_doubt : error of directions at a ball that was left out, as a share of their spread over the field
+    is_of_lamps : slants were not foretold by the light on untouched skin, but taken as under lamps of one height
     """
 
     directions: Float32Array
@@ -108,6 +113,7 @@ class ElevationResponse:
     share: float
     share_sigma: float
     direction_doubt: float = 0.0
+    is_of_lamps: bool = False
 
     @property
     def followed(self) -> float:
@@ -132,6 +138,19 @@ class ElevationResponse:
     def relative_sigma(self) -> float:
         """Relative standard uncertainty of the share."""
         return self.share_sigma / max(abs(self.share), 1e-6)
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Whether something is seen of elevation that is not what a matt skin would show."""
+        return self.share > UNEXPLAINED and not self.is_certain
+
+    def under_lamps(self, nearness_per_px: float) -> ElevationResponse:
+        """The same directions and brightness with slants as under lamps that all stand at one height.
+
+        nearness_per_px : one over that height
+        """
+        growth = np.float32(nearness_per_px) + self.brightening[..., None, :]
+        return replace(self, slanting=self.directions * growth, is_of_lamps=True)
 
     @property
     def possible_fraction(self) -> float:
@@ -169,6 +188,8 @@ class ElevationResponse:
     @property
     def nearness_sigma_per_px(self) -> float:
         """Standard uncertainty of `nearness_per_px`: what a correction leaves of slants that were foretold."""
+        if self.is_of_lamps:
+            return LAMPS_DOUBT * abs(self.nearness_per_px)
         a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
         slant = abs(float((a * c).sum() / (a**2).sum()))
         return slant * float(np.hypot(self.relative_sigma, MODEL_DOUBT))
