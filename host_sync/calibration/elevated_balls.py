@@ -78,7 +78,7 @@ class ElevatedBalls:
         """
         if self.response.is_certain:
             return self
-        if self.response.is_unexplained and nearness_per_px > 0.0:
+        if self.response.is_of_another_skin and nearness_per_px > 0.0:
             return replace(self, response=self.response.under_lamps(nearness_per_px))
         return None
 

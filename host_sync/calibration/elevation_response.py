@@ -62,6 +62,10 @@ LAMPS_DOUBT: Final = 0.5
 """Relative standard uncertainty of slants of a skin that is not matt, taken as under lamps of one height: the twin's flat
 tops under a coat of flakes are 6 % too low without and, at the lamps' true height, 4 % too high with them."""
 
+CLEAR: Final = 8.0
+"""Standard uncertainties by which such a skin's share must differ from zero: 28 under flakes, 3 to 4 where two real sensors
+show shares of 0.4 and 6.8 that nothing confirms."""
+
 MODEL_DOUBT: Final = 0.15
 """Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
 
@@ -140,9 +144,9 @@ class ElevationResponse:
         return self.share_sigma / max(abs(self.share), 1e-6)
 
     @property
-    def is_unexplained(self) -> bool:
-        """Whether something is seen of elevation that is not what a matt skin would show."""
-        return self.share > UNEXPLAINED and not self.is_certain
+    def is_of_another_skin(self) -> bool:
+        """Whether what is seen of elevation is clear, but weaker than a matt skin would show it."""
+        return self.share > CLEAR * self.share_sigma and UNEXPLAINED < self.share < CONFIRMED[0]
 
     def under_lamps(self, nearness_per_px: float) -> ElevationResponse:
         """The same directions and brightness with slants as under lamps that all stand at one height.

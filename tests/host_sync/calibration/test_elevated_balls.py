@@ -5,12 +5,14 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pytest
 from near_lamps import SHAPE, NearLamps, balls, press_px
 
 from device.balls.sphere import Ball, pixels_inside, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
+from host_sync.calibration.elevation_response import LAMPS_DOUBT
 
 LAMPS = NearLamps(220.0)
 TRUE = balls()
@@ -86,3 +88,25 @@ def test_slopes_of_spheres_are_those_that_teach() -> None:
 def test_too_few_balls_say_nothing() -> None:
     presses: list[tuple[NormalizedImage, list[Ball]]] = [(IMAGES[0], [TRUE[0][0]])]
     assert find_elevated_balls(presses, map_that_reads_presses(), LAMPS.flat_field()) is None
+
+
+def test_a_skin_that_is_not_matt_is_followed_by_the_height_of_its_lamps() -> None:
+    elevated = found()
+    seen = replace(elevated.response, share=0.2, share_sigma=0.01)
+    assert not seen.is_certain
+    followed = replace(elevated, response=seen).followed(1.0 / 220.0)
+    assert followed is not None
+    assert followed.response.is_of_lamps
+    assert followed.response.nearness_per_px * 220.0 == pytest.approx(1.0, abs=1e-3)
+    assert followed.left.nearness_per_px * 220.0 == pytest.approx(LAMPS_DOUBT, abs=1e-3)
+    matt = elevated.response.slanting
+    off = float(np.abs(followed.response.slanting - matt).mean() / np.abs(matt).mean())
+    assert off < 0.2, "under these lamps a matt skin shows just that"
+
+
+@pytest.mark.parametrize(("share", "share_sigma"), [(0.05, 0.001), (0.2, 0.05), (6.8, 1.7)])
+def test_what_is_not_clearly_elevation_is_not_followed(share: float, share_sigma: float) -> None:
+    elevated = found()
+    unclear = replace(elevated, response=replace(elevated.response, share=share, share_sigma=share_sigma))
+    assert unclear.followed(1.0 / 220.0) is None
+    assert elevated.followed(1.0 / 220.0) is elevated
