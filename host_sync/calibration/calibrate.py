@@ -43,6 +43,7 @@ from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.lights.known_lamps import KnownLamps, Position
 from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
@@ -92,6 +93,7 @@ class Calibration:
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
+    lamps : where the lamp of each channel stands, None where it is not known
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -112,6 +114,7 @@ class Calibration:
     shrinkage: DetailShrinkage | None = None
     slope_noise: SlopeNoise | None = None
     shading: ShadingModel | None = None
+    lamps: KnownLamps | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -151,6 +154,7 @@ def calibrate(
     others: Sequence[LinearFrame] = (),
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
+    lamps_mm: Sequence[Position] = (),
 ) -> Calibration:
     """The calibration of one gel and set of lights.
 
@@ -158,6 +162,7 @@ def calibrate(
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
     tell : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
+    lamps_mm : as of `KnownLamps`, by channel; empty where it is not known
 
     Raises
     ------
@@ -230,6 +235,7 @@ def calibrate(
             measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training) if shrinkage else None
         ),
         shading=fit_shading_model(training, kept),
+        lamps=KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None,
     )
 
 

@@ -59,12 +59,17 @@ UNEXPLAINED: Final = 0.1
 flakes 0.20."""
 
 LAMPS_DOUBT: Final = 0.5
-"""Relative standard uncertainty of slants of a skin that is not matt, taken as under lamps of one height: the twin's flat
-tops under a coat of flakes are 6 % too low without and, at the lamps' true height, 4 % too high with them."""
+"""Relative standard uncertainty of slants of a skin that is not matt, taken as under lamps of one height.
+
+The twin's flat tops under a coat of flakes are 6 % too low without and, at the lamps' true height, 4 % too high with
+them.
+"""
 
 CLEAR: Final = 8.0
-"""Standard uncertainties by which such a skin's share must differ from zero: 28 under flakes, 3 to 4 where two real sensors
-show shares of 0.4 and 6.8 that nothing confirms."""
+"""Standard uncertainties by which such a skin's share must differ from zero.
+
+28 under flakes, 3 to 4 on two real sensors that show shares of 0.4 and 6.8, which nothing confirms.
+"""
 
 MODEL_DOUBT: Final = 0.15
 """Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""

@@ -10,6 +10,7 @@ from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.many_lights import calibrate_lights
+from host_sync.lights.known_lamps import Position
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,6 +20,7 @@ class CalibrationFrames:
     others : frames that help to stand in for a missing reference
     light_names : of the lights, where they are said
     paper : whether the paper's model is fitted in any case
+    lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
     """
 
     presses: tuple[PressFrame, ...]
@@ -27,6 +29,7 @@ class CalibrationFrames:
     others: tuple[LinearFrame, ...] = ()
     light_names: tuple[str, ...] = ()
     paper: bool = False
+    lamps_mm: tuple[Position, ...] = ()
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
@@ -47,5 +50,6 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         others=frames.others,
         light_names=frames.light_names,
         paper=frames.paper,
+        lamps_mm=frames.lamps_mm,
         tell=tell,
     )

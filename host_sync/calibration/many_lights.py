@@ -14,6 +14,7 @@ from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.lights.known_lamps import Position
 from host_sync.lights.light_groups import CHANNELS, Group, choose_groups, find_light_groups, in_group
 from host_sync.uncertainty.joined_error import JoinedMaps, joined_slope_error
 
@@ -27,6 +28,7 @@ def calibrate_lights(
     light_names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
+    lamps_mm: Sequence[Position] = (),
 ) -> Calibration:
     """The calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does three.
 
@@ -40,7 +42,7 @@ def calibrate_lights(
     if count < CHANNELS:
         raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
     if count == CHANNELS:
-        return calibrate(presses, reference, pitch_um, others=others, tell=tell, paper=paper)
+        return calibrate(presses, reference, pitch_um, others=others, tell=tell, paper=paper, lamps_mm=lamps_mm)
     groups = choose_groups(frames)
     found = []
     for number, group in enumerate(groups, start=1):
@@ -51,6 +53,7 @@ def calibrate_lights(
                 pitch_um,
                 others=[in_group(frame, group) for frame in others],
                 tell=_telling(tell, f"lights {number} of {len(groups)}: "),
+                lamps_mm=[lamps_mm[light] for light in group] if lamps_mm else (),
             )
         )
     first = found[0]

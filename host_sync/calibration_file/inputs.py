@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle
+from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle, CalibrationRecord
 from device.imaging.flat_field import demosaic
+from hal.board_profile import load_board_profile
+from hal.errors import BoardProfileError
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration.frames import CalibrationFrames
 from host_sync.calibration_file.cache import key_of
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec, PressSpec
 from host_sync.frames.linear_light import read_frame
+from host_sync.lights.known_lamps import Position
 
 NO_REFERENCE_FRAMES: Final = 24
 """At most so many frames stand in for a missing reference."""
@@ -28,7 +31,9 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
     presses = tuple(_press_frame(press, frame_set) for press in frame_set.presses)
     reference = read_frame(frame_set.reference) if frame_set.reference else None
     others = tuple(read_frame(frame) for frame in _others(frame_set))
-    return CalibrationFrames(presses, reference, frame_set.pixel_pitch_um, others, frame_set.lights)
+    return CalibrationFrames(
+        presses, reference, frame_set.pixel_pitch_um, others, frame_set.lights, lamps_mm=frame_set.lamps_mm
+    )
 
 
 def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
@@ -50,7 +55,18 @@ def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
         for press in record.presses
         if press.balls
     )
-    return CalibrationFrames(presses, demosaic(bundle.reference()), record.pixel_pitch_um)
+    reference = demosaic(bundle.reference())
+    return CalibrationFrames(presses, reference, record.pixel_pitch_um, lamps_mm=_lamps_mm(record))
+
+
+def _lamps_mm(record: CalibrationRecord) -> tuple[Position, ...]:
+    """Where the lamps of a board stand; empty for sensors on USB, whose lights are no points."""
+    is_path = record.board.endswith(".toml")
+    try:
+        on_usb = not is_path and load_board_profile(record.board).uvc is not None
+    except BoardProfileError:
+        on_usb = False  # a builder's own board, which has lamps
+    return () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
 
 
 def key_of_set(frame_set: FrameSet) -> str:
@@ -70,6 +86,7 @@ def key_of_set(frame_set: FrameSet) -> str:
         [(len(spec.images), spec.encoding) for spec in specs],
     )
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
+    settings = (*settings, "lamps", frame_set.lamps_mm) if frame_set.lamps_mm else settings
     try:
         return key_of(settings, [image for spec in specs for image in spec.images])
     except OSError as error:

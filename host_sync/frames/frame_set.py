@@ -59,6 +59,7 @@ class FrameSet:
     """A checked frame set; every frame has the same (H, W) `shape` and as many lights.
 
     lights : their names with their colours, empty where the file does not say
+    lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
     """
 
     path: Path
@@ -69,6 +70,7 @@ class FrameSet:
     presses: tuple[PressSpec, ...]
     scans: tuple[ScanSpec, ...]
     lights: tuple[str, ...] = ()
+    lamps_mm: tuple[tuple[float, float, float], ...] = ()
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
@@ -98,7 +100,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     presses = tuple(
         _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
     )
-    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans, lights)
+    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans, lights, _lamps(file, path))
 
 
 def _common_form(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[tuple[int, int], int]:
@@ -143,6 +145,14 @@ def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
             f"{path}: light: {len(names)} lights are described and a frame has {_channels_of(channels)}"
         )
     return names
+
+
+def _lamps(file: FileTable, path: Path) -> tuple[tuple[float, float, float], ...]:
+    """Where the lights stand; FrameSetError where the file says it of some of them only."""
+    known = tuple(light.position_mm for light in file.light if light.position_mm is not None)
+    if known and len(known) != len(file.light):
+        raise FrameSetError(f"{path}: light: position_mm is stated for {len(known)} of {len(file.light)} lights")
+    return known
 
 
 def _info(image: Path, key: str, path: Path) -> ImageInfo:

@@ -22,6 +22,8 @@ _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
+Height = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
 ImagePath = Annotated[str, msgspec.Meta(pattern=r"^[^\0]+$")]
 ImageNames = ImagePath | Annotated[tuple[ImagePath, ...], msgspec.Meta(min_length=1, max_length=MAX_LIGHTS)]
 """An RGB image, or one grey image a light; three are read as R, G, B."""
@@ -66,6 +68,7 @@ class LightTable(_Table, frozen=True):
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=40)]
     colour: Annotated[str, msgspec.Meta(max_length=40)] = ""
+    position_mm: tuple[Coordinate, Coordinate, Height] | None = None
 
 
 class ScanTable(_Table, frozen=True):

@@ -71,29 +71,31 @@ class ShadowCorrection:
     """What slopes gain where a light is hidden, at the middles of cells.
 
     p, q : float32 arrays of shape (h, w), to be added
+    sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
     shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
     cell : pixels along a cell
+    weight : of slopes in shadow in the integration
     """
 
     p: Float32Array
     q: Float32Array
+    sigma_p: Float32Array
+    sigma_q: Float32Array
     shadow: Float32Array
     cell: int
+    weight: float = SHADOW_WEIGHT
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""
         rows, columns = gradients.p.shape
         for values, change in ((gradients.p, self.p), (gradients.q, self.q)):
             values += _enlarged(change, self.cell)[:rows, :columns]
-        weight = np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * _enlarged(self.shadow, self.cell)
+        weight = np.float32(1.0) - np.float32(1.0 - self.weight) * _enlarged(self.shadow, self.cell)
         np.multiply(gradients.weight, weight[:rows, :columns], out=gradients.weight)
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
-        """Standard uncertainties of the corrected slopes p and q, with sign, on a field of `size` (w, h)."""
-        p, q = (
-            cv2.resize(np.float32(RELATIVE_SIGMA) * part, size, interpolation=cv2.INTER_AREA)
-            for part in (self.p, self.q)
-        )
+        """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
+        p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
         return np.asarray(p, np.float32), np.asarray(q, np.float32)
 
 
@@ -119,7 +121,9 @@ def find_cast_shadow(
         found_p, found_q, shadow = view.slopes(p, q, known, z_px)
         if not shadow.any():
             return None
-    return ShadowCorrection(found_p - p, found_q - q, shadow, cell)
+    change_p, change_q = found_p - p, found_q - q
+    share = np.float32(RELATIVE_SIGMA)
+    return ShadowCorrection(change_p, change_q, share * change_p, share * change_q, shadow, cell)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from host_sync.johnson2009.model import estimate_gradients
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
 from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
 from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.reconstruction.hidden_skin import find_hidden_skin
 from host_sync.results.record import FrameCheck, refusals
 
 
@@ -136,9 +137,11 @@ def _cast_shadow(
     gradients: GradientField, intensity: NormalizedImage, calibration: Calibration, method: Method
 ) -> ShadowCorrection | None:
     """What the default's slopes gain where a light is hidden."""
-    if method == "paper" or calibration.shading is None:
+    if method == "paper":
         return None
-    return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
+    if calibration.shading is not None:
+        return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
+    return None if calibration.lamps is None else find_hidden_skin(gradients, calibration.lamps)
 
 
 def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:

@@ -284,3 +284,29 @@ def test_a_grids_spacing_and_tolerances_are_read(write: Write) -> None:
 )
 def test_tolerances_that_cannot_be_are_refused(write: Write, old: str, new: str, sentence: str) -> None:
     assert sentence in refused(write(GOOD.replace("ball_radius_mm = 0.1", GRID.replace(old, new))))
+
+
+LAMPS = """
+[[light]]
+name = "red"
+position_mm = [0.0, -20.0, 12.0]
+[[light]]
+name = "green"
+position_mm = [-18.0, 10.0, 12.0]
+[[light]]
+name = "blue"
+"""
+
+
+def test_lamps_stand_where_the_file_says(write: Write) -> None:
+    found = load_frame_set(write(GOOD + LAMPS + "position_mm = [18.0, 10.0, 12.0]\n"))
+    assert found.lamps_mm == ((0.0, -20.0, 12.0), (-18.0, 10.0, 12.0), (18.0, 10.0, 12.0))
+    assert load_frame_set(write(GOOD)).lamps_mm == ()
+
+
+@pytest.mark.parametrize(
+    ("last", "words"), [("", "stated for 2 of 3 lights"), ("position_mm = [18.0, 10.0, -1.0]\n", "position_mm")]
+)
+def test_lamps_of_some_lights_or_below_the_skin_are_refused(write: Write, last: str, words: str) -> None:
+    with pytest.raises(FrameSetError, match=words):
+        load_frame_set(write(GOOD + LAMPS + last))

@@ -1,0 +1,41 @@
+"""Lamps whose places over the skin are known: from a board profile, or stated in a frame set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array
+
+Position = tuple[float, float, float]
+"""Right, down and up from the middle of the field on untouched skin, mm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownLamps:
+    """Where the lamp of each channel stands.
+
+    position_px : float64 array of shape (3, 3), by channel right, down and up from the middle of the field, pixels
+    """
+
+    position_px: Float64Array
+
+    @classmethod
+    def of(cls, positions_mm: Sequence[Position], pitch_um: float) -> KnownLamps:
+        """Lamps at these positions (mm) over skin whose pixels are `pitch_um` apart."""
+        return cls(np.asarray(positions_mm, np.float64) * (1e3 / pitch_um))
+
+    def slants(self, z_px: Float32Array, cell: int, shape: tuple[int, int]) -> Float64Array:
+        """Away from each lamp, as long as the tangent of its zenith angle: shape (h, w, 3, 2).
+
+        z_px : elevation of cells of `cell` x `cell` pixels of a field of `shape` (H, W), shape (h, w)
+        """
+        row, column = (
+            np.arange(count) * cell + 0.5 * (cell - size) for count, size in zip(z_px.shape, shape, strict=True)
+        )
+        x, y = np.meshgrid(column, row)
+        away = np.stack([x, y], axis=-1)[..., None, :] - self.position_px[:, :2]
+        up = np.maximum(self.position_px[:, 2] - z_px[..., None], 1.0)
+        return np.asarray(away / up[..., None])
