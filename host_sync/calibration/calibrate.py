@@ -36,7 +36,7 @@ from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
+from host_sync.calibration.shading_model import GLITTERING, ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
 from host_sync.denoising.slope_noise import measure_slope_noise
@@ -190,7 +190,7 @@ def calibrate(
     tell("fitting the position-aware inverse map")
     begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
     elevated = _elevated(located, begun.fit, flat_field) if reference else None
-    followed = elevated.followed(_nearness(located, begun.fit)) if elevated else None
+    followed = _followed(located, begun.fit, elevated) if elevated else None
     if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
         located = _lowered(located, followed)
@@ -332,10 +332,12 @@ def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Flo
     return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field)
 
 
-def _nearness(located: Sequence[UsedPress], inverse: InverseFit) -> float:
-    """One over the lights' height, per pixel, as gentle slopes of the balls tell it."""
-    samples = gather_samples([(press.intensity, press.balls) for press in apply_fit(located, inverse)])
-    return nearness_per_px(samples, inverse.map.shape)
+def _followed(located: Sequence[UsedPress], inverse: InverseFit, elevated: ElevatedBalls) -> ElevatedBalls | None:
+    """What slopes are to be corrected by for their elevation; None where nothing is seen of it."""
+    kept = [(press.intensity, press.balls) for press in apply_fit(located, inverse)]
+    samples = gather_samples(kept)
+    is_matt = fit_shading_model(samples, kept, GLITTERING) is not None
+    return elevated.followed(nearness_per_px(samples, inverse.map.shape), is_matt=is_matt)
 
 
 def _lowered(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[UsedPress]:

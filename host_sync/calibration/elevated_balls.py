@@ -71,14 +71,15 @@ class ElevatedBalls:
         sigma = self.response.nearness_sigma_per_px
         return ElevationCorrection(float(np.median(apexes_px)), float(np.median(radii_px)), sigma)
 
-    def followed(self, nearness_per_px: float) -> ElevatedBalls | None:
+    def followed(self, nearness_per_px: float, *, is_matt: bool) -> ElevatedBalls | None:
         """What slopes are to be corrected by; None where nothing is seen of elevation.
 
         nearness_per_px : one over the lights' height, which counts where the skin is not matt
+        is_matt : whether the skin shines as the slants of a response take for granted
         """
-        if self.response.is_certain:
+        if self.response.is_certain and is_matt:
             return self
-        if self.response.is_of_another_skin and nearness_per_px > 0.0:
+        if (self.response.is_certain or self.response.is_of_another_skin) and nearness_per_px > 0.0:
             return replace(self, response=self.response.under_lamps(nearness_per_px))
         return None
 

@@ -41,6 +41,9 @@ With 0.12 the twin's coat of sharp flakes gains (its balls 130 -> 110 µm rms to
 lights goes from 5.5 to 10.9 µm, and real sets lose: finger 2.8° -> 3.9°, taxim-small 2.4° -> 3.1°.
 """
 
+GLITTERING: Final = 0.07
+"""Residual from which skin is not matt at all: 0.04 under near lights, 0.10 on the twin's sharp flakes."""
+
 LEAK_PATCH: Final = 5
 LEAK_STEP: Final = 4
 """Leaks are read from means over patches of so many pixels, every so many pixels ..."""
@@ -84,9 +87,14 @@ def slope_terms(p: Float64Array, q: Float64Array) -> Float64Array:
 
 
 def fit_shading_model(
-    samples: BallSamples, presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]]
+    samples: BallSamples,
+    presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
+    max_residual: float = MAX_RESIDUAL,
 ) -> ShadingModel | None:
-    """The model of samples of the balls of presses; None where they do not tell one well enough."""
+    """The model of samples of the balls of presses; None where they do not tell one well enough.
+
+    max_residual : of the model's intensity that is well enough
+    """
     shape = presses[0][0].shape
     chosen = np.arange(len(samples.p))
     if len(chosen) > MAX_SAMPLES:
@@ -116,7 +124,7 @@ def fit_shading_model(
         found.append(coefficients)
         squares, count = squares + float((left**2).sum()), count + len(left)
     residual = float(np.sqrt(squares / count))
-    if residual > MAX_RESIDUAL:
+    if residual > max_residual:
         return None
     split = 2 * len(position_exponents(SLANT_DEGREE))
     by_channel = np.stack(found)

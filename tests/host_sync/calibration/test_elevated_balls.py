@@ -94,7 +94,7 @@ def test_a_skin_that_is_not_matt_is_followed_by_the_height_of_its_lamps() -> Non
     elevated = found()
     seen = replace(elevated.response, share=0.2, share_sigma=0.01)
     assert not seen.is_certain
-    followed = replace(elevated, response=seen).followed(1.0 / 220.0)
+    followed = replace(elevated, response=seen).followed(1.0 / 220.0, is_matt=True)
     assert followed is not None
     assert followed.response.is_of_lamps
     assert followed.response.nearness_per_px * 220.0 == pytest.approx(1.0, abs=1e-3)
@@ -108,5 +108,8 @@ def test_a_skin_that_is_not_matt_is_followed_by_the_height_of_its_lamps() -> Non
 def test_what_is_not_clearly_elevation_is_not_followed(share: float, share_sigma: float) -> None:
     elevated = found()
     unclear = replace(elevated, response=replace(elevated.response, share=share, share_sigma=share_sigma))
-    assert unclear.followed(1.0 / 220.0) is None
-    assert elevated.followed(1.0 / 220.0) is elevated
+    assert unclear.followed(1.0 / 220.0, is_matt=True) is None
+    assert elevated.followed(1.0 / 220.0, is_matt=True) is elevated
+    glitters = elevated.followed(1.0 / 220.0, is_matt=False)
+    assert glitters is not None
+    assert glitters.response.is_of_lamps
