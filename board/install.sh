@@ -17,6 +17,7 @@ usage: sudo board/install.sh --board NAME [--data DEVICE|folder] [--screen panel
                       [the partition labelled retrograph-data]
   --screen panel      the TUI on the first virtual terminal; `none`: button and indicator alone [none]
   --usb               the USB port is a network adapter to the workstation
+  --power-latch       the supply latches and switches off when GPIO 26 goes high (board/bill-of-materials.md)
   --read-only         from the next boot on the root file system is read only, under an overlay in memory, without a swap file
   --release FOLDER    wheel, requirements-device.lock and maybe wheels/ [the one that this script is in, else dist/release]
   --signers FILE      keys that may sign releases, from now on: what none of them signed is refused (`make release KEY=...`)
@@ -31,7 +32,7 @@ END
 }
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-root='' board='' data='' screen=none release='' signers='' dry=no usb=no read_only=no writable=no with_app=yes uninstall=no changes=0
+root='' board='' data='' screen=none release='' signers='' dry=no usb=no power_latch=no read_only=no writable=no with_app=yes uninstall=no changes=0
 
 # shellcheck disable=SC2034 # what is set here is read in install/
 while [ $# -gt 0 ]; do
@@ -42,6 +43,7 @@ while [ $# -gt 0 ]; do
         shift
         ;;
     --usb) usb=yes ;;
+    --power-latch) power_latch=yes ;;
     --read-only) read_only=yes ;;
     --no-app) with_app=no ;;
     --uninstall) uninstall=yes ;;

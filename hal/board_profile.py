@@ -28,6 +28,7 @@ from hal.profile_values import (
     Table,
     Triple,
 )
+from hal.uvc_table import UvcConfig
 from hal.validation import explain_with_accepted, not_finite
 
 
@@ -111,50 +112,17 @@ class LibcameraConfig(Table, frozen=True):
     lens_position: NotNegative | None = None
 
 
-UvcProperty = Literal["exposure", "gain", "white balance", "focus"]
-
-
-class UvcConfig(Table, frozen=True):
-    """A camera on USB that hands out finished 8-bit pictures, and its lights.
-
-    card : part of the name or USB serial number of exactly one camera, such as "GelSight Mini"
-    columns, rows : size of its pictures
-    left, top : where in them the frame of `sensor.columns` by `sensor.rows` pixels begins
-    frame_period_us : of its pictures
-    encoding : how pixel values encode light
-    fixed : properties without a control because they never change, as the maker says; all others must have one
-    gain_units : the gain control's value at gain 1
-    white_balance_k : colour temperature to lock, if the camera has a control for it
-    focus_units : focus to lock, if the camera has a control for it
-    controls : further controls by name, and the value that each must keep
-    settle_frames : new exposure and gain show in this many frames at the latest
-    lights : always on, or by the zoom control as a DIGIT's are (4 bits a light)
-    """
-
-    card: Annotated[str, msgspec.Meta(min_length=3)]
-    columns: EvenSize
-    rows: EvenSize
-    frame_period_us: Positive
-    pixel_format: Literal["MJPG", "YUYV", "RGB3"] = "MJPG"
-    encoding: Literal["srgb", "linear"] = "srgb"
-    left: Annotated[int, msgspec.Meta(ge=0)] = 0
-    top: Annotated[int, msgspec.Meta(ge=0)] = 0
-    fixed: tuple[UvcProperty, ...] = ()
-    gain_units: Positive | None = None
-    white_balance_k: Annotated[int, msgspec.Meta(ge=1000, le=20_000)] | None = None
-    focus_units: Annotated[int, msgspec.Meta(ge=0)] | None = None
-    controls: dict[str, int] = msgspec.field(default_factory=dict)
-    settle_frames: Annotated[int, msgspec.Meta(ge=1, le=12)] = 4
-    lights: Literal["always on", "zoom control"] = "always on"
-
-
 class LightDriverConfig(Table, frozen=True):
-    """The chip that drives the lights, its address, and the resistor (ohm) that sets its currents."""
+    """The chip that drives the lights, its address, and the resistor (ohm) that sets its currents.
+
+    enable_line : line of the button's chip at OE (PCA9955B) or RESET (TLC59116), where a pull keeps the lights dark
+    """
 
     chip: Literal["PCA9955B", "TLC59116"]
     bus: BusNumber
     address: BusAddress
     reference_ohm: Positive
+    enable_line: LineOffset | None = None
 
 
 class ButtonConfig(Table, frozen=True):
@@ -385,6 +353,9 @@ def _wiring_errors(profile: BoardProfile) -> Iterator[str]:
         yield f"lights: channel {', '.join(map(str, twice))} is named twice; accepted: each channel once"
     if indicator and profile.button and indicator.line == profile.button.line:
         yield f"indicator.line: {indicator.line} is the button's line; accepted: another line"
+    enable_line = profile.light_driver and profile.light_driver.enable_line
+    if enable_line is not None and enable_line in {t.line for t in (indicator, profile.button) if t}:
+        yield f"light_driver.enable_line: {enable_line} is the button's or the indicator's; accepted: another line"
     camera = profile.libcamera
     if camera and profile.sensor.white_level_dn >= 2**camera.raw_bits:
         yield f"sensor.white_level_dn: accepted: less than 2^raw_bits, {2**camera.raw_bits}"

@@ -35,6 +35,7 @@ PORTABLE_HAL = {
     "hal.optics_tables",
     "hal.profile_files",
     "hal.profile_values",
+    "hal.uvc_table",
     "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")

@@ -24,6 +24,7 @@ set_up_firmware() {
     put_text "$boot/retrograph.txt" 755 < <(
         sed "$(camera_overlay)" "$here/board/config.txt"
         [ "$usb" = no ] || echo "dtoverlay=dwc2,dr_mode=peripheral"
+        [ "$power_latch" = no ] || echo "dtoverlay=gpio-poweroff,gpiopin=26"
     )
     if command -v dtc >/dev/null; then
         dtc -@ -q -I dts -O dtb -o "$scratch/overlay" "$here/board/overlay/retrograph.dts"

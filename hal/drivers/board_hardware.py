@@ -11,8 +11,9 @@ from hal.drivers.blink_indicator import BlinkIndicator, NoIndicator
 from hal.drivers.button_debounced import DebouncedButton
 from hal.drivers.camera_picamera2 import PicameraCamera
 from hal.drivers.chip_lights import ChipLights, LedChip
-from hal.drivers.gpio_lines import GpiodInput, GpiodOutput, OpenInput
+from hal.drivers.gpio_lines import ENABLE_HIGH, ENABLE_LOW, GpiodInput, GpiodOutput, OpenInput, OutputRole
 from hal.drivers.i2c_bus import I2cChip, OpenBus, open_smbus
+from hal.drivers.light_gate import LightGate, SwitchedLine
 from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.drivers.picamera_stack import CameraStack, load_picamera2
@@ -33,6 +34,7 @@ class Machine:
     open_bus: OpenBus = open_smbus
     open_input: Callable[[str, int, bool], OpenInput] = lambda *place: partial(GpiodInput.open, *place)
     output: Callable[[str, int], GpiodOutput] = GpiodOutput
+    gate: Callable[[str, int, OutputRole], SwitchedLine] = lambda label, line, role: GpiodOutput(label, line, role=role)
     throttled_file: Callable[[], str] = read_throttled_file
     vcgencmd: Callable[[], str] = run_vcgencmd
 
@@ -61,7 +63,8 @@ def board_hardware(
         raise BoardProfileError(
             f"board {profile.name!r} lacks one of the tables [libcamera], [light_driver], [button]: add it"
         )
-    lights = ChipLights(profile.lights, _led_chip(light_driver, machine, clock))
+    gate = _gate(light_driver, button.chip_label, machine)
+    lights = ChipLights(profile.lights, _led_chip(light_driver, machine, clock), gate)
     open_line = machine.open_input(button.chip_label, button.line, button.active_low)
     return Hardware(
         profile=profile,
@@ -80,6 +83,15 @@ def _led_chip(config: LightDriverConfig, machine: Machine, clock: Clock) -> LedC
     chip = I2cChip(machine.open_bus, config.bus, config.address, what, LightError, clock)
     kind = Pca9955b if config.chip == "PCA9955B" else Tlc59116
     return kind(chip, config.reference_ohm)
+
+
+def _gate(config: LightDriverConfig, chip_label: str, machine: Machine) -> LightGate:
+    """OE of a PCA9955B shines at low, RESET of a TLC59116 lets it work at high."""
+    if config.enable_line is None:
+        return LightGate()
+    resets = config.chip == "TLC59116"
+    line = machine.gate(chip_label, config.enable_line, ENABLE_HIGH if resets else ENABLE_LOW)
+    return LightGate(line, holds_reset=resets)
 
 
 def _indicator(profile: BoardProfile, chip_label: str, lights: ChipLights, machine: Machine, clock: Clock) -> Indicator:

@@ -13,7 +13,7 @@ from typing import Final, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.board_profile import SensorConfig, UvcConfig
+from hal.board_profile import SensorConfig
 from hal.drivers.uvc_choice import ChosenCamera
 from hal.drivers.uvc_controls import LockedControls
 from hal.drivers.uvc_pixels import aiming_picture, decoded, mosaic_of
@@ -21,6 +21,7 @@ from hal.drivers.v4l2_stack import StreamFormat, VideoDevice
 from hal.errors import CameraError, FrameTimeout
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import Clock
+from hal.uvc_table import UvcConfig
 
 STALLED_S: Final = 1.0
 Result = TypeVar("Result")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Final, Protocol, Self
 
 from hal.board_profile import LightConfig
 from hal.drivers.i2c_bus import I2cChip
-from hal.errors import LightError
+from hal.drivers.light_gate import LightGate
+from hal.errors import HalError, LightError
 from hal.interfaces import LightFault
 
 
@@ -98,12 +100,16 @@ def drive_outputs(chip: I2cChip, values: tuple[int, list[int], str], first_outpu
 
 
 class ChipLights:
-    """Three lights on a driver chip; see `hal.interfaces.Lights`."""
+    """Three lights on a driver chip; see `hal.interfaces.Lights`.
 
-    def __init__(self, lights: Sequence[LightConfig], chip: LedChip) -> None:
+    gate : lets the chip's outputs through; by default they follow its registers alone
+    """
+
+    def __init__(self, lights: Sequence[LightConfig], chip: LedChip, gate: LightGate | None = None) -> None:
         self._channels = {light.name: light.channels for light in lights}
         self._max_ma = {light.name: min(light.max_ma or chip.max_ma, chip.max_ma) for light in lights}
         self._chip = chip
+        self._gate = gate or LightGate()
         self._driven: dict[int, float] = {}
         self._spare: dict[int, float] = {}
 
@@ -152,11 +158,15 @@ class ChipLights:
         granted = self.granted_ma(currents_ma)
         self._driven = {channel: granted[name] for name in granted for channel in self._channels[name]}
         self._chip.drive(self._driven | self._spare)
+        self._gate.shine(any(self._driven.values()) or bool(self._spare))
 
     def off(self) -> None:
         """Switch every light off; a held spare channel stays on."""
         self._driven = {}
-        self._chip.off()
+        try:
+            self._gate.shine(bool(self._spare))
+        finally:
+            self._chip.off()
         if self._spare:
             self._chip.drive(self._spare)
 
@@ -171,6 +181,7 @@ class ChipLights:
         held = {channel: current_ma} if current_ma > 0.0 else {}
         self._spare = {}
         self._chip.drive(self._driven | held)
+        self._gate.shine(any(self._driven.values()) or bool(held))
         self._spare = held
 
     def faults(self) -> tuple[LightFault, ...]:
@@ -185,6 +196,14 @@ class ChipLights:
         return tuple(dict.fromkeys(found))
 
     def __enter__(self) -> Self:
+        try:
+            self._gate.wake()
+        except HalError:
+            # Without the line the registers can still make dark.
+            with suppress(LightError):
+                self._chip.off()
+            self._chip.close()
+            raise
         self._chip.start()
         return self
 
@@ -193,4 +212,7 @@ class ChipLights:
         try:
             self._chip.off()
         finally:
-            self._chip.close()
+            try:
+                self._gate.close()
+            finally:
+                self._chip.close()

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Final, Protocol, Self
 
 from hal.drivers.driver_library import require_package
-from hal.errors import ButtonError, DriverMissing, HalError, IndicatorError
+from hal.errors import ButtonError, DriverMissing, HalError, IndicatorError, LightError
 
 if TYPE_CHECKING:
     import gpiod
@@ -131,11 +131,27 @@ class GpiodInput:
         return ButtonError(f"{self._place} cannot be read ({error.strerror}): check its wiring")
 
 
-class GpiodOutput:
-    """An output line through libgpiod, low at first and when released."""
+@dataclass(frozen=True, slots=True)
+class OutputRole:
+    """What an output line is for: its name and profile key in errors, the error's type, and its active level."""
 
-    def __init__(self, label: str, offset: int, devices: Path = DEVICES) -> None:
+    what: str
+    key: str
+    failure: type[HalError]
+    active_low: bool = False
+
+
+INDICATOR: Final = OutputRole("the indicator", "indicator.line", IndicatorError)
+ENABLE_HIGH: Final = OutputRole("the light driver's enable", "light_driver.enable_line", LightError)
+ENABLE_LOW: Final = OutputRole("the light driver's enable", "light_driver.enable_line", LightError, active_low=True)
+
+
+class GpiodOutput:
+    """An output line through libgpiod, inactive at first; once released it follows its pull or keeps its level."""
+
+    def __init__(self, label: str, offset: int, devices: Path = DEVICES, role: OutputRole = INDICATOR) -> None:
         self._devices = devices
+        self._role = role
         self._label = label
         self._offset = offset
         self._request: gpiod.LineRequest | None = None
@@ -145,23 +161,26 @@ class GpiodOutput:
 
         Raises
         ------
-        DriverMissing, IndicatorError
+        DriverMissing, and the role's error
             libgpiod is not installed or of version 1; the chip or line does not exist or is in use.
         """
         gpiod = load_gpiod()
         from gpiod.line import Direction, Value
 
-        place = f"the indicator on line {self._offset} of GPIO chip {self._label!r}"
+        role = self._role
+        place = f"{role.what} on line {self._offset} of GPIO chip {self._label!r}"
         try:
             if self._request is None:
-                settings = gpiod.LineSettings(direction=Direction.OUTPUT, output_value=Value.INACTIVE)
-                chip = _chip_path(self._label, place, IndicatorError, self._devices)
+                settings = gpiod.LineSettings(
+                    direction=Direction.OUTPUT, output_value=Value.INACTIVE, active_low=role.active_low
+                )
+                chip = _chip_path(self._label, place, role.failure, self._devices)
                 self._request = gpiod.request_lines(chip, consumer=CONSUMER, config={self._offset: settings})
             self._request.set_value(self._offset, Value.ACTIVE if on else Value.INACTIVE)
         except (OSError, ValueError) as error:
             if isinstance(error, HalError):
                 raise
-            raise IndicatorError(f"{place} cannot be driven ({error}): check indicator.line") from error
+            raise role.failure(f"{place} cannot be driven ({error}): check {role.key}") from error
 
     def release(self) -> None:
         """Release the line."""

@@ -11,10 +11,10 @@ import os
 from collections.abc import Iterator
 from typing import Final
 
-from hal.board_profile import UvcConfig, UvcProperty
 from hal.drivers.v4l2_stack import CONTROLS, ControlRange, VideoDevice
 from hal.errors import CameraError
 from hal.frame import CameraSettings
+from hal.uvc_table import UvcConfig, UvcProperty
 
 EXPOSURE_UNIT_US: Final = 100.0
 MANUAL: Final = 1

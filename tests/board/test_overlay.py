@@ -64,10 +64,15 @@ def test_it_names_the_lines_that_are_wired() -> None:
     wiring = tomllib.loads((BOARD / "wiring" / "wiring.toml").read_text(encoding="utf-8"))
     assert numbers("brcm,pins") == [wiring["power_fail"]["line"]]
     configured = (BOARD / "config.txt").read_text(encoding="utf-8")
-    button, indicator = (int(line) for line in re.findall(r"^gpio=(\d+)=", configured, re.MULTILINE))
+    pins = {int(line): state for line, state in re.findall(r"^gpio=(\d+)=(\S+)", configured, re.MULTILINE)}
+    (button, indicator), dark = list(pins)[:2], list(pins)[2:]
     profiles = [load_board_profile(name) for name in profile_names()]
     wired = [profile for profile in profiles if profile.button is not None]
     assert {profile.button.line for profile in wired if profile.button} == {button}
+    enables = {p.light_driver.chip: p.light_driver.enable_line for p in wired if p.light_driver}
+    assert sorted(enables.values(), key=str) == sorted(dark, key=str)
+    # As the chips' pins are: OE is active low, RESET too, and both rest where nothing shines.
+    assert {chip: pins[line] for chip, line in enables.items() if line} == {"PCA9955B": "ip,pu", "TLC59116": "ip,pd"}
     lines = {profile.indicator.line for profile in wired if profile.indicator}
     assert lines - {None} == {indicator}
     assert (numbers("brcm,function"), numbers("brcm,pull")) == ([0], [2])

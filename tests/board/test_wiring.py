@@ -70,6 +70,29 @@ def test_contradictions_are_refused(facts: dict[str, dict[str, int]]) -> None:
         wiring.of_profile(profile, facts)
 
 
+@pytest.mark.parametrize("board", WIRED)
+def test_a_pull_keeps_the_lights_dark_until_the_program_drives_the_line(board: str) -> None:
+    wired, profile = wiring.wiring(board), load_board_profile(board)
+    assert profile.light_driver is not None
+    terminal, pull = {"PCA9955B": ("OE", "10 kohm to VDD"), "TLC59116": ("RESET", "10 kohm to GND")}[
+        profile.light_driver.chip
+    ]
+    (wire,) = [wire for wire in wired.wires if wire.terminal == terminal]
+    assert wire.pin_name == f"GPIO{profile.light_driver.enable_line}"
+    (ties,) = [ties for part, ties in wired.parts if part == profile.light_driver.chip]
+    assert any(tie.startswith(f"{terminal}: {pull}") for tie in ties)
+
+
+def test_the_line_that_switches_off_is_the_one_that_install_names(facts: dict[str, dict[str, int]]) -> None:
+    firmware = (ROOT / "board/install/firmware.sh").read_text(encoding="utf-8")
+    assert f'dtoverlay=gpio-poweroff,gpiopin={facts["power_off"]["line"]}"' in firmware
+    # The pin is pulled down when a Pi starts: an OFF input that acts at high is left alone until the system has halted.
+    assert facts["power_off"]["line"] >= 9
+    bill = (ROOT / "board/bill-of-materials.md").read_text(encoding="utf-8")
+    assert "| power latch |" in bill
+    assert "| power switch |" in bill
+
+
 def test_gain_is_the_cotangent_of_the_elevation() -> None:
     """The figures' own check: closed forms for a diffuse skin."""
     from tests.drawings.board.light_geometry import Geometry, all_lit_deg, gain, unevenness

@@ -86,19 +86,29 @@ def output_states(packed: list[int]) -> list[int]:
 
 
 class LedDriverModel(RegisterChip):
-    """Common parts of both LED drivers: 16 outputs whose LEDs can be open or shorted, and over-temperature."""
+    """Common parts of both LED drivers: 16 outputs whose LEDs can be open or shorted, over-temperature, and a pin.
+
+    `enabled` is what the pin that a pull keeps inactive lets through: OE, or the release of RESET.
+    """
 
     def power_cycle(self) -> None:
         """Return to the power-on state; the LEDs stay wired as they were."""
         self.open_channels: set[int] = getattr(self, "open_channels", set())
         self.shorted_channels: set[int] = getattr(self, "shorted_channels", set())
         self.hot = getattr(self, "hot", False)
+        self.enabled = getattr(self, "enabled", True)
         super().power_cycle()
 
     def currents_ma(self) -> list[float]:
         """Mean current (mA) through each of the 16 LEDs: 0 where one is missing or shorted."""
         dead = self.open_channels | self.shorted_channels
-        return [0.0 if n in dead or self.hot else current for n, current in enumerate(self.driven_ma())]
+        dark = self.hot or not self.enabled
+        return [0.0 if n in dead or dark else current for n, current in enumerate(self.driven_ma())]
+
+    def enable(self, on: bool) -> None:
+        """Move the pin."""
+        self.enabled = on
+        self.changed()
 
     def driven_ma(self) -> list[float]:
         """Mean current (mA) that each output would carry through an LED."""
@@ -170,6 +180,11 @@ class Tlc59116Model(LedDriverModel):
         self._relative_current = 1000.0 / reference_ohm
         power_on = {0x00: 0x11, 0x12: 0xFF, 0x18: 0xD2, 0x19: 0xD4, 0x1A: 0xD8, 0x1B: 0xD0, 0x1C: 0xFF}
         super().__init__(0x1F, power_on, (0x1D, 0x1E))
+
+    def enable(self, on: bool) -> None:
+        """Move the RESET pin; in reset the registers are those after power-on."""
+        self.enabled = on
+        self.power_cycle()
 
     def driven_ma(self) -> list[float]:
         """Shared current times each channel's duty."""

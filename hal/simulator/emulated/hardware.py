@@ -18,6 +18,7 @@ from hal.board_profile import (
     PowerConfig,
 )
 from hal.drivers.board_hardware import Machine, board_hardware
+from hal.errors import LightError
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.emulated.chip_models import LedDriverModel, Max17048Model, Pca9955bModel, Tlc59116Model
@@ -32,6 +33,7 @@ LIGHTS_AT: Final = 0x15
 GAUGE_AT: Final = 0x36
 SPARE_CHANNEL: Final = 15
 REFERENCE_OHM: Final = {"PCA9955B": 2400.0, "TLC59116": 1000.0}
+ENABLE_LINE: Final = {"PCA9955B": 6, "TLC59116": 23}
 LED_MAX_MA: Final = 25.0
 LED_CHANNELS: Final = ((0, 1), (4, 5), (9,))
 
@@ -47,6 +49,25 @@ class Firmware:
         return self.throttled
 
 
+class FakeGateLine:
+    """See `hal.drivers.light_gate.SwitchedLine`: a line at the LED driver's OE or RESET, with a pull towards dark."""
+
+    def __init__(self, leds: LedDriverModel) -> None:
+        self._leds = leds
+        self.broken = False
+        self.release()
+
+    def switch(self, on: bool) -> None:
+        """Drive the pin."""
+        if self.broken:
+            raise LightError("the light driver's enable cannot be driven: check light_driver.enable_line")
+        self._leds.enable(on)
+
+    def release(self) -> None:
+        """Leave the pin to its pull."""
+        self._leds.enable(False)
+
+
 @dataclass(frozen=True, slots=True)
 class EmulatedBoard:
     """A board and everything below its drivers, to inspect and to break."""
@@ -59,6 +80,7 @@ class EmulatedBoard:
     cameras: FakePicamera2
     line: FakeGpioLine
     firmware: Firmware
+    gate: FakeGateLine
 
 
 def emulated_profile(profile: BoardProfile, chip: Chip) -> BoardProfile:
@@ -88,9 +110,14 @@ def emulated_profile(profile: BoardProfile, chip: Chip) -> BoardProfile:
 
 def emulated_hardware(bench: SimulatedScene, chip: Chip) -> EmulatedBoard:
     """The board in a new world with the profile, clock and seed of `bench`."""
-    world = build(emulated_profile(bench.profile, chip), bench.clock, bench.seed)
+    profile = emulated_profile(bench.profile, chip)
+    wired = LightDriverConfig(
+        chip=chip, bus=1, address=LIGHTS_AT, reference_ohm=REFERENCE_OHM[chip], enable_line=ENABLE_LINE[chip]
+    )
+    world = build(msgspec.structs.replace(profile, light_driver=wired), bench.clock, bench.seed)
     leds = led_model(chip, REFERENCE_OHM[chip])
     leds.changed = lighting(world, leds)
+    gate = FakeGateLine(leds)
     gauge = Max17048Model()
     wire = FakeI2cBus({LIGHTS_AT: leds, GAUGE_AT: gauge}, world.clock)
     cameras, line, firmware = FakePicamera2(world, CAMERA_ID), FakeGpioLine(world), Firmware()
@@ -99,9 +126,10 @@ def emulated_hardware(bench: SimulatedScene, chip: Chip) -> EmulatedBoard:
         open_bus=wire.open,
         open_input=lambda *_place: lambda: line,
         throttled_file=firmware.read,
+        gate=lambda *_place: gate,
     )
     hardware = board_hardware(world.profile, world.clock, machine, TwinOperator(world))
-    return EmulatedBoard(world, hardware, leds, gauge, wire, cameras, line, firmware)
+    return EmulatedBoard(world, hardware, leds, gauge, wire, cameras, line, firmware, gate)
 
 
 def led_model(chip: Chip, reference_ohm: float) -> LedDriverModel:

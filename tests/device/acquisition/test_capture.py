@@ -164,7 +164,7 @@ def test_a_plan_names_the_currents_that_the_driver_grants(bench: SimulatedScene)
     assert plan.currents_ma == hardware.lights.granted_ma(plan.currents_ma)
 
 
-def test_a_bus_that_dies_while_lights_are_on_is_reported_and_the_next_capture_ends_dark(bench: SimulatedScene) -> None:
+def test_a_bus_that_dies_while_lights_are_on_is_reported_and_dark_by_the_line(bench: SimulatedScene) -> None:
     emulated = emulated_hardware(bench, "PCA9955B")
     with emulated.hardware as hardware:
         plan = CaptureSettings.of_board(hardware)
@@ -177,7 +177,9 @@ def test_a_bus_that_dies_while_lights_are_on_is_reported_and_the_next_capture_en
         hardware.lights.switch_on = switch_on_and_lose_the_bus  # type: ignore[method-assign]
         with pytest.raises(LightError, match="switching all channels off"):
             capture(hardware, plan)
-        assert any(emulated.leds.currents_ma())
+        # The chip's registers still say "on", and its output enable makes dark.
+        assert any(emulated.leds.driven_ma())
+        assert not any(emulated.leds.currents_ma())
         hardware.lights.switch_on = switch_on  # type: ignore[method-assign]
         emulated.wire.faults.stuck = False
         assert capture(hardware, plan).granted.exposure_us > 0.0

@@ -92,6 +92,7 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
     if profile.indicator and profile.indicator.line is not None:
         parts.append(("indicator", (f"LED and {facts['indicator']['series_ohm']} ohm in series, to ground",)))
     parts.append(("power-fail", ("open drain of the supply, else by a diode (bill of materials); may stay open",)))
+    parts.append(("power-off", ("OFF of a latching switch (bill of materials); may stay open",)))
     title = (
         f"{profile.name}: {profile.sensor.model}, {profile.light_driver.chip} at {profile.light_driver.address:#04x}"
     )
@@ -101,6 +102,9 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
 def _light_driver(driver: LightDriverConfig, facts: dict[str, Any]) -> Iterator[Wire]:
     place = facts["light_driver"]
     yield from _on_the_bus(facts, driver.chip, driver.address, driver.bus, place)
+    if driver.enable_line is not None:
+        terminals = _chip(facts, driver.chip, driver.address)["terminals"]
+        yield _line(facts, driver.enable_line, driver.chip, terminals["enable"])
     yield _wire(facts, place["led_supply"], driver.chip, "LED+", "supply", "anodes of every LED")
 
 
@@ -118,6 +122,8 @@ def _others(profile: BoardProfile, facts: dict[str, Any]) -> Iterator[Wire]:
         yield _wire(facts, facts["indicator"]["ground"], "indicator", "ground", "ground")
     yield _line(facts, facts["power_fail"]["line"], "power-fail", "signal")
     yield _wire(facts, facts["power_fail"]["ground"], "power-fail", "ground", "ground")
+    yield _line(facts, facts["power_off"]["line"], "power-off", "OFF")
+    yield _wire(facts, facts["power_off"]["ground"], "power-off", "ground", "ground")
 
 
 def _on_the_bus(facts: dict[str, Any], name: str, address: int, bus: int, place: dict[str, int]) -> Iterator[Wire]:

@@ -191,3 +191,60 @@ def test_error_flags_are_read_one_by_one_as_increments_end_before_them(bench: Si
         assert emulated.leds.read(0x46 | 0x80, 4) == [emulated.leds.read(0x46, 1)[0]] * 4
         assert lights.faults() == (LightFault("green", "open"),)
     assert emulated.leds.read(0x42 | 0x80, 3)[2] == emulated.leds.read(0x00, 1)[0]
+
+
+def test_outputs_are_let_through_only_while_something_shines(bench: SimulatedScene) -> None:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    assert not emulated.leds.enabled
+    with emulated.hardware.lights as lights:
+        assert not emulated.leds.enabled
+        lights.switch_on(CURRENTS_MA)
+        assert emulated.leds.enabled
+        lights.off()
+        assert not emulated.leds.enabled
+        emulated.hardware.indicator.show("busy")
+        assert emulated.leds.enabled
+        emulated.hardware.indicator.show("idle")
+        assert not emulated.leds.enabled
+
+
+def test_a_pull_makes_dark_whatever_the_registers_say(emulated: EmulatedBoard) -> None:
+    with emulated.hardware.lights as lights:
+        lights.switch_on(CURRENTS_MA)
+        assert emulated.bench.currents_ma
+        # The program is gone without a word: its line is left to the pull, the chip holds its registers.
+        emulated.gate.release()
+        assert not emulated.bench.currents_ma
+        assert not any(emulated.leds.currents_ma())
+
+
+def test_a_line_that_cannot_be_driven_is_an_error_and_the_registers_make_dark(bench: SimulatedScene) -> None:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    with emulated.hardware.lights as lights:
+        lights.switch_on(CURRENTS_MA)
+        emulated.gate.broken = True
+        with pytest.raises(LightError, match=r"check light_driver\.enable_line"):
+            lights.off()
+        assert emulated.leds.enabled
+        assert not any(emulated.leds.currents_ma())
+        emulated.gate.broken = False
+
+
+def test_a_line_that_is_not_there_refuses_the_lights_and_the_registers_make_dark(bench: SimulatedScene) -> None:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    emulated.leds.registers[0x02:0x06] = [0x55] * 4
+    emulated.gate.broken = True
+    with pytest.raises(LightError, match=r"check light_driver\.enable_line"), emulated.hardware.lights:
+        pass
+    assert emulated.leds.registers[0x02:0x06] == [0] * 4
+    assert emulated.wire.opened == 0
+
+
+def test_without_a_line_the_outputs_follow_the_registers(bench: SimulatedScene) -> None:
+    leds = Pca9955bModel(2400.0)
+    wire = FakeI2cBus({LIGHTS_AT: leds}, bench.clock)
+    chip = I2cChip(wire.open, 1, LIGHTS_AT, "light driver", LightError, bench.clock)
+    lights = [msgspec.structs.replace(one, channels=(n,)) for n, one in enumerate(bench.profile.lights)]
+    with ChipLights(lights, Pca9955b(chip, 2400.0)) as driver:
+        driver.switch_on(CURRENTS_MA)
+        assert any(leds.currents_ma())

@@ -5,7 +5,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from hal.board_profile import UvcConfig
 from hal.drivers.camera_uvc import UvcCamera
 from hal.drivers.uvc_choice import ChosenCamera
 from hal.drivers.uvc_pixels import WHITE_DN, decoded, mosaic_of
@@ -15,6 +14,7 @@ from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.emulated.fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
+from hal.uvc_table import UvcConfig
 
 ASKED = CameraSettings(exposure_us=3_000.0, analogue_gain=2.0)
 

@@ -8,12 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hal.board_profile import BoardProfile, UvcProperty, load_board_profile
+from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
 from hal.drivers.usb_hardware import usb_hardware
 from hal.drivers.v4l2_kernel import KernelVideo
 from hal.errors import CameraError
 from hal.hardware import Hardware
+from hal.uvc_table import UvcProperty
 
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 DEVICE = "vivid.0"
