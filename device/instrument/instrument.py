@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
 
 from msgspec import structs
@@ -31,6 +33,7 @@ from device.store.marks import Opinion, ScanMark, write_mark
 from device.store.presets import add_preset, read_presets
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
 from device.store.settings import Settings, read_settings, write_settings
+from device.store.stick import StickExport, export_to_stick, find_stick
 from device.store.sticky import read_sticky
 from device.store.store import BundleStore
 from device.surface.fields import HeightMap
@@ -57,6 +60,7 @@ class Instrument:
     executor : for CPU and disk work; default: one thread, or inline in virtual time
     pairing : how workstations reach the device; default: as installed
     ball_radius_mm : of the ball for calibrations that the button starts
+    stick : finds the mounted USB stick
     """
 
     def __init__(
@@ -66,7 +70,9 @@ class Instrument:
         executor: Executor | None = None,
         pairing: PairingSetup | None = None,
         ball_radius_mm: float = BALL_RADIUS_MM,
+        stick: Callable[[], Path] = find_stick,
     ) -> None:
+        self._stick = stick
         self._hardware = hardware
         self._setup = pairing or PairingSetup()
         virtual = isinstance(hardware.clock, VirtualClock)
@@ -221,6 +227,14 @@ class Instrument:
     def add_preset(self, preset: Annotations) -> None:
         """Store a preset; errors as for `add_preset`."""
         add_preset(self._store.root, preset)
+
+    def wall_time(self) -> datetime:
+        """Time by the device's clock, UTC."""
+        return self._store.wall_time()
+
+    def export_to_stick(self) -> StickExport:
+        """Copy every scan to the mounted USB stick and verify it there: takes long. Errors as for `find_stick`."""
+        return export_to_stick(self._store.root, self._store.device_id, self._stick(), self.wall_time())
 
     def gels(self) -> tuple[GelState, ...]:
         """Every gel that was ever mounted here."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from device.bundles.record import Record, decode_record, encode_record, read_small
 from device.bundles.scan import CaptureMode
@@ -11,6 +11,7 @@ from device.errors import RecordError, StoreError
 from device.io.atomic import replace_file
 from device.io.os_errors import explain_os_error
 
+Display = Literal["dark", "light"]
 SETTINGS_FILE: Final = "settings.json"
 SETTINGS_SCHEMA: Final = "retrograph.settings/1"
 _REMEDY: Final = "remove it, and choose the settings again"
@@ -21,10 +22,12 @@ class Settings(Record, frozen=True, tag_field="schema", tag=SETTINGS_SCHEMA):
 
     capture : how presses are taken
     number_parts : whether the part's number grows with every scan
+    display : colours of the screens
     """
 
     capture: CaptureMode = "single"
     number_parts: bool = False
+    display: Display = "dark"
 
 
 def read_settings(root: Path) -> Settings:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import ClassVar, Final
 
+from msgspec import structs
 from textual.app import App, SuspendNotSupported
 from textual.binding import Binding, BindingType
 
@@ -30,6 +31,7 @@ from device.instrument.events import (
     ZeroChecked,
 )
 from device.instrument.instrument import Instrument
+from device.store.settings import Display
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.measure_text import measure_text
 from device.tui.screens.base import InstrumentScreen
@@ -39,7 +41,7 @@ from device.tui.screens.picture_viewer import view_picture
 from device.tui.screens.scan import ScanScreen
 from device.tui.screens.scans import ScansScreen
 from device.tui.screens.setup import SetUpScreen
-from device.tui.screens.themes import theme_for
+from device.tui.screens.themes import themes_for
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog, KeysDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.navigation import Notice, Place, place_after
@@ -128,9 +130,9 @@ class RetroscanApp(App[str]):
         self._due_s: float | None = None
         self._demonstrated = 0
         self._last_event: Event | None = None
-        theme = theme_for(depth)
-        self.register_theme(theme)
-        self.theme = theme.name
+        for theme in themes_for(depth).values():
+            self.register_theme(theme)
+        self.theme = themes_for(depth)[instrument.state.settings.display].name
 
     async def on_mount(self) -> None:
         """Create the screens, open the first one and start polling."""
@@ -216,6 +218,13 @@ class RetroscanApp(App[str]):
         flatness_um = self.instrument.state.health.flat_residual_um
         self.notice = Notice(measure_text(event.height, event.first, event.second, flatness_um))
         await self.show_state()
+
+    def switch_display(self) -> None:
+        """Show the screens in the other of dark and light, also after a restart."""
+        settings = self.instrument.state.settings
+        display: Display = "dark" if settings.display == "light" else "light"
+        self.instrument.set_settings(structs.replace(settings, display=display))
+        self.theme = themes_for(self._depth)[display].name
 
     def demonstrate(self) -> None:
         """Let the twin's operator press the next object."""

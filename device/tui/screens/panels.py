@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -12,10 +13,12 @@ from device.bundles.check import UNITS, CheckRecord
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import CalibrationState, CheckState, HealthState, InstrumentState, PairingState
 from device.tui.drawing.advice import screen_advice
-from device.tui.drawing.text import age_text, hanging, percent_text, shortened
+from device.tui.drawing.text import age_text, hanging, local_time, percent_text, shortened
 from hal.interfaces import PowerReading
 
 _LABEL: Final = 12
+
+MIN_CLOCK_YEAR: Final = 2025
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +30,9 @@ class ProgramInfo:
     has_gauge: bool = False
 
 
-def instrument_panel(state: InstrumentState, program: ProgramInfo, network: NetworkInfo | None, columns: int) -> str:
+def instrument_panel(
+    state: InstrumentState, program: ProgramInfo, network: NetworkInfo | None, columns: int, now: datetime
+) -> str:
     """All facts about the instrument, for support."""
     calibration, gel = state.calibration, state.gel
     error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
@@ -47,9 +52,17 @@ def instrument_panel(state: InstrumentState, program: ProgramInfo, network: Netw
         ("Power", battery_text(state, has_gauge=program.has_gauge)),
         ("Storage", f"{stored}{left}"),
         ("Folder", str(program.store)),
+        ("Clock", clock_text(now)),
         ("Version", program.version),
     ]
     return _labelled(lines, columns)
+
+
+def clock_text(now: datetime) -> str:
+    """Local date and time with the time zone, and what to do about a clock that was never set."""
+    local = now.astimezone()
+    wrong = "" if local.year >= MIN_CLOCK_YEAR else ": the clock was never set, join a network for a while"
+    return f"{local_time(now)} {local.tzname()} (UTC{local:%z}){wrong}"
 
 
 def _version(calibration: CalibrationState) -> str:

@@ -17,18 +17,20 @@ from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import InstrumentState
 from device.store.gels import make_gel
 from device.store.registry import RegisteredCalibration
+from device.store.stick import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.panels import check_panel, instrument_panel, pairing_panel, selftest_panel
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
 from device.tui.widgets.line_list import ChoiceList
+from device.tui.widgets.navigation import Notice
 from device.tui.widgets.words import Words
 
 Read = TypeVar("Read")
 
 
-ActionName = Literal["back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "off"]
+ActionName = Literal["back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "stick", "display", "off"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,17 @@ SETUP_ACTIONS: Final = (
         "calibrations",
         "Calibrations",
         "All calibrations of this instrument are kept; any that matches can be activated again.\nEnter lists them.",
+    ),
+    SetupAction(
+        "stick",
+        "USB stick",
+        "Copies every scan and calibration to the mounted USB stick, reads each back, and counts it as sent.\n"
+        "retrosync pull fetches them from there. Enter starts.",
+    ),
+    SetupAction(
+        "display",
+        "Light display",
+        "Black on white with strong colours, for the sun; or the dark screens again.\nEnter switches.",
     ),
     SetupAction(
         "off",
@@ -133,6 +146,11 @@ class SetUpScreen(InstrumentScreen):
                 self._read(self._known_gels, self._ask_for_gel)
             case "calibrations":
                 self._read(self.instrument.calibrations, self._ask_for_calibration)
+            case "stick":
+                self.retroscan.notice = Notice("Copying to the USB stick ...")
+                self._read(self.instrument.export_to_stick, self._show_export)
+            case "display":
+                self.retroscan.switch_display()
             case "off":
                 question = "Power off? Running work is stored first."
                 self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
@@ -165,7 +183,8 @@ class SetUpScreen(InstrumentScreen):
             return selftest_panel(findings, running, columns)
         if chosen.name == "check":
             return check_panel(state.check, columns)
-        return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns)
+        now = self.instrument.wall_time()
+        return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns, now)
 
     def _read(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
         """Read on another thread, so that a slow disk does not block the screens."""
@@ -178,6 +197,9 @@ class SetUpScreen(InstrumentScreen):
             self.app.call_from_thread(self.retroscan.report_failure, str(error))
             return
         self.app.call_from_thread(show, result)
+
+    def _show_export(self, outcome: StickExport) -> None:
+        self.retroscan.notice = Notice(outcome.sentence, "error" if outcome.failed else "success")
 
     def _show_network(self, network: NetworkInfo) -> None:
         self._network = network

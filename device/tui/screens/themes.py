@@ -4,15 +4,65 @@ from __future__ import annotations
 
 from textual.theme import Theme
 
+from device.store.settings import Display
 from device.tui.drawing.cells import ColourDepth
 
 
-def theme_for(depth: ColourDepth) -> Theme:
-    """The theme for a terminal's colours.
+def themes_for(depth: ColourDepth) -> dict[Display, Theme]:
+    """The dark and the light theme for a terminal's colours; the light one is for the sun: black on white.
 
     Nothing depends on colour: chosen lines are reversed, important text is bold or has a word.
     """
-    return _full() if depth == "full" else _sixteen()
+    if depth == "full":
+        return {"dark": _full(), "light": _full_light()}
+    return {"dark": _sixteen(), "light": _sixteen_light()}
+
+
+def _full_light() -> Theme:
+    return Theme(
+        name="retrograph-light",
+        dark=False,
+        primary="#003a70",
+        secondary="#303030",
+        accent="#7a3b00",
+        success="#005a1e",
+        warning="#7a3b00",
+        error="#a00000",
+        foreground="#000000",
+        background="#ffffff",
+        surface="#ffffff",
+        panel="#e0e0e0",
+        variables={"block-cursor-text-style": "bold", "input-cursor-text-style": "reverse"},
+    )
+
+
+def _sixteen_light() -> Theme:
+    return Theme(
+        name="retrograph-console-light",
+        ansi=True,
+        dark=False,
+        primary="ansi_blue",
+        secondary="ansi_black",
+        accent="ansi_red",
+        success="ansi_green",
+        warning="ansi_red",
+        error="ansi_red",
+        foreground="ansi_black",
+        background="ansi_white",
+        surface="ansi_white",
+        panel="ansi_white",
+        boost="ansi_white",
+        variables={
+            "ansi-background": "ansi_white",
+            "ansi-foreground": "ansi_black",
+            "border": "ansi_black",
+            "border-blurred": "ansi_black",
+            "block-cursor-foreground": "ansi_black",
+            "block-cursor-background": "ansi_white",
+            "block-cursor-text-style": "reverse",
+            "input-cursor-text-style": "reverse",
+        },
+    )
 
 
 def _full() -> Theme:

@@ -8,7 +8,7 @@ from typing import Any
 
 Stage = Any
 
-ACTIONS = ("back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "off")
+ACTIONS = ("back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "stick", "display", "off")
 
 
 async def _choose(stage: Stage, action: str) -> None:
@@ -160,3 +160,35 @@ def test_one_button_walks_through_the_list_and_does_what_is_chosen(play: Callabl
         assert stage.app.current_mode == "scan"
 
     play(scenario, root)
+
+
+def test_the_display_turns_light_and_stays_so(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "display")
+        before = stage.app.theme
+        await stage.press("enter")
+        assert stage.app.theme != before
+        assert stage.instrument.state.settings.display == "light"
+
+    async def later(stage: Stage) -> None:
+        assert not stage.app.current_theme.dark
+        await _choose(stage, "display")
+        await stage.press("enter")
+        assert stage.app.current_theme.dark
+
+    play(scenario, root)
+    play(later, root)
+    play(scenario, root, depth="sixteen")
+
+
+def test_an_export_without_a_stick_says_so_and_the_clock_is_shown(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "facts")
+        assert "Clock 1970-01-01" in stage.text()
+        assert "the clock was never set" in stage.text()
+        await stage.press("home")
+        await _choose(stage, "stick")
+        await stage.press("enter")
+        assert "no USB stick is mounted" in stage.text()
+
+    play(scenario, root, size=(100, 30))
