@@ -7,13 +7,14 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from device.acquisition.capture import CaptureSettings
+from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CheckStandard
 from device.errors import DeviceError
+from device.guidance.code_reader import read_code
 from device.imaging.exposure import Brightness
 from device.instrument.events import Failed, Info, ZeroChecked, show
 from device.instrument.health import BaselineScheduler, health_state, zero_sentence
@@ -201,6 +202,16 @@ class ActiveSetup:
         self._states.update(sentence=sentence)
         self._states.publish(ZeroChecked(zero.flat_residual_um, passed, sentence))
         show(self._hardware, "good" if passed else "doubtful")
+
+    def seen_code(self) -> str | None:
+        """The text of the QR code or barcode before the camera; None where none can be read.
+
+        Raises
+        ------
+        FrameNotConfirmed, HalError
+            No frame could be taken.
+        """
+        return read_code(capture(self._hardware, CaptureSettings.of_board(self._hardware)))
 
     def change_gel(self, gel_id: str, slab_thickness_mm: float | None) -> None:
         """Mount another gel: its calibration becomes active, or scans are refused.

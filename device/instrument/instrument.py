@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ParamSpec, Self, TypeVar
+from typing import Any, Final, ParamSpec, Self, TypeVar
 
 from msgspec import structs
 
@@ -44,6 +44,9 @@ from hal.interfaces import FaultName, LiftOff, PressObject, SetFault
 
 """Default radius of the calibration ball."""
 
+
+MAX_PART: Final = 80
+"""Characters of a part's name, as its field on the screen."""
 
 Arguments = ParamSpec("Arguments")
 
@@ -130,6 +133,17 @@ class Instrument:
         else:
             self._states.update(replaces=state.last.scan_id)
             self._states.publish(Info(f"Press again: the next scan replaces #{state.last.counter}."))
+
+    def read_code(self) -> None:
+        """Name the next part by the QR code or barcode that is held before the camera: `Info`, or `Failed`."""
+        self._worker.enqueue(lambda worker: worker.maintain(self._name_by_code))
+
+    def _name_by_code(self, setup: ActiveSetup) -> None:
+        if (text := setup.seen_code()) is None:
+            self._states.publish(Failed("no code was read: take the gel off, hold the label before the camera"))
+            return
+        self._labels.set(structs.replace(self._states.state.sticky, part=text[:MAX_PART]))
+        self._states.publish(Info(f"The next part is {text[:MAX_PART]}."))
 
     def set_settings(self, settings: Settings) -> None:
         """Change the operator's settings, also after a restart; `Failed` if this hardware cannot do it."""

@@ -47,6 +47,7 @@ class ScanScreen(InstrumentScreen):
         Binding("o", "presets", "presets of job, part and operator", show=False),
         Binding("i", "number", "number parts, or no longer", show=False),
         Binding("r", "retake", "retake"),
+        Binding("b", "code", "part's name by QR code or barcode", show=False),
         Binding("a", "auto", "auto"),
         Binding("m", "mode", "one frame, precise, or each light", show=False),
         Binding("z", "zero", "zero"),
@@ -120,6 +121,10 @@ class ScanScreen(InstrumentScreen):
     def action_zero(self) -> None:
         """Run the zero check."""
         self.instrument.zero_check()
+
+    def action_code(self) -> None:
+        """Name the part by the code before the camera."""
+        self.instrument.read_code()
 
     def action_retake(self) -> None:
         """Let the next scan replace the last one."""
