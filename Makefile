@@ -20,7 +20,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board docs release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test bench format board parts docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -73,6 +73,13 @@ format: set-up ## put the code into the house's form
 
 board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
+
+parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; wants openscad)
+	@mkdir -p "dist/parts/$(BOARD)"
+	for part in $(or $(PARTS),body led_holder gel_frame camera_plate tray cap plate block); do
+	    openscad -q -D "part=\"$$part\"" -D 'board="$(BOARD)"' -o "dist/parts/$(BOARD)/$$part.stl" board/enclosure/retrograph.scad
+	    echo "dist/parts/$(BOARD)/$$part.stl"
+	done
 
 docs: set-up ## the documents as a site in docs-site/, links checked, with the API reference
 	@bash .ci/docs "$(VENV)"

@@ -142,6 +142,20 @@ def test_every_part_is_understood(part: str, tmp_path: Path) -> None:
     assert "ERROR" not in ran.stderr
 
 
+@needs_openscad
+def test_make_writes_the_parts_that_there_are(tmp_path: Path) -> None:
+    makefile = (SOURCE.parents[2] / "Makefile").read_text(encoding="utf-8")
+    found = re.search(r"\$\(or \$\(PARTS\),([a-z_ ]+)\)", makefile)
+    assert found
+    assert sorted(found[1].split()) == sorted(set(PARTS) - {"assembly"})
+    shutil.copytree(SOURCE.parent, tmp_path / "board" / "enclosure")
+    command = ["make", "-f", SOURCE.parents[2] / "Makefile", "-C", tmp_path, "parts", "BOARD=pi4-imx477", "PARTS=block"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    written = (tmp_path / "dist" / "parts" / "pi4-imx477" / "block.stl").read_text(encoding="utf-8")
+    assert written.count("facet normal") > 100
+
+
 def closed_body(part: str, folder: Path) -> None:
     ran = openscad(folder / "part.stl", f'part="{part}"')
     assert ran.returncode == 0, ran.stderr

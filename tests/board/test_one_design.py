@@ -23,6 +23,7 @@ from tests.drawings.board.beam import (
     half_field_mm,
     light_over_field,
 )
+from tests.drawings.board.totals import euros, rows_of
 from tests.drawings.board.wiring import wired_boards, wiring
 
 BOARD = Path(__file__).parents[2] / "board"
@@ -183,6 +184,18 @@ def test_the_block_is_cut_from_what_the_bill_lists() -> None:
     width, depth, height = (float(one) for one in found.groups())
     assert parameter("block_top") - parameter("gel_thickness") <= height
     assert 2 * (parameter("inner_r") - parameter("wall") - parameter("gap")) <= min(width, depth)
+
+
+@pytest.mark.parametrize("board", [*HOUSED, BENCH])
+def test_the_total_holds_every_part_that_a_board_cannot_do_without(board: str) -> None:
+    bought = [what for what, _ in rows_of(board, BILL)]
+    for what in ("computer", "camera", "card", "mains adapter", "light driver", "reference resistor", "button"):
+        assert bought.count(what) == 1, what
+    for housed in ("lens", "block", "housing", "extension rings", "carrier"):
+        assert bought.count(housed) == (board in HOUSED), housed
+    least, most = euros(board, BILL)
+    assert f"| {board.removesuffix('-binned')} | {len(bought)} | {least} to {most} € |" in BILL
+    assert 0 < least < most
 
 
 def test_the_leds_fit_the_facet() -> None:

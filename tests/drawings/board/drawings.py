@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.drawings.board.light_tables import with_tables
+from tests.drawings.board.totals import with_total
 from tests.drawings.board.wiring import wired_boards, wiring
 from tests.drawings.board.wiring_drawing import drawing
 from tests.drawings.board.wiring_table import wiring_page
@@ -24,6 +25,8 @@ def pages() -> dict[Path, str]:
         made[Path("wiring") / f"{board}.md"] = wiring_page(facts)
     lights = Path("light-geometry.md")
     made[lights] = with_tables((FOLDER / lights).read_text(encoding="utf-8"))
+    bill = Path("bill-of-materials.md")
+    made[bill] = with_total((FOLDER / bill).read_text(encoding="utf-8"))
     return made
 
 

@@ -1,0 +1,41 @@
+"""What a board costs: the price classes of its rows in the bill of materials, added up."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from tests.drawings.board.wiring import wired_boards
+
+CLASS_EUROS = {"–": (0, 0), "A": (0, 2), "B": (2, 10), "C": (10, 40), "D": (40, 100), "E": (100, 250)}
+"""Least and most of each class; the page gives E no upper end, and what is known of such lenses stays under 250."""
+
+ROW = re.compile(r"^\| ([^|]+) \| [^|]+ \| ([A-E–]) \| ([^|]*) \|", re.MULTILINE)
+BLOCK = re.compile(r"(<!-- made by `make board`: total -->\n).*?(<!-- end -->\n)", re.DOTALL)
+
+
+def with_total(page: str) -> str:
+    """The bill with its table of totals computed again."""
+    return BLOCK.sub(lambda found: found[1] + "\n".join(_table(page)) + "\n" + found[2], page)
+
+
+def rows_of(board: str, page: str) -> list[tuple[str, str]]:
+    """What is bought for a board whatever its options, and the price class of each: rows for it by name or for all."""
+    name = board.removesuffix("-binned")
+    return [(what, price) for what, price, boards in ROW.findall(page) if {"all", name} & set(boards.split(", "))]
+
+
+def euros(board: str, page: str) -> tuple[int, int]:
+    """Least and most that a board costs, in euros."""
+    ranges = [CLASS_EUROS[price] for _, price in rows_of(board, page)]
+    return sum(least for least, _ in ranges), sum(most for _, most in ranges)
+
+
+def _table(page: str) -> Iterator[str]:
+    yield "| board | rows | total |"
+    yield "|---|---|---|"
+    for board in wired_boards():
+        if board.endswith("-binned"):
+            continue
+        least, most = euros(board, page)
+        yield f"| {board} | {len(rows_of(board, page))} | {least} to {most} € |"
