@@ -281,6 +281,24 @@ def load_result(folder: str | Path) -> Result:
     return Result(read_result(Path(folder)))
 
 
+def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
+    """The surface that overlapping presses of one object show together.
+
+    results : folders that `retrosync reconstruct` wrote; a MosaicError says why they do not go together
+    out : folder for the result; `mosaic.json` in it holds every overlap, used or rejected
+
+    >>> whole = mosaic(["results/left", "results/right"], out="results/whole")
+    >>> whole.height_um.shape[1] > load_result("results/left").height_um.shape[1]
+    True
+    """
+    from host_sync.mosaic.presses import press_of
+    from host_sync.mosaic.stitch import stitch
+
+    with one_blas_thread():
+        stitch([press_of(Path(folder)) for folder in results], Path(out))
+    return load_result(out)
+
+
 def integrate(
     p: NDArray[Any], q: NDArray[Any], weights: NDArray[Any] | None = None, *, pitch_um: float = 1.0
 ) -> Float32Array:

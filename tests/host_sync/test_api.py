@@ -12,11 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from mosaic_presses import press_of_map, pressed, rough_target, write_press
 from pressed_frames import write_frame_set
 
 from host_sync import api
 from host_sync.calibration_file.cache import SETTING
 from host_sync.errors import FrameSetError, IntegrationError
+from host_sync.mosaic.motion import Motion
 
 PUBLIC = {
     name: item
@@ -34,6 +36,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         kept = api.calibrate_frame_set(folder / "frameset.toml")
         kept.write(folder / "gel.calibration")
         api.reconstruct(folder / "ball-6.png", kept, out=folder / "results" / "ball")
+        random, target = np.random.default_rng(3), rough_target((240, 400))
+        for name, right_px in (("left", -60.0), ("right", 60.0)):
+            seen = pressed(target, Motion(0.0, right_px), (136, 182), random)
+            write_press(press_of_map(name, seen), folder / "results")
         patch.chdir(folder)
         yield folder
 
