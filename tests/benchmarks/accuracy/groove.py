@@ -4,8 +4,9 @@
 
 FOLDER holds `image01.png` to `image06.png` and `heightmap.tmd` (gelsightinc/gsmatlab, demo/groove); by default
 `groove` in the folder that RETROGRAPH_DATA names. Slopes of the taught half come from the maker's map, blurred by 1 px;
-the compared half is integrated with the rest, and a plane is taken off its difference. Depth: from the 0.5th to the
-99.5th percentile.
+form and penalty are those by which either half of the taught rows reads the other best, so that the compared rows
+choose nothing; the compared half is integrated with the rest, and a plane is taken off its difference. Depth: from the
+0.5th to the 99.5th percentile.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
-from device.calibration.candidates import RegressorForm, fit_regressor
+from device.calibration.candidates import RegressorFit, RegressorForm, fit_regressor
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.fields import GradientField
+from device.surface.stereographic import stereographic_from_slope
 from host_sync.export.tmd import read_tmd
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.linear_light import read_frame
@@ -36,9 +38,9 @@ from tests.benchmarks.accuracy.real_sets import data_folder
 
 LIGHTS: Final = 6
 SAMPLES: Final = 60_000
-FOLDS: Final = 8
-FORM: Final = RegressorForm(4, 1)
-PENALTY: Final = 1e-4
+BANDS: Final = 2
+FORMS: Final = tuple(RegressorForm(colour, place) for colour in (2, 3, 4) for place in (0, 1, 2))
+PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-6.0, 0.0))
 TRUTH_BLUR_PX: Final = 1.0
 
 Mask = NDArray[np.bool_]
@@ -104,16 +106,33 @@ class Groove:
             self.q[row, column].astype(np.float32),
             column.astype(np.float32),
             row.astype(np.float32),
-            (column * FOLDS // known.shape[1]).astype(np.intp),
+            ((row - row.min()) * BANDS // (np.ptp(row) + 1)).astype(np.intp),
         )
         slope = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
         shape = (known.shape[0], known.shape[1])
-        fitted = fit_regressor(samples, shape, FORM, PENALTY)
-        solved = fitted.ridge.solve(fitted.penalty, slope, np.ones(len(slope)), np.ones(FOLDS, np.bool_))
+        fitted = _best_fit(samples, slope, shape)
+        solved = fitted.ridge.solve(fitted.penalty, slope, np.ones(len(slope)), np.ones(BANDS, np.bool_))
         steepest = float(np.hypot(samples.p, samples.q).max())
         curve = fitted.curve(solved)
         read = InverseMap(shape, TrainingDomain.observed(samples.intensity), curve, steepest).gradients(image)
         return read.p, read.q
+
+
+def _best_fit(samples: BallSamples, slope: Heights, shape: tuple[int, int]) -> RegressorFit:
+    """The learner whose form and penalty read each band of the taught rows best from the other."""
+    wanted = stereographic_from_slope(slope[:, 0], slope[:, 1])
+    judged = []
+    for form in FORMS:
+        ridge = fit_regressor(samples, shape, form, PENALTIES[0]).ridge
+        held_out = ridge.held_out(
+            PENALTIES, slope, np.ones(len(slope)), np.ones(BANDS, np.bool_), np.arange(BANDS, dtype=np.intp)
+        )
+        judged += [
+            (float(np.mean((read - wanted) ** 2)), form, penalty)
+            for penalty, read in zip(PENALTIES, held_out, strict=True)
+        ]
+    _, form, penalty = min(judged, key=lambda one: one[0])
+    return fit_regressor(samples, shape, form, penalty)
 
 
 def _without_plane(values: Heights, where: Mask) -> Heights:

@@ -229,6 +229,9 @@ def test_an_empty_folder_is_refused(kind: str, tmp_path: Path, capsys: pytest.Ca
 def test_public_folders_are_imported(
     kind: str, folder: str, options: tuple[str, ...], presses: int, scans: int, lights: int, tmp_path: Path
 ) -> None:
+    bare = [path.parent for path in (Path(PUBLIC) / folder).rglob("scan.yaml") if not any(path.parent.glob("*.png"))]
+    if bare:
+        pytest.skip(f"{bare[0]} holds no images: fetch the repository whole")
     assert run(kind, Path(PUBLIC) / folder, *options, "--out", tmp_path / "set.toml") == 0
     found = loaded(tmp_path / "set.toml", calibrates=presses > 0)
     assert (len(found.presses), len(found.scans), len(found.lights)) == (presses, scans, lights)
