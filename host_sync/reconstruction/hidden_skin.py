@@ -31,7 +31,7 @@ SET: Final = 0.1
 HIDDEN_WEIGHT: Final = 0.05
 """Weight of hidden slopes in integration."""
 
-RELATIVE_SIGMA: Final = 0.03
+RELATIVE_SIGMA: Final = 0.02
 """Standard uncertainty of slopes that integration finds there, as a share of those that were read."""
 
 
