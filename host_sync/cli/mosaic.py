@@ -11,6 +11,7 @@ from device.io.atomic import check_replaceable
 from host_sync.cli.console import DONE, print_json, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.measure import result_folders
 from host_sync.errors import MosaicError
+from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
@@ -46,15 +47,18 @@ def mosaic_command(
     for found in result_folders(scans, library):
         if isinstance(found, str):
             raise MosaicError(found)
+        if (found / MOSAIC_FILE).is_file() and found not in scans:
+            continue  # an earlier mosaic beside its presses
         folders.append(found)
     check_replaceable(out, RECORD_FILE)  # before minutes of work
     with status_spinner() as tell:
         tell_of_compiling()
         tell("loading compiled code")
         from host_sync.mosaic.layout import read_layout
-        from host_sync.mosaic.presses import press_of
+        from host_sync.mosaic.presses import check_apart, press_of
         from host_sync.mosaic.stitch import stitch
 
+        check_apart(folders, out)
         presses = [press_of(folder, library) for folder in folders]
         known = None if layout is None else read_layout(layout, presses, within_mm)
         record = stitch(presses, out, layout=known, tell=tell)

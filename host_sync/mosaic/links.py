@@ -114,26 +114,29 @@ def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int]
 
 
 def _without_rivals(found: list[Link]) -> list[Link]:
-    """The links, those refused that another place of the same presses rivals, or that agree less than links here do."""
+    """The links, each place of a pair once: those refused that another place of the same presses rivals, or that agree
+    less than links here do.
+    """
     pairs: dict[tuple[int, int], list[Link]] = {}
     for link in found:
         if not link.refused:
             pairs.setdefault((link.first, link.second), []).append(link)
     kept: dict[int, str] = {}
+    copies: set[int] = set()
     for links in pairs.values():
         best = min(links, key=lambda one: one.residual)
         others = [one for one in links if float(np.hypot(*(one.motion.of(best.here) - best.there))) > APART_PX]
+        copies |= {id(one) for one in links if one is not best and one not in others}
         rivals = [one for one in others if one.residual < RIVAL * best.residual]
         kept |= {id(one): RIVALLED for one in (best, *rivals) if rivals}
-        kept |= {
-            id(one): "the presses agree better at another place" for one in links if one is not best and not rivals
-        }
+        kept |= {id(one): "the presses agree better at another place" for one in others if not rivals}
     usual = [link.residual for link in found if not link.refused and id(link) not in kept]
     limit = UNLIKE * float(np.quantile(usual, 0.25)) if usual else np.inf
     for link in found:
         if not link.refused and id(link) not in kept and link.residual > limit:
             kept[id(link)] = "their slopes differ by more than those of other presses here"
-    return [replace(link, refused=kept[id(link)]) if id(link) in kept else link for link in found]
+    apart = [link for link in found if id(link) not in copies]
+    return [replace(link, refused=kept[id(link)]) if id(link) in kept else link for link in apart]
 
 
 def linked(presses: list[Small], candidate: Candidate) -> Link | None:

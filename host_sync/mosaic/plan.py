@@ -20,6 +20,7 @@ class Plan:
     places : of the presses that have one, by number, in a mosaic that is not turned in the mean
     meetings : of the links in use, by their number among `links`; presses are numbered as in `levels`
     levels : planes of the presses in `places`, in their order
+    without_sigma : presses that state no uncertainty of their heights, by number
     """
 
     refused: list[Link]
@@ -28,3 +29,4 @@ class Plan:
     places: dict[int, Motion]
     meetings: dict[int, Meeting]
     levels: Levels
+    without_sigma: frozenset[int] = frozenset()

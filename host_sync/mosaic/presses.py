@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,9 @@ import numpy as np
 
 from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import MosaicError
+from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.registration.poses import reduced
+from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result
 from host_sync.results.record import ResultRecord, read_record
 
@@ -56,12 +58,14 @@ class Small:
 
     z_um, sigma_um : float32 arrays of shape (h, w); σ is 0 where it is not known
     full : (H, W) of the press
+    has_sigma : whether the press states one at all
     """
 
     z_um: Float32Array
     sigma_um: Float32Array
     step: int
     full: tuple[int, int]
+    has_sigma: bool = True
 
     def centred(self, place: tuple[float, float]) -> tuple[float, float]:
         """A place of the reduced map (row, column) as px of the press from its middle."""
@@ -91,13 +95,32 @@ def press_of(folder: Path, library: Path | None = None) -> Press:
     return Press(name, record, read)
 
 
+def check_apart(folders: Iterable[Path], out: Path) -> None:
+    """Refuse inputs that are mosaics, and an output that would replace a press.
+
+    Raises
+    ------
+    MosaicError
+        Says which.
+    """
+    target = out.resolve()
+    for folder in folders:
+        own = folder.resolve()
+        if (own / MOSAIC_FILE).is_file():
+            raise MosaicError(f"{folder}: is a mosaic: name the results of its presses")
+        if own == target or own in target.parents or target in own.parents:
+            raise MosaicError(f"{out}: would replace or lie in {folder}, which is a press of it: name another folder")
+    if (target / RECORD_FILE).is_file() and not (target / MOSAIC_FILE).is_file():
+        raise MosaicError(f"{out}: holds a result that is no mosaic: name another folder")
+
+
 def check_together(presses: list[Press]) -> None:
     """Refuse presses that no mosaic can be made of.
 
     Raises
     ------
     MosaicError
-        There are fewer than two, two have one name, or their pixel pitches differ.
+        There are fewer than two, two have one name, or their pixel pitches or sizes differ.
     """
     if len(presses) < 2:
         raise MosaicError("a mosaic needs two presses or more: name their results")
@@ -111,6 +134,11 @@ def check_together(presses: list[Press]) -> None:
             raise MosaicError(
                 f"{press.name}: has a pixel pitch of {press.record.pixel_pitch_um:g} µm and {names[0]} one of "
                 f"{pitch_um:g} µm: presses of one mosaic need one pitch"
+            )
+        if press.shape != presses[0].shape:
+            raise MosaicError(
+                f"{press.name}: has {press.shape[1]}x{press.shape[0]} pixels and {names[0]} "
+                f"{presses[0].shape[1]}x{presses[0].shape[0]}: presses of one mosaic need one size"
             )
 
 
@@ -130,4 +158,4 @@ def small_of(press: Press) -> Small:
     sigma_um = np.zeros(z_um.shape, np.float32)
     if fields.sigma_um is not None:
         sigma_um = np.nan_to_num(reduced(fields.sigma_um, step))
-    return Small(z_um, sigma_um, step, press.shape)
+    return Small(z_um, sigma_um, step, press.shape, fields.sigma_um is not None)

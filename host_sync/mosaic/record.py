@@ -71,6 +71,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
     stretch_median : median of the links' stretch, and the median of its absolute value; None without links
     span_um, span_sigma_um : distance of the two presses farthest apart, and its standard uncertainty from the links
     covered_share : fraction of the mosaic's pixels with a height
+    without_sigma : presses that state no uncertainty of their heights; with one of them the mosaic has none
     """
 
     schema: str = MOSAIC_SCHEMA
@@ -86,6 +87,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
     span_um: float
     span_sigma_um: float
     covered_share: float
+    without_sigma: tuple[str, ...] = ()
 
     @property
     def used(self) -> tuple[LinkRecord, ...]:

@@ -83,7 +83,8 @@ def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = 
             between = known[link.first].then(known[link.second].back())
             meetings[number] = _renumbered(meeting(small, link.first, link.second, between), order)
     levels = levelled(list(meetings.values()), len(known), reach_px)
-    return Plan([link for link in links if link.refused], good, found, known, meetings, levels)
+    unsure = frozenset(number for number in known if not small[number].has_sigma)
+    return Plan([link for link in links if link.refused], good, found, known, meetings, levels, unsure)
 
 
 def _renumbered(one: Meeting, order: dict[int, int]) -> Meeting:

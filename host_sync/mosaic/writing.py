@@ -38,7 +38,8 @@ def write_mosaic(
     """Write the mosaic's fields, picture and records to a folder."""
     pitch_um = record.pixel_pitch_um
     write_field(folder / HEIGHT_FILE, blended.z_um, pitch_um, "height, um")
-    write_field(folder / HEIGHT_SIGMA_FILE, blended.sigma_um, pitch_um, "standard uncertainty of height, um")
+    if not record.without_sigma:
+        write_field(folder / HEIGHT_SIGMA_FILE, blended.sigma_um, pitch_um, "standard uncertainty of height, um")
     if blended.extrapolated.any():
         write_mask(folder / EXTRAPOLATED_FILE, blended.extrapolated > 0)
     step = max(1, -(-max(canvas.shape) // PICTURE_PX))
@@ -71,6 +72,7 @@ def mosaic_record(name: str, presses: list[Press], plan: Plan, canvas: Canvas, c
         span_um=plan.places[ends[0]].distance_px(plan.places[ends[1]], 0.0) * pitch_um,
         span_sigma_um=plan.adjusted.distance_sigma_px(*ends) * pitch_um,
         covered_share=covered,
+        without_sigma=tuple(presses[number].name for number in sorted(plan.without_sigma)),
     )
 
 
@@ -136,9 +138,12 @@ def _seam(plan: Plan, number: int) -> dict[str, float]:
     if one is None or not one.apart_um.size:
         return {}
     apart_um = plan.levels.apart_um(one)
+    seam_um = float(np.sqrt(np.mean(apart_um**2)))
+    if plan.without_sigma & {plan.links[number].first, plan.links[number].second}:
+        return {"seam_um": seam_um}
     sigmas = np.abs(apart_um) / one.sigma_um
     return {
-        "seam_um": float(np.sqrt(np.mean(apart_um**2))),
+        "seam_um": seam_um,
         "seam_sigmas": float(np.sqrt(np.mean(sigmas**2))),
         "seam_beyond_2_sigmas": float(np.mean(sigmas > SEAM_SIGMAS)),
     }
@@ -166,7 +171,7 @@ def _result_record(name: str, members: list[Press], mosaic: MosaicRecord, blende
         pixel_pitch_um=mosaic.pixel_pitch_um,
         height_min_um=_extreme(blended.z_um, np.fmin),
         height_max_um=_extreme(blended.z_um, np.fmax),
-        height_sigma_median_um=float(np.median(known)) if known.size else None,
+        height_sigma_median_um=float(np.median(known)) if known.size and not mosaic.without_sigma else None,
         height_zero="none: heights are relative, as each press has a level of its own",
         masked_share=1.0 - mosaic.covered_share,
         extrapolated_share=float(blended.extrapolated.mean()),
@@ -189,6 +194,8 @@ def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
     alone = [place.name for place in mosaic.presses if place.name not in linked]
     if alone:
         yield f"the place of {_named(alone)} rests on overlaps that no other overlap confirms"
+    if mosaic.without_sigma:
+        yield f"uncertainty is unknown, as it is of {_named(mosaic.without_sigma)}"
     steps = [link for link in mosaic.used if (link.seam_sigmas or 0.0) > SEAM_SIGMAS]
     steps.sort(key=lambda one: -(one.seam_sigmas or 0.0))
     if steps:
