@@ -291,12 +291,11 @@ def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
     >>> whole.height_um.shape[1] > load_result("results/left").height_um.shape[1]
     True
     """
-    from host_sync.mosaic.presses import check_apart, press_of
+    from host_sync.mosaic.presses import presses_of
     from host_sync.mosaic.stitch import stitch
 
     with one_blas_thread():
-        check_apart([Path(folder) for folder in results], Path(out))
-        stitch([press_of(Path(folder)) for folder in results], Path(out))
+        stitch(presses_of([Path(folder) for folder in results], Path(out)), Path(out))
     return load_result(out)
 
 

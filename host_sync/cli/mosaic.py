@@ -55,11 +55,10 @@ def mosaic_command(
         tell_of_compiling()
         tell("loading compiled code")
         from host_sync.mosaic.layout import read_layout
-        from host_sync.mosaic.presses import check_apart, press_of
+        from host_sync.mosaic.presses import presses_of
         from host_sync.mosaic.stitch import stitch
 
-        check_apart(folders, out)
-        presses = [press_of(folder, library) for folder in folders]
+        presses = presses_of(folders, out, library)
         known = None if layout is None else read_layout(layout, presses, within_mm)
         record = stitch(presses, out, layout=known, tell=tell)
     if json:

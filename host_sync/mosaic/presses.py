@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -95,14 +95,25 @@ def press_of(folder: Path, library: Path | None = None) -> Press:
     return Press(name, record, read)
 
 
-def check_apart(folders: Iterable[Path], out: Path) -> None:
-    """Refuse inputs that are mosaics, and an output that would replace a press.
+def presses_of(folders: Sequence[Path], out: Path, library: Path | None = None) -> list[Press]:
+    """The presses whose results are in the folders.
+
+    out : where their mosaic will be written
+    library : as for `press_of`
 
     Raises
     ------
     MosaicError
-        Says which.
+        One is a mosaic itself, or the mosaic would replace a press.
+    UnreadableResult
+        There is no readable record.
     """
+    _check_apart(folders, out)
+    return [press_of(folder, library) for folder in folders]
+
+
+def _check_apart(folders: Iterable[Path], out: Path) -> None:
+    """Refuse inputs that are mosaics, and an output that would replace a press."""
     target = out.resolve()
     for folder in folders:
         own = folder.resolve()
