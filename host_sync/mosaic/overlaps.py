@@ -77,11 +77,11 @@ def candidates(presses: list[Small], layout: Layout | None = None) -> list[Candi
     rows, columns = (max(z_um.shape[axis] for z_um in coarse) for axis in (0, 1))
     shape = (fft.next_fast_len(2 * rows), fft.next_fast_len(2 * columns))
     allowed, inverse_noise = _overlap(rows, columns, shape)
-    straight = [np.conj(fft.fft2(_slopes(z_um), shape)) for z_um in coarse]
+    straight = [np.conj(fft.fft2(coarse_slopes(z_um), shape)) for z_um in coarse]
     turns = [float(np.radians(turn)) for turn in TURNS_DEG]
     found: list[Candidate] = []
     for second, other in enumerate(coarse):
-        turned = [fft.fft2(_slopes(moved(other, Pose(0.0, 0.0, turn), other.shape, 1)), shape) for turn in turns]
+        turned = [fft.fft2(coarse_slopes(moved(other, Pose(0.0, 0.0, turn), other.shape, 1)), shape) for turn in turns]
         for first in range(second):
             near = allowed
             if layout is not None:
@@ -161,7 +161,7 @@ def _chosen(found: list[Candidate], count: int) -> list[Candidate]:
     return chosen
 
 
-def _slopes(z_um: Float32Array) -> Complex:
+def coarse_slopes(z_um: Float32Array) -> Complex:
     """p + iq without long waves, of mean square 1, clipped, 0 where invalid: complex64 array of shape (h, w)."""
     q, p = np.gradient(cv2.GaussianBlur(z_um, (0, 0), SMOOTHED_PX))
     slopes = np.asarray(p + 1j * q, np.complex64)

@@ -21,6 +21,7 @@ class Plan:
     meetings : of the links in use, by their number among `links`; presses are numbered as in `levels`
     levels : planes of the presses in `places`, in their order
     without_sigma : presses that state no uncertainty of their heights, by number
+    period_px : distance after which the relief repeats itself, where places may be off by it; else None
     """
 
     refused: list[Link]
@@ -30,3 +31,4 @@ class Plan:
     meetings: dict[int, Meeting]
     levels: Levels
     without_sigma: frozenset[int] = frozenset()
+    period_px: float | None = None

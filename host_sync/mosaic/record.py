@@ -71,6 +71,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
     stretch_median : median of the links' stretch, and the median of its absolute value; None without links
     span_um, span_sigma_um : distance of the two presses farthest apart, and its standard uncertainty from the links
     covered_share : fraction of the mosaic's pixels with a height
+    period_um : distance after which the relief repeats itself, where places may be off by it; else None
     without_sigma : presses that state no uncertainty of their heights; with one of them the mosaic has none
     """
 
@@ -87,6 +88,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
     span_um: float
     span_sigma_um: float
     covered_share: float
+    period_um: float | None = None
     without_sigma: tuple[str, ...] = ()
 
     @property

@@ -18,6 +18,7 @@ from host_sync.mosaic.overlaps import Layout, candidates
 from host_sync.mosaic.plan import Plan
 from host_sync.mosaic.presses import Press, check_together, small_of
 from host_sync.mosaic.record import MosaicRecord
+from host_sync.mosaic.repetition import repeats_px
 from host_sync.mosaic.writing import mosaic_record, write_mosaic
 from host_sync.results.files import RECORD_FILE
 
@@ -63,6 +64,13 @@ def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = 
         tell(f"reading: {number + 1} of {len(presses)}")
         small.append(small_of(press))
     tell("looking for overlaps")
+    period_px = repeats_px(small)
+    if period_px is not None and layout is None:
+        period_mm = period_px * presses[0].record.pixel_pitch_um * 1e-3
+        raise MosaicError(
+            f"the relief repeats every {period_mm:.2g} mm, so that overlaps agree at several places: say with --layout "
+            "where the presses are, closer than half of that"
+        )
     wanted = candidates(small, layout)
     links = verified(small, wanted, lambda done: tell(f"registering: {done} of {len(wanted)}"))
     good = [link for link in links if not link.refused]
@@ -84,7 +92,23 @@ def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = 
             meetings[number] = _renumbered(meeting(small, link.first, link.second, between), order)
     levels = levelled(list(meetings.values()), len(known), reach_px)
     unsure = frozenset(number for number in known if not small[number].has_sigma)
-    return Plan([link for link in links if link.refused], good, found, known, meetings, levels, unsure)
+    return Plan(
+        [link for link in links if link.refused],
+        good,
+        found,
+        known,
+        meetings,
+        levels,
+        unsure,
+        _doubted(period_px, layout),
+    )
+
+
+def _doubted(period_px: float | None, layout: Layout | None) -> float | None:
+    """The period that a layout leaves room for; None where none does."""
+    if period_px is None or layout is None or layout.within_px < 0.5 * period_px:
+        return None
+    return period_px
 
 
 def _renumbered(one: Meeting, order: dict[int, int]) -> Meeting:

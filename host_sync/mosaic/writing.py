@@ -72,6 +72,7 @@ def mosaic_record(name: str, presses: list[Press], plan: Plan, canvas: Canvas, c
         span_um=plan.places[ends[0]].distance_px(plan.places[ends[1]], 0.0) * pitch_um,
         span_sigma_um=plan.adjusted.distance_sigma_px(*ends) * pitch_um,
         covered_share=covered,
+        period_um=None if plan.period_px is None else plan.period_px * pitch_um,
         without_sigma=tuple(presses[number].name for number in sorted(plan.without_sigma)),
     )
 
@@ -194,6 +195,11 @@ def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
     alone = [place.name for place in mosaic.presses if place.name not in linked]
     if alone:
         yield f"the place of {_named(alone)} rests on overlaps that no other overlap confirms"
+    if mosaic.period_um is not None:
+        yield (
+            f"the relief repeats every {mosaic.period_um * 1e-3:.2g} mm: places may be off by that, as the "
+            "layout is no closer than half of it"
+        )
     if mosaic.without_sigma:
         yield f"uncertainty is unknown, as it is of {_named(mosaic.without_sigma)}"
     steps = [link for link in mosaic.used if (link.seam_sigmas or 0.0) > SEAM_SIGMAS]
