@@ -152,8 +152,18 @@ class Scanner:
         """
         return self._store.scans_left(self._bytes_per_scan(mode))
 
+    def scans_promised(self, mode: CaptureMode = "single") -> int:
+        """Number of scans that fit now or, if none, once a press has made room; nothing is removed.
+
+        Raises
+        ------
+        StoreError
+            The store cannot be read.
+        """
+        return self.scans_left(mode) or self._store.scans_left_after_removal(self._bytes_per_scan(mode))
+
     def check_room(self, mode: CaptureMode = "single") -> int:
-        """Number of scans that still fit; if none, acknowledged scans are deleted, oldest first.
+        """Number of scans that still fit; if none, room is made as `BundleStore.make_room` does.
 
         Raises
         ------
@@ -161,7 +171,8 @@ class Scanner:
             Not one more fits: the press is refused before the exposure.
         """
         left = self.scans_left(mode)
-        if left < 1 and self._store.make_room(self._bytes_per_scan(mode)):
+        if left < 1:
+            self._store.make_room(self._bytes_per_scan(mode))
             left = self.scans_left(mode)
         if left < 1:
             raise StoreError(f"{self._store.root} has no room for another scan: offload scans or free space")

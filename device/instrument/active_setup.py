@@ -69,14 +69,10 @@ class ActiveSetup:
         return self._scanner
 
     def scans_left(self) -> int | None:
-        """Number of scans that still fit, after acknowledged ones made room if needed; None if unknown."""
-        left = None
+        """Number of scans that still fit, or will once a press makes room; None if unknown. Nothing is removed."""
         with suppress(DeviceError, HalError):
-            mode = self._states.state.settings.capture
-            left = self.scanner().scans_left(mode)
-            if left < 1:
-                left = self.scanner().check_room(mode)
-        return left
+            return self.scanner().scans_promised(self._states.state.settings.capture)
+        return None
 
     def scanner_for_press(self) -> Scanner:
         """The scanner for a press that begins now, after changes by other programs. Errors as for `scanner`."""

@@ -35,13 +35,18 @@ class DeletedScans:
         RecordError
             None was deleted since the start, or its room was needed.
         StoreError
-            The disk refused.
+            The disk refused; the same scan can be tried again.
         """
         with self._lock:
             if not self._ids:
                 raise RecordError("no scan was deleted since the instrument was switched on")
-            scan_id = self._ids.pop()
-            restore_scan(self._store.root, scan_id)
+            scan_id = self._ids[-1]
+            try:
+                restore_scan(self._store.root, scan_id)
+            except RecordError:
+                self._ids.pop()
+                raise
+            self._ids.pop()
         self._states.count_stored(1)
         return scan_id
 

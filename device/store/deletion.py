@@ -6,11 +6,12 @@ it is gone for good, and so does the record of a check, which belongs to the ins
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from device.bundles.layout import is_bundle_id
+from device.bundles.layout import is_bundle_id, partial_name
 from device.bundles.receipt import RECEIPTS, receipt_name
 from device.errors import RecordError, StoreError
 from device.io.atomic import remove_tree_quietly, sync_directory
@@ -41,17 +42,57 @@ def restore_scan(root: Path, scan_id: str) -> None:
     _move(root, scan_id, DELETED, "scans", "brought back")
 
 
+def deleted_folders(root: Path) -> list[Path]:
+    """Folders of the deleted scans, the oldest press first; before them what a power cut left of one."""
+    try:
+        return sorted((root / DELETED).iterdir(), key=lambda folder: (_press(folder.name), folder.name))
+    except OSError:
+        return []
+
+
+def _press(name: str) -> int:
+    """The counter in a scan's id; below every counter for another name."""
+    counter = name.rpartition("-")[2]
+    return int(counter) if is_bundle_id(name) and counter.isdecimal() else -1
+
+
 def purge_deleted(root: Path) -> None:
-    """Remove deleted scans for good; one that cannot be removed is tried again the next time."""
+    """Remove all deleted scans for good; one that cannot be removed is tried again the next time."""
+    with suppress(OSError), locked_directory(root):
+        purge_oldest(root, lambda: False)
+
+
+def purge_oldest(
+    root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
+) -> None:
+    """Remove deleted scans for good, one by one, until there is `enough` room; the caller holds the store's lock.
+
+    A scan loses its name in one step, so that a power cut never leaves half of it to be brought back.
+
+    remove : removes the folder of a scan that no longer counts
+    """
+    for folder in deleted_folders(root):
+        if enough():
+            return
+        with suppress(OSError):
+            _purge(root, folder, remove)
+
+
+def _purge(root: Path, folder: Path, remove: Callable[[Path], object]) -> None:
+    if not is_bundle_id(folder.name):
+        remove(folder)
+        return
+    if (root / "scans" / folder.name).exists():
+        return
+    vanished = folder.with_name(partial_name(folder.name))
+    remove_tree_quietly(vanished)
+    folder.rename(vanished)
+    sync_directory(vanished.parent)
+    remove(vanished)
+    with suppress(OSError), Folder(root) as inside:
+        inside.remove_file(f"{RECEIPTS}/{receipt_name(folder.name)}")
     with suppress(OSError):
-        for folder in sorted((root / DELETED).iterdir()):
-            if (root / "scans" / folder.name).exists():
-                continue
-            remove_tree_quietly(folder)
-            with suppress(OSError), Folder(root) as inside:
-                inside.remove_file(f"{RECEIPTS}/{receipt_name(folder.name)}")
-            with suppress(OSError):
-                mark_path(root, folder.name).unlink(missing_ok=True)
+        mark_path(root, folder.name).unlink(missing_ok=True)
 
 
 def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None:

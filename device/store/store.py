@@ -36,7 +36,7 @@ from device.io.permissions import (
 )
 from device.store.active import read_active, write_active
 from device.store.allowance import tidy_shared_folders
-from device.store.deletion import purge_deleted
+from device.store.deletion import deleted_folders, purge_oldest
 from device.store.device_id import (
     DeviceState,
     count_calibration,
@@ -45,7 +45,7 @@ from device.store.device_id import (
     read_device,
     start_device,
 )
-from device.store.eviction import evict_acknowledged
+from device.store.eviction import acknowledged_scans, evict_acknowledged
 from device.store.inbox import InboxItem, copy_calibration, import_inbox
 from hal.errors import HalError
 from hal.interfaces import Clock
@@ -206,20 +206,41 @@ class BundleStore:
             require_writable(self.root / "scans", self._statvfs)
         return min(self._room_bytes() // bytes_per_scan, free_entries(self.root, self._statvfs) // ENTRIES_PER_SCAN)
 
+    def scans_left_after_removal(self, bytes_per_scan: int) -> int:
+        """How many more scans of that size (bytes) fit once `make_room` has removed all it may; nothing is removed.
+
+        Raises
+        ------
+        StoreError
+            The store cannot be read.
+        """
+        with self._translating("read"):
+            folders = [*(scan.directory for scan in acknowledged_scans(self.root)), *deleted_folders(self.root)]
+            sizes = [path.lstat().st_size for folder in folders for path in (folder, *folder.rglob("*"))]
+            size_bytes = free_bytes(self.root, self._statvfs) - RESERVE_BYTES + sum(sizes)
+            entries = free_entries(self.root, self._statvfs) + len(sizes)
+        return max(min(size_bytes // bytes_per_scan, entries // ENTRIES_PER_SCAN), 0)
+
     def make_room(self, size_bytes: int) -> list[str]:
         """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
 
-        Deleted scans go first, then what workstations left beyond their allowance.
+        What workstations left beyond their allowance goes first. Deleted scans go last, oldest first and no more than
+        needed: they may have no copy elsewhere.
 
         Raises
         ------
         StoreError
             The disk refused.
         """
-        purge_deleted(self.root)
+
+        def enough() -> bool:
+            return self.scans_left(size_bytes) > 0
+
         with self._translating("written"), locked_directory(self.root):
             tidy_shared_folders(self.root, {name for kind in MANIFESTS for name in bundle_ids(self.root, kind)})
-            return evict_acknowledged(self.root, lambda: self.scans_left(size_bytes) > 0)
+            freed = evict_acknowledged(self.root, enough)
+            purge_oldest(self.root, enough)
+        return freed
 
     def import_inbox(self) -> list[InboxItem]:
         """Import the calibrations that workstations pushed; returns each outcome. None becomes active.

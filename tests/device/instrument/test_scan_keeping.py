@@ -1,15 +1,18 @@
 """Scans that are deleted, brought back, taken again and numbered, by the whole instrument."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 from msgspec import structs
 
 from device.bundles.scan import Annotations
-from device.errors import RecordError
+from device.errors import RecordError, StoreError
 from device.instrument.events import Failed, Info, ScanFinished
 from device.instrument.instrument import Instrument
 from device.instrument.scan_labels import next_part
+from device.store.deletion import purge_deleted
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
@@ -114,6 +117,45 @@ def test_a_retake_replaces_the_last_scan_and_keeps_its_part(
         assert instrument.state.sticky.part == "A-11"
         assert instrument.undo_delete() == first.scan_id
         assert numbers(instrument) == [3, 2, 1]
+
+
+def test_a_full_store_frees_a_deleted_scan_for_a_press_and_not_before(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = calibrated.root / "deleted"
+    with Instrument(hardware, calibrated) as instrument:
+        first = scanned(instrument, bench)
+        instrument.delete(first.scan_id)
+        monkeypatch.setattr(BundleStore, "scans_left", lambda *_: 0 if any(gone.iterdir()) else 7)
+        bench.clock.sleep(6.0)
+        instrument.step()
+        assert [path.name for path in gone.iterdir()] == [first.scan_id]
+        assert (instrument.state.scans_left or 0) > 0
+        scanned(instrument, bench)
+        assert list(gone.iterdir()) == []
+        assert numbers(instrument) == [2]
+
+
+def test_an_undo_that_the_disk_refused_is_tried_again(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with Instrument(hardware, calibrated) as instrument:
+        first = scanned(instrument, bench)
+        instrument.delete(first.scan_id)
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "rename", refused)
+            with pytest.raises(StoreError, match="cannot be brought back"):
+                instrument.undo_delete()
+        assert instrument.undo_delete() == first.scan_id
+        instrument.delete(first.scan_id)
+        purge_deleted(calibrated.root)
+        with pytest.raises(RecordError, match="no longer there"):
+            instrument.undo_delete()
+        with pytest.raises(RecordError, match="no scan was deleted"):
+            instrument.undo_delete()
 
 
 def test_a_retake_that_is_no_better_keeps_both(
