@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
+from device.io.os_errors import explain_os_error
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
@@ -97,14 +99,23 @@ def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
     return ScanOutcome(scan.scan_id, folder, stated_doubts(folder))
 
 
+def usable_cores() -> int:
+    """Cores that this process may run on: fewer than the computer's where a service or container is confined."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def reconstruct_all(
     scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, workers: int | None = None
 ) -> Iterator[ScanOutcome]:
-    """What became of every scan, once, by so many processes; by default as many as cores and the number of scans allow.
+    """What became of every scan, once, by so many processes.
+
+    workers : by default as many as the number of scans and the cores that this process may use allow
 
     work, job : of the same order; `job` does it where one process is enough
     """
-    wanted = workers or min(os.cpu_count() or 1, len(scans) // SCANS_A_WORKER)
+    wanted = workers or min(usable_cores(), len(scans) // SCANS_A_WORKER)
     if wanted <= 1:
         return one_by_one(scans, job)
     return reconstruct_scans(scans, work, job, min(wanted, len(scans)), first_alone=not holds_kernels())
@@ -134,19 +145,25 @@ def reconstruct_scans(
     first_alone : the first scan is done before another begins: it compiles what all need
     """
     refused: list[ScanOutcome] = []
-    with TemporaryDirectory(prefix="retrosync-") as folder:
+    try:
+        temporary = TemporaryDirectory(prefix="retrosync-")
+    except OSError as error:
+        reason = f"no temporary folder for calibrations can be made {explain_os_error(error)}"
+        yield from (ScanOutcome(scan.scan_id, reason=reason) for scan in scans)
+        return
+    with temporary as folder:
 
         def tasks() -> Iterator[ScanTask]:
             for scan in scans:
                 try:
                     kept = job.calibration_of(scan)
+                    path = Path(folder) / f"{kept.facts.calibration_id}.calibration"
+                    if not path.exists():
+                        kept.write(path)
                 except (DeviceError, HostError) as error:
                     refused.append(ScanOutcome(scan.scan_id, reason=str(error)))
-                    continue
-                path = Path(folder) / f"{kept.facts.calibration_id}.calibration"
-                if not path.exists():
-                    kept.write(path)
-                yield ScanTask(scan.directory, path)
+                else:
+                    yield ScanTask(scan.directory, path)
 
         for task, outcome in outcomes_of(tasks(), work, workers, first_alone=first_alone):
             yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Lost) else outcome

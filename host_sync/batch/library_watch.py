@@ -1,7 +1,8 @@
 """A library that others fill: whatever is new is reconstructed and measured.
 
 What is done is known by the files that are there, so that a program that was stopped goes on where it was: a scan with
-results of this version is not reconstructed again, and one with a measurement is not measured again.
+results of this version is not reconstructed again, and one whose measurement states its newest results and this recipe
+is not measured again.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from device.bundles.layout import bundle_ids
+from device.bundles.record import sha256_bytes
 from device.bundles.scan import ScanBundle
 from device.errors import DeviceError
-from device.io.atomic import RESULTS, write_output
+from device.io.atomic import write_output
+from device.io.os_errors import explain_os_error
 from host_sync.batch.library_batch import ScanWork, reconstruct_all
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.errors import HostError
 from host_sync.library.library import Library
+from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
     from host_sync.measurement.recipe import Recipe
@@ -28,6 +32,31 @@ if TYPE_CHECKING:
 
 MEASUREMENTS: Final = "measurements"
 """Folder of a library with one JSON file for each scan that was measured."""
+
+MEASURED: Final = "measured"
+"""Key in such a file for what was measured."""
+
+_Stamp = tuple[str, int] | None
+"""Name of a scan's newest results and when their record was written, ns; None without results."""
+
+
+class _Measured(msgspec.Struct, frozen=True):
+    """What a measurement was made of.
+
+    result : name of the folder of results
+    result_sha256 : of their record
+    recipe_sha256 : of the recipe, as compact JSON with all its keys
+    """
+
+    result: str
+    result_sha256: str
+    recipe_sha256: str
+
+
+class _File(msgspec.Struct, frozen=True):
+    """What counts of a measurement's file."""
+
+    measured: _Measured | None = None
 
 
 class LibraryWatch:
@@ -57,8 +86,8 @@ class LibraryWatch:
         self._recipe = recipe
         self._workers = workers
         self._tell = tell
-        self._done: set[str] = set()
-        self._failed: dict[str, frozenset[str]] = {}
+        self._done: dict[str, _Stamp] = {}
+        self._failed: dict[str, tuple[frozenset[str], _Stamp]] = {}
 
     def look(self) -> Iterator[ScanOutcome]:
         """What becomes of every scan that is new now; a folder among them is that of the results, which were measured.
@@ -72,24 +101,30 @@ class LibraryWatch:
         """
         self._library.require()
         with self._library.translating("read"):
-            names = [name for name in bundle_ids(self._library.root, "scans") if name not in self._done]
+            scans = bundle_ids(self._library.root, "scans")
             calibrations = frozenset(bundle_ids(self._library.root, "calibrations"))
-        names = [name for name in names if self._failed.get(name) != calibrations]
-        for outcome in self._outcomes(names):
+        new = []
+        for name in scans:
+            stamp = _stamp(self._results(name))
+            is_done = name in self._done and self._done[name] == stamp
+            if not is_done and self._failed.get(name) != (calibrations, stamp):
+                new.append(name)
+        for outcome in self._outcomes(new):
+            stamp = _stamp(outcome.folder)
             outcome = outcome if outcome.folder is None else self._measured(outcome, outcome.folder)
             if outcome.reason is None:
-                self._done.add(outcome.scan)
+                self._done[outcome.scan] = stamp
             else:
-                self._failed[outcome.scan] = calibrations
+                self._failed[outcome.scan] = (calibrations, stamp)
             yield outcome
 
     def _outcomes(self, names: list[str]) -> Iterator[ScanOutcome]:
         """Results of these scans: those that an earlier run left without a measurement, then new ones."""
         new: list[ScanBundle] = []
         for name in names:
-            measured, results = self._place(name).is_file(), self._results(name)
-            if results is not None and measured:
-                self._done.add(name)
+            results = self._results(name)
+            if results is not None and self._is_measured(name, results):
+                self._done[name] = _stamp(results)
             elif results is not None:
                 yield ScanOutcome(name, results)
             else:
@@ -101,12 +136,23 @@ class LibraryWatch:
             yield from reconstruct_all(new, ScanWork(self._library.root), self._job, self._workers)
 
     def _results(self, name: str) -> Path | None:
-        """The results of this version that a scan has, the last by name; None where it has none."""
-        folder = self._library.root / "scans" / name / RESULTS
-        return max(folder.glob(f"{version('retrograph')}-*"), default=None)
+        """The newest results of this version that a scan has; None where it has none."""
+        return self._library.newest_result_of(self._library.root / "scans" / name, version("retrograph"))
 
     def _place(self, name: str) -> Path:
         return self._library.root / MEASUREMENTS / f"{name}.json"
+
+    def _is_measured(self, name: str, results: Path) -> bool:
+        """Whether the measurement of a scan was made of these results by this recipe."""
+        try:
+            held = msgspec.json.decode(self._place(name).read_bytes(), type=_File)
+            return held.measured == self._what(results)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return False
+
+    def _what(self, results: Path) -> _Measured:
+        record = (results / RECORD_FILE).read_bytes()
+        return _Measured(results.name, sha256_bytes(record), sha256_bytes(msgspec.json.encode(self._recipe)))
 
     def _measured(self, outcome: ScanOutcome, folder: Path) -> ScanOutcome:
         """Write the measurement of a scan's results; the outcome says why if that is not possible."""
@@ -115,11 +161,24 @@ class LibraryWatch:
 
         self._tell(f"{outcome.scan[-10:]}: measuring")
         try:
-            record = as_record(measure_result(folder, self._recipe, self._tell))
+            what = self._what(folder)
+            record = as_record(measure_result(folder, self._recipe, self._tell)) | {MEASURED: what}
         except (DeviceError, HostError) as error:
             return ScanOutcome(outcome.scan, reason=str(error))
+        except OSError as error:
+            return ScanOutcome(outcome.scan, reason=f"{folder} cannot be read {explain_os_error(error)}")
         place = self._place(outcome.scan)
         with self._library.translating("written"):
             place.parent.mkdir(exist_ok=True)
         write_output(place, msgspec.json.format(msgspec.json.encode(record), indent=2))
         return outcome
+
+
+def _stamp(results: Path | None) -> _Stamp:
+    """Changes when the results do; a record that cannot be read now is written at zero."""
+    if results is None:
+        return None
+    try:
+        return results.name, (results / RECORD_FILE).stat().st_mtime_ns
+    except OSError:
+        return results.name, 0

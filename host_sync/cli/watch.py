@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -20,12 +20,16 @@ if TYPE_CHECKING:
     from host_sync.batch.library_watch import LibraryWatch
 
 
+MAX_EVERY_S: Final = 86_400.0
+"""A day."""
+
+
 def watch_command(
     library: Folder | None = None,
     *,
     recipe: Path | None = None,
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
-    every_s: Annotated[float, Parameter(validator=Number(gt=0))] = 5.0,
+    every_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_EVERY_S))] = 5.0,
     once: bool = False,
 ) -> int:
     """Reconstruct and measure whatever comes into a library, until it is stopped.
@@ -41,7 +45,7 @@ def watch_command(
     workers
         Scans at a time, as for `retrosync reconstruct`.
     every_s
-        Look for new scans so many seconds after the last look's work is done.
+        Look for new scans so many seconds after the last look's work is done; at most a day.
     once
         Do what there is to do now, and end: exit code 1 when a scan failed.
     """

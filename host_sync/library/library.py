@@ -152,9 +152,7 @@ class Library:
     def results(self, scan: ScanBundle) -> tuple[Path, ...]:
         """Folders of a scan's results, sorted."""
         with self.translating("read"):
-            folder = scan.directory / RESULTS
-            entries = folder.iterdir() if folder.is_dir() else ()
-            return tuple(sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")))
+            return tuple(_result_folders(scan.directory))
 
     def newest_result(self, scan: ScanBundle) -> Path:
         """The folder of the results written last.
@@ -164,13 +162,23 @@ class Library:
         MissingResult
             The scan has none.
         """
-        with self.translating("read"):
-            folders = sorted(self.results(scan), key=lambda folder: folder.stat().st_mtime_ns)
-        if not folders:
+        found = self.newest_result_of(scan.directory)
+        if found is None:
             raise MissingResult(
                 f"{scan.scan_id}: has no results: run retrosync reconstruct --library {self.root} {scan.scan_id}"
             )
-        return folders[-1]
+        return found
+
+    def newest_result_of(self, directory: Path, version: str | None = None) -> Path | None:
+        """The folder of the results written last in a scan's folder; None without any.
+
+        version : of the program that wrote them; any by default
+        """
+        with self.translating("read"):
+            folders = _result_folders(directory)
+            if version is not None:
+                folders = [folder for folder in folders if folder.name.startswith(f"{version}-")]
+            return max(folders, key=lambda folder: folder.stat().st_mtime_ns, default=None)
 
     def require(self) -> None:
         """Refuse a library that does not exist."""
@@ -342,3 +350,10 @@ class Library:
             raise
         except OSError as error:
             raise LibraryError(f"{self.root}: the library cannot be {verb} {explain_os_error(error)}") from error
+
+
+def _result_folders(directory: Path) -> list[Path]:
+    """Folders of results in a scan's folder, sorted."""
+    folder = directory / RESULTS
+    entries = folder.iterdir() if folder.is_dir() else ()
+    return sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith("."))

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
+import tempfile
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import msgspec
 import pytest
 from mortal_work import DieOnce
 
-from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans
+from device.bundles.scan import ScanBundle
+from device.errors import OutputError
+from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans, usable_cores
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -122,3 +129,41 @@ def test_workers_that_make_no_sense_are_refused(
 ) -> None:
     assert main(["reconstruct", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+class Unwritable:
+    """A job whose calibrations meet a full temporary folder."""
+
+    facts = SimpleNamespace(calibration_id="full")
+
+    def calibration_of(self, _: ScanBundle) -> Unwritable:
+        return self
+
+    def write(self, path: Path) -> None:
+        raise OutputError(f"{path.name} cannot be written (No space left on device): choose another place")
+
+
+def test_a_full_temporary_folder_is_said_of_every_scan(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, work = library.scans().bundles, ScanWork(library.root)
+    job = cast("LibraryReconstructor", Unwritable())
+    found = list(reconstruct_scans(scans, work, job, 2))
+    assert [one.scan for one in found] == [scan.scan_id for scan in scans]
+    assert all("No space left" in (one.reason or "") for one in found)
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "absent"))
+    found = list(reconstruct_scans(scans, work, job, 2))
+    assert [one.scan for one in found] == [scan.scan_id for scan in scans]
+    assert all("no temporary folder" in (one.reason or "") for one in found)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not confine processes to cores")
+def test_cores_that_this_process_may_not_use_do_not_count() -> None:
+    allowed = os.sched_getaffinity(0)
+    assert usable_cores() == len(allowed)
+    try:
+        os.sched_setaffinity(0, {min(allowed)})
+        assert usable_cores() == 1
+    finally:
+        os.sched_setaffinity(0, allowed)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -68,3 +70,44 @@ def test_what_a_pull_brings_is_reconstructed_and_measured_once(
 def test_a_library_that_is_missing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", str(tmp_path / "absent"), "--once"]) == 2
     assert "there is no library" in capsys.readouterr().err
+
+
+def test_another_recipe_or_newer_results_are_measured_again(library: Library, tmp_path: Path) -> None:
+    held = Library(tmp_path / "scans")
+    shutil.copytree(library.root, held.root)
+    for bundle in held.scans().bundles[1:]:
+        shutil.rmtree(bundle.directory)
+    (scan,) = held.scans().bundles
+    place = held.root / MEASUREMENTS / f"{scan.scan_id}.json"
+    watch = watch_of(held)
+    (first,) = watch.look()
+    assert first.folder is not None
+    assert list(watch_of(held).look()) == []
+
+    rough = LibraryWatch(held, LibraryReconstructor(held), Recipe(parameters=("Sq",)), 1)
+    assert by_scan(list(rough.look())) == {scan.scan_id: None}
+    assert json.loads(place.read_text())["recipe"]["parameters"] == ["Sq"]
+    assert by_scan(list(watch_of(held).look())) == {scan.scan_id: None}
+
+    # Newer results, whose name sorts before the older ones'.
+    newer = first.folder.with_name(f"{version('retrograph')}-0")
+    shutil.copytree(first.folder, newer)
+    os.utime(newer, ns=(first.folder.stat().st_mtime_ns + 10**9,) * 2)
+    assert [one.folder for one in watch.look()] == [newer]
+    assert list(watch.look()) == []
+    assert json.loads(place.read_text())["measured"]["result"] == newer.name
+
+    record = newer / "result.json"
+    record.write_bytes(record.read_bytes() + b"\n")
+    assert [one.folder for one in watch_of(held).look()] == [newer]
+    place.write_text("{")
+    assert [one.folder for one in watch_of(held).look()] == [newer]
+    assert list(watch_of(held).look()) == []
+
+
+@pytest.mark.parametrize("every_s", ["inf", "nan", "0", "86401"])
+def test_a_time_between_looks_that_makes_no_sense_is_refused(
+    every_s: str, library: Library, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["watch", str(library.root), "--once", "--every-s", every_s]) == 2
+    assert "every-s" in capsys.readouterr().err
