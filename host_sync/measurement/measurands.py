@@ -126,6 +126,12 @@ class StepMeasurand(_Plain):
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """A line that is too short for the step's flank."""
+        if self.edges.is_cut:
+            words = (
+                f"the line ends within three lengths of the flank at {self.edges.places_um[0]:.0f} µm, so that the "
+                "height may be too small: lengthen it on both sides"
+            )
+            return {self._label: (words,)}
         share = room_share(self.profile, self.edges)
         if share >= 1.0:
             return {}

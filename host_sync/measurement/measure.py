@@ -329,7 +329,8 @@ def _quantities(
                 words += (NO_PITCH_SIGMA if known else NO_LENGTH_SIGMA,)
             words += plan.doubts[index]
             if known and name in definition:
-                known = float(np.hypot(known[0], definition[name])), *known[1:]
+                own = float(np.hypot(known[0], definition[name]))
+                known = (own, *known[1:]) if np.isfinite(own) else None
             if known and measurand is plan.areal and name in plan.areal.without_sigma:
                 known, words = None, (*words, NO_SHAPE_SIGMA)
             taken = noise[index].get(name) if index < len(noise) else None

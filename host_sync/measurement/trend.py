@@ -92,7 +92,7 @@ def trend_of(
 ) -> Trend | None:
     """The trend of values in order, None where one is not known; None with fewer than two.
 
-    sigmas : standard uncertainty of each value
+    sigmas : standard uncertainty of each value; the trend has none where a value that takes part has none
     low, high : the tolerance
     coverage_factor : of the trend's own uncertainties
     warnings : reasons to distrust each value, its doubts among them; empty where there are none
@@ -109,9 +109,11 @@ def trend_of(
     step = float(steps.mean())
     bounds = mean - INDIVIDUALS * step, mean + INDIVIDUALS * step
     said = [words for value, words in zip(values, warnings, strict=True) if value is not None] if warnings else []
-    own = [sigma for sigma in sigmas if sigma is not None and np.isfinite(sigma)]
-    holds = own and not any(one.startswith(VOID) for words in said for one in words)
-    common = float(np.median(own)) if holds else None
+    own = [sigma for sigma, value in zip(sigmas, every, strict=True) if np.isfinite(value)]
+    holds = not any(one.startswith(VOID) for words in said for one in words)
+    common = None
+    if holds and all(sigma is not None and np.isfinite(sigma) for sigma in own):
+        common = float(np.sqrt(np.mean([sigma**2 for sigma in own if sigma is not None])))
     cp, cpk, ppk = _capability(seen, step / PER_RANGE, deviation, low, high)
     cpk_uncertainty = None
     if cpk is not None and common is not None:

@@ -35,10 +35,19 @@ REACH_FLANKS: Final = 3.0
 SHORTER_FLANK: Final = 0.75
 """A line that is too short cuts the flank short: what a flank of this share changes is an uncertainty too."""
 
+CUT_FLANK: Final = 0.5
+"""The same of a flank that goes on where the line ends."""
+
+MAX_CHANGE: Final = 0.2
+"""Share of a height from which such a change says that it is not known."""
+
 OTHER_REACHES: Final = (2.0, 4.0)
 MIN_FLANK_SAMPLES: Final = 3.0
 FLANK_LEVELS: Final = (0.1, 0.9)
 """A flank runs from a tenth to nine tenths of the step."""
+
+MIN_RISE: Final = 1e-3
+"""A step's share of the largest height below which the profile's tilt has taken it up."""
 
 MIN_SAMPLES: Final = 3
 QUANTILES: Final = (0.02, 0.98)
@@ -52,11 +61,13 @@ class StepEdges:
     """Edges along the profile, µm; a step has one.
 
     flank_um : length of a step's flank, µm; 0 where edges were given
+    is_cut : whether the flank is longer than the line has room for
     """
 
     kind: StepKind
     places_um: tuple[float, ...]
     flank_um: float = 0.0
+    is_cut: bool = False
 
 
 def step_height_um(
@@ -78,6 +89,8 @@ def step_height_um(
 def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
     """Standard uncertainty of what is called the height, µm: its spread over how much of the profile is used, and on a
     line that is too short how much it still changes with the flank that is left out.
+
+    NaN where the line ends so far within the flank that the step's levels are not known.
     """
     found = [step_height_um(profile, edges)]
     room = room_share(profile, edges)  # a line that is too short varies what it has
@@ -87,8 +100,14 @@ def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
         except MeasurementError:
             continue
     still = 0.0
-    if room < 1.0:
-        still = found[0] - step_height_um(profile, replace(edges, flank_um=SHORTER_FLANK * edges.flank_um))
+    if room < 1.0 or edges.is_cut:
+        shorter = CUT_FLANK if edges.is_cut else SHORTER_FLANK
+        try:
+            still = found[0] - step_height_um(profile, replace(edges, flank_um=shorter * edges.flank_um))
+        except MeasurementError:
+            return float("nan")
+        if abs(still) > MAX_CHANGE * abs(found[0]):
+            return float("nan")
     return float(np.hypot(np.std(found), still))
 
 
@@ -184,24 +203,31 @@ def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
     """The edge where the profile crosses half way, and the length of its flank; neither knows the line's length."""
     length = float(profile.along_um[-1])
     flank = min(0.1 * length, min(edge_um, length - edge_um) / (2.0 * GAP_FLANKS))
+    is_cut = False
     for _ in range(2 * ROUNDS):
         edges = StepEdges("step", (edge_um,), flank)
         try:
             low, high = lines_um(profile, edges)
         except MeasurementError:
             break
-        share = (profile.z_um - low) / (high - low)
+        rise = high - low
+        if np.abs(rise).max() <= MIN_RISE * float(np.nanmax(np.abs(profile.z_um))):
+            is_cut = True
+            break
+        share = (profile.z_um - low) / rise
         found = [_crossing(profile, share, edge_um, level) for level in (FLANK_LEVELS[0], 0.5, FLANK_LEVELS[1])]
         first, middle, last = found
         if first is None or middle is None or last is None:
             break
-        longest = 0.125 * length
-        wanted = float(np.clip(abs(last - first), MIN_FLANK_SAMPLES * profile.step_um, longest))
+        shortest = MIN_FLANK_SAMPLES * profile.step_um
+        longest = max(min(0.125 * length, min(middle, length - middle) / (GAP_FLANKS + 1.0)), shortest)
+        is_cut = abs(last - first) > longest
+        wanted = float(np.clip(abs(last - first), shortest, longest))
         settled = abs(middle - edge_um) + abs(wanted - flank) < 0.02 * profile.step_um
         edge_um, flank = middle, wanted
         if settled:
             break
-    return StepEdges("step", (edge_um,), flank)
+    return StepEdges("step", (edge_um,), flank, is_cut)
 
 
 def _crossing(profile: Profile, share: Float64Array, near_um: float, level: float) -> float | None:
