@@ -73,17 +73,23 @@ def label_scan(
     tag: Iterable[str] = (),
     untag: Iterable[str] = (),
     note: str | None = None,
+    loaded: Label | None = None,
 ) -> Label:
     """Change the label of a scan and return it; None and nothing leave a part as it is, an empty text removes it.
+
+    loaded : the label that the change was made from; any by default
 
     Raises
     ------
     LibraryError
-        A text is too long, a tag has a blank or comma, or the library cannot be written.
+        The label is no longer the one that was loaded, a text is too long, a tag has a blank or comma, or the library
+        cannot be written.
     """
     with library.writing():
         labels = read_labels(library.root)
         old = labels.scans.get(scan_id, Label())
+        if loaded is not None and loaded != old:
+            raise LibraryError(f"the label of {scan_id} was changed meanwhile: load it again")
         gone = set(untag)
         tags = tuple(dict.fromkeys(one for one in (*old.tags, *tag) if one not in gone))
         given = {"name": old.name if name is None else name, "tags": tags, "note": old.note if note is None else note}

@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 
 from host_sync.errors import ViewError
-from host_sync.library.labels import label_scan, read_labels
+from host_sync.library.labels import Label, label_scan
 from host_sync.library.library import Library
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import Entry, relabelled
@@ -16,11 +16,12 @@ NO_LIBRARY: Final = "only scans of a library have a label: pull them into one"
 
 
 class _LabelRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole label as the page shows it."""
+    """The whole label as the page has it now, and as it loaded it."""
 
     name: str
     tags: list[str]
     note: str
+    loaded: Label
 
 
 def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
@@ -32,7 +33,8 @@ def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
     ViewError
         The entry is of no library, or the request is not valid.
     LibraryError
-        A text is too long, a tag has a blank or comma, or the library cannot be written.
+        The label was changed since the page loaded it, a text is too long, a tag has a blank or comma, or the library
+        cannot be written.
     """
     entry = catalogue.find(key)
     if entry.hit is None or not catalogue.is_library:
@@ -42,8 +44,7 @@ def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ViewError("the label is not valid: load the page again") from error
     library, scan_id = Library(catalogue.root), entry.hit.scan_id
-    known = read_labels(library.root).scans.get(scan_id)
-    gone = set(known.tags if known else ()) - set(asked.tags)
-    label = label_scan(library, scan_id, name=asked.name, tag=asked.tags, untag=gone, note=asked.note)
+    gone, loaded = set(asked.loaded.tags) - set(asked.tags), asked.loaded
+    label = label_scan(library, scan_id, name=asked.name, tag=asked.tags, untag=gone, note=asked.note, loaded=loaded)
     catalogue.replace_entries(lambda one: relabelled(one, scan_id, label))
     return relabelled(entry, scan_id, label)

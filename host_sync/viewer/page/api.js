@@ -31,7 +31,7 @@ export const compare = (first, second, near = {}) =>
 export const measure = (key, page, recipe, samples) => json(`/api/scan/${key}/measure?${new URLSearchParams({ page,
   samples: samples ? 1 : 0 })}`, { method: "POST", body: JSON.stringify(recipe) });
 
-/** Give a scan of a library { name, tags, note }. */
+/** Give a scan of a library { name, tags, note, loaded }; loaded is the label that the change was made from. */
 export const label = (key, words) => json(`/api/scan/${key}/label`, { method: "POST", body: JSON.stringify(words) });
 
 /** The trend of { values, sigmas, unit, low, high, coverage_factor, warnings } over scans. */

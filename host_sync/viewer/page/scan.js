@@ -183,6 +183,8 @@ export function nameOf(entry) {
 
 /** Name, tags and note, which the library keeps beside its scans. */
 function labelSection(facts) {
+  const labelOf = (from) => ({ name: from.name ?? "", tags: from.tags ?? [], note: from.note ?? "" });
+  let loaded = labelOf(facts);
   const name = h("input", { type: "text", value: facts.name ?? "", maxlength: 120, autocomplete: "off" });
   const tags = h("input", { type: "text", value: (facts.tags ?? []).join(" "), autocomplete: "off" });
   const note = h("textarea", { rows: 3, maxlength: 4000 }, facts.note ?? "");
@@ -194,7 +196,8 @@ function labelSection(facts) {
     save.disabled = true;
     problem.hidden = true;
     try {
-      const found = await api.label(facts.key, { name: name.value.trim(), tags: tags.value.split(/[\s,]+/).filter(Boolean), note: note.value.trim() });
+      const found = await api.label(facts.key, { name: name.value.trim(), tags: tags.value.split(/[\s,]+/).filter(Boolean), note: note.value.trim(), loaded });
+      loaded = labelOf(found);
       tags.value = found.tags.join(" ");
       said.textContent = `Saved. Lists call it ${found.title}.`;
     } catch (error) {
