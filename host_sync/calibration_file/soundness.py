@@ -46,6 +46,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "LightGroups": {"flat_field": "H W lights", "typical": "lights"},
     "MattLights": {"directions": "lights k 2", "tolerance": "lights"},
     "GridPose": {"parameters": "k", "covariance": "k k"},
+}
 """Shape of every array by record and field; one letter or word is one number within a record."""
 
 MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"), ("InverseFit", "ball_error_deg")}
