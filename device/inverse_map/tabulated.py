@@ -20,7 +20,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
@@ -156,9 +155,29 @@ def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, cent
     tables = _position_coefficients(inverse_map, asked.astype(np.float32)).reshape(NODES, NODES, NODES, -1)
     at = np.clip(np.log(np.maximum(centres, 0.0) + DARK_OFFSET), logs[0], logs[1])
     for channel in range(3):
-        spread = CubicSpline(nodes[:, channel], np.eye(NODES))(at[:, channel])
+        spread = spline_weights((at[:, channel] - logs[0, channel]) / (nodes[1] - nodes[0])[channel], NODES)
         tables = np.tensordot(tables, spread, axes=(0, 1))  # the first axis goes in, its bins come out last
     return tables.reshape(-1, 2, BINS**3).astype(np.float32)
+
+
+def spline_weights(at: Float64Array, nodes: int) -> Float64Array:
+    """Weight of each of `nodes` even nodes in the cubic spline through them: float64 array of shape (N, nodes).
+
+    Its ends are "not-a-knot". scipy.interpolate gives the same, but takes a third of the start to import.
+
+    at : places in steps from the first node, float64 array of shape (N,)
+    """
+    values = np.eye(nodes)
+    system = np.diag(np.full(nodes, 4.0)) + np.eye(nodes, k=1) + np.eye(nodes, k=-1)
+    system[0, :3] = system[-1, -3:] = (1.0, -2.0, 1.0)
+    bends = np.zeros((nodes, nodes))
+    bends[1:-1] = 6.0 * np.diff(values, 2, axis=0)
+    second = np.linalg.solve(system, bends)
+    left = np.clip(np.floor(at).astype(np.intp), 0, nodes - 2)
+    after = (at - left)[:, None]
+    before = 1.0 - after
+    straight = before * values[left] + after * values[left + 1]
+    return np.asarray(straight + ((before**3 - before) * second[left] + (after**3 - after) * second[left + 1]) / 6.0)
 
 
 def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> Float64Array:

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from device.bundles.calibration import CalibrationBundle
 from device.calibration.cross_validation import angle_between_deg
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap
 from device.inverse_map.npz import read_model
-from device.inverse_map.tabulated import TabulatedInverseMap
+from device.inverse_map.tabulated import TabulatedInverseMap, spline_weights
 from device.store.active import read_active
 from device.surface.fields import GradientField
 
@@ -48,6 +49,11 @@ def image_of(values: np.ndarray) -> NormalizedImage:
 def difference_deg(found: GradientField, expected: GradientField) -> np.ndarray:
     slopes = (np.stack([g.p, g.q], axis=-1)[expected.valid].astype(np.float64) for g in (found, expected))
     return np.asarray(angle_between_deg(*slopes))
+
+
+def test_the_spline_is_that_of_scipy() -> None:
+    at = np.linspace(0.0, 12.0, 97)
+    np.testing.assert_allclose(spline_weights(at, 13), CubicSpline(np.arange(13.0), np.eye(13))(at), atol=1e-13)
 
 
 def test_every_press_is_read_as_the_map_reads_it(
