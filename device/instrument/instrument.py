@@ -125,7 +125,9 @@ class Instrument:
     def retake(self) -> None:
         """The next scan replaces the last one, with its job and part; once more: it does not."""
         state = self._states.state
-        if state.last is None:
+        if state.processing:
+            self._states.publish(Failed("the last press is still being judged: try again in a moment"))
+        elif state.last is None:
             self._states.publish(Failed("there is no scan to take again yet: scan first"))
         elif state.replaces:
             self._states.update(replaces=None)
@@ -229,6 +231,9 @@ class Instrument:
     def delete(self, scan_id: str) -> None:
         """Delete a scan; `undo_delete` brings it back until power off. Errors as for `delete_scan`."""
         self._deleted.delete(scan_id)
+        state = self._states.state
+        if state.last and state.last.scan_id == scan_id:
+            self._states.update(last=None, replaces=None)
 
     def undo_delete(self) -> str:
         """Bring the scan that was deleted last back; returns its id. Errors as for `DeletedScans.undo`."""

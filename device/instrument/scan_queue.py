@@ -63,6 +63,7 @@ class Pending:
     """A press on its way to the disk.
 
     replaces : id of the scan that it replaces
+    old_level : of that scan's verdict
     assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
         skin, until `until_ns`
     """
@@ -75,6 +76,7 @@ class Pending:
     publishing: Future[tuple[ScanOutcome, float]] | None = None
     is_announced: bool = False
     replaces: str | None = None
+    old_level: str = ""
 
 
 class ScanQueue:
@@ -171,13 +173,15 @@ class ScanQueue:
         standard = state.check.standard if state.check.is_next else None
         self._states.update(check=replace(state.check, is_next=False))
         replaces = None if standard else state.replaces
+        old_level = ""
         if replaces and state.last and state.last.scan_id == replaces:
-            annotations = state.last.annotations
+            annotations, old_level = state.last.annotations, state.last.verdict.level
         else:
             annotations = state.sticky if standard or replaces else self._labels.take()
         if replaces:
             self._states.update(replaces=None)
-        self._works.append(Pending(scanner, annotations, standard, until_ns, assessing, replaces=replaces))
+        pending = Pending(scanner, annotations, standard, until_ns, assessing, replaces=replaces, old_level=old_level)
+        self._works.append(pending)
         self._states.update(processing=len(self._works))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
@@ -200,7 +204,7 @@ class ScanQueue:
                 self._works.remove(pending)
                 self._finish(*outcome)
                 if pending.replaces:
-                    self._replace(pending.replaces, outcome[0])
+                    self._replace(pending.replaces, pending.old_level, outcome[0])
                 finished.append(outcome[0])
         return finished
 
@@ -213,9 +217,10 @@ class ScanQueue:
         else:
             self._labels.give_back(pending.annotations)
 
-    def _replace(self, scan_id: str, outcome: ScanOutcome) -> None:
-        """Delete the scan that was taken again, unless the new one is to be taken again too."""
-        if outcome.bundle.record.verdict.level == "retake":
+    def _replace(self, scan_id: str, old_level: str, outcome: ScanOutcome) -> None:
+        """Delete the scan that was taken again, unless the new one is worse or to be taken again too."""
+        level = outcome.bundle.record.verdict.level
+        if level == "retake" or (level == "doubtful" and old_level == "good"):
             self._states.publish(Info(KEPT_BOTH))
             return
         try:

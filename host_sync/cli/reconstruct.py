@@ -152,7 +152,8 @@ def _reconstruct_library(
     tell: Callable[[str], None],
 ) -> list[ScanOutcome]:
     listing = library.scans()
-    scans = [library.named(name) for name in names] if names else list(listing.bundles)
+    named = [library.named(name) for name in names] if names else listing.bundles
+    scans = list({scan.scan_id: scan for scan in named}.values())  # one by its id and its label is one
     damaged = () if names else listing.damaged
     failed = [ScanOutcome(bundle.directory.name, reason=bundle.reason) for bundle in damaged]
     if not scans and not failed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Final, Literal
 
@@ -11,6 +12,11 @@ from device.tui.drawing.text import local_time, sticky_text
 
 Order = Literal["newest first", "oldest first", "by part", "worst first"]
 ORDERS: Final[tuple[Order, ...]] = ("newest first", "oldest first", "by part", "worst first")
+
+_WORD: Final = re.compile(r"marked\s+(?:good|bad)\b|\S+")
+_NUMBER: Final = re.compile(r"#\d+")
+_KINDS: Final = ("marked", "marked good", "marked bad", "unmarked", "sent", "unsent")
+"""Words that say of which kind a scan is: whole, as "unsent" holds "sent"."""
 
 _WORST_FIRST: Final = ("retake", "doubtful", "good")
 
@@ -42,10 +48,11 @@ def chosen_scans(scans: Iterable[ScanEntry], words: str, order: Order) -> tuple[
     """The scans that hold every one of the words, in that order.
 
     scans : newest first
-    words : parts of number ("#12"), level, "marked good", "sent" or "unsent", date, job, part, operator and notes
+    words : number ("#12"), "marked good", "unmarked", "sent" or "unsent", whole; or parts of level, date, job, part,
+        operator and notes
     """
-    wanted = words.casefold().split()
-    found = [entry for entry in scans if all(word in _searched(entry) for word in wanted)]
+    wanted = _WORD.findall(words.casefold())
+    found = [entry for entry in scans if all(_holds(entry, word) for word in wanted)]
     match order:
         case "newest first":
             pass
@@ -58,13 +65,27 @@ def chosen_scans(scans: Iterable[ScanEntry], words: str, order: Order) -> tuple[
     return tuple(found)
 
 
+def _holds(entry: ScanEntry, word: str) -> bool:
+    """Whether a scan is of the kind that a word names, or holds the word in its texts."""
+    word = " ".join(word.split())
+    if _NUMBER.fullmatch(word) or word in _KINDS:
+        return word in _kinds(entry)
+    return word in _searched(entry)
+
+
+def _kinds(entry: ScanEntry) -> tuple[str, ...]:
+    opinion = entry.mark.opinion if entry.mark else None
+    return (
+        f"#{entry.counter}",
+        *(("marked", f"marked {opinion}") if opinion else ("unmarked",)),
+        "sent" if entry.offloaded else "unsent",
+    )
+
+
 def _searched(entry: ScanEntry) -> str:
     labels, mark = entry.annotations, entry.mark
     texts = (
-        f"#{entry.counter}",
         shown_level(entry),
-        f"marked {mark.opinion}" if mark and mark.opinion else "unmarked",
-        "sent" if entry.offloaded else "unsent",
         local_time(entry.wall_time),
         labels.job,
         labels.part,

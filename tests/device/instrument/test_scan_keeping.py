@@ -170,6 +170,32 @@ def test_a_retake_that_is_no_better_keeps_both(
         assert numbers(instrument) == [2, 1]
 
 
+def test_a_worse_retake_keeps_the_better_scan(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    with Instrument(hardware, calibrated) as instrument:
+        first = scanned(instrument, bench)
+        assert first.verdict.level == "good"
+        instrument.retake()
+        again = scanned(instrument, bench, depth_mm=0.02)
+        assert again.verdict.level == "doubtful"
+        assert numbers(instrument) == [2, 1]
+
+
+def test_what_was_deleted_is_not_taken_again(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    with Instrument(hardware, calibrated) as instrument:
+        first = scanned(instrument, bench)
+        instrument.retake()
+        instrument.delete(first.scan_id)
+        assert instrument.state.replaces is None
+        instrument.take_events()
+        instrument.retake()
+        (refused,) = [event.sentence for event in instrument.take_events() if isinstance(event, Failed)]
+        assert refused.startswith("there is no scan to take again")
+
+
 def test_a_press_that_is_not_stored_gives_its_number_back(
     bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, tmp_path: Path
 ) -> None:

@@ -167,3 +167,12 @@ def test_cores_that_this_process_may_not_use_do_not_count() -> None:
         assert usable_cores() == 1
     finally:
         os.sched_setaffinity(0, allowed)
+
+
+def test_a_scan_that_is_named_twice_is_reconstructed_once(
+    library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    batch = copied(library, tmp_path / "batch")
+    name = batch.scans().bundles[0].scan_id
+    assert main(["reconstruct", "--library", str(batch.root), name, name, name, "--workers", "2", "--json"]) == 0
+    assert [one["scan"] for one in json.loads(capsys.readouterr().out)["scans"]] == [name]
