@@ -69,7 +69,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     def text(self, unit: str) -> str:
         """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2; k = 1"."""
         after = f" {unit}" if unit else ""
-        parts = [f"mean {_with(self.mean, self.mean_uncertainty)}{after}", f"range {plain(self.range)}{after}"]
+        parts = [f"mean {_with(self.mean, self.mean_uncertainty, after)}", f"range {plain(self.range)}{after}"]
         parts.append(f"s {plain(self.deviation)}{after}")
         words = f"{self.count} results: {', '.join(parts)}"
         words += f"; control limits {plain(self.control_low)} to {plain(self.control_high)}{after}"
@@ -205,8 +205,8 @@ def _ends(limits: Limits) -> dict[str, float | None]:
     return {"low": limits.low, "high": limits.high}
 
 
-def _with(value: float, uncertainty: float | None) -> str:
+def _with(value: float, uncertainty: float | None, after: str = "") -> str:
     if uncertainty is None:
-        return f"{plain(value)}, ± not known"
+        return f"{plain(value)}{after} (± not known)"
     places = max(decimals(uncertainty), 0)
-    return f"{value:.{places}f} ± {uncertainty:.{places}f}"
+    return f"{value:.{places}f} ± {uncertainty:.{places}f}{after}"
