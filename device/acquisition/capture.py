@@ -32,6 +32,9 @@ SAME_GAIN: Final = 1e-3
 MIN_TOLERANCE_US: Final = 1.0
 """Tolerances when the same settings are granted again: relative gain, and the whole µs that libcamera reports."""
 
+GAIN_MARGIN: Final = 1e-5
+"""Relative margin of a gain that is requested again: less than any sensor's code, more than single precision loses."""
+
 Result = TypeVar("Result")
 
 
@@ -61,13 +64,14 @@ class CaptureSettings:
     ) -> CaptureSettings:
         """The settings of a calibration, whose exposure, gain and currents may come from `auto_exposure`.
 
-        The granted exposure is not requested again: sensors truncate it to whole steps, and could lose one more.
-        Without a record of the requested exposure, half a step is added, which is truncated to the same value.
+        What was granted is not requested again: sensors truncate exposures to whole steps and gains to whole codes, and
+        could lose one more. Without a record of what was requested, a quarter of a step is added, and a little of a
+        code to the gain, which are cut off again; half a step, where a step has two lines, may round to the next.
         """
         currents_ma = {light.name: light.current_ma for light in fingerprint.lights}
         granted = CameraSettings(fingerprint.exposure_us, fingerprint.analogue_gain)
-        half_step_us = 0.5 * hardware.profile.sensor.exposure_step_us
-        again = CameraSettings(granted.exposure_us + half_step_us, granted.analogue_gain)
+        quarter_us = 0.25 * hardware.profile.sensor.exposure_step_us
+        again = CameraSettings(granted.exposure_us + quarter_us, granted.analogue_gain * (1.0 + GAIN_MARGIN))
         return cls(asked.settings if asked else again, hardware.lights.granted_ma(currents_ma), granted)
 
     def matches(self, granted: CameraSettings, step_us: float) -> bool:

@@ -17,6 +17,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from device.bundles.fingerprint import Fingerprint
+from hal.frame import BayerOrder
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 
@@ -41,6 +42,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=S
     made_utc : when
     made_from : name of the frame set, or id of the calibration bundle
     bundle_id, gel_id, fingerprint : of the calibration bundle, None where it was made from a frame set
+    channel_order : Bayer order of that bundle's frames, which its fingerprint may leave open
     encoding : of light in the frame set's values, None where frames were raw
     key : digest of everything it was made from, empty where nobody asked
     content : digest of all other members
@@ -53,6 +55,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=S
     bundle_id: str | None = None
     gel_id: str | None = None
     fingerprint: Fingerprint | None = None
+    channel_order: BayerOrder | None = None
     encoding: Encoding | None = None
     key: str = ""
     content: str = ""

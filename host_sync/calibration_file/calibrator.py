@@ -125,7 +125,7 @@ class Calibrator:
             raise RecordError(f"{error.filename}: cannot be read ({error.strerror}): pull it again") from error
 
         def facts(calibration: Calibration) -> Facts:
-            return facts_of(calibration, bundle.calibration_id, key, bundle=bundle.record)
+            return facts_of(calibration, bundle.calibration_id, key, bundle=bundle)
 
         return self._take(key, facts, lambda: frames_of_bundle(bundle))
 

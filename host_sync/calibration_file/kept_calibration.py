@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final
 
-from device.bundles.calibration import CalibrationRecord
+from device.bundles.calibration import CalibrationBundle
 from device.errors import RecordError
 from device.io.atomic import atomic_directory, write_output
 from host_sync.calibration.calibrate import Calibration
@@ -90,9 +90,10 @@ def facts_of(
     key: str = "",
     *,
     encoding: Encoding | None = None,
-    bundle: CalibrationRecord | None = None,
+    bundle: CalibrationBundle | None = None,
 ) -> Facts:
     """What the file of a calibration that is made now says of itself."""
+    record = None if bundle is None else bundle.record
     return Facts(
         calibration_id=calibration.calibration_id,
         program=f"retrograph {version('retrograph')}",
@@ -100,9 +101,10 @@ def facts_of(
         made_from=made_from,
         key=key,
         encoding=encoding,
-        bundle_id=bundle.calibration_id if bundle else None,
-        gel_id=bundle.gel_id if bundle else None,
-        fingerprint=bundle.fingerprint if bundle else None,
+        bundle_id=None if record is None else record.calibration_id,
+        gel_id=None if record is None else record.gel_id,
+        fingerprint=None if record is None else record.fingerprint,
+        channel_order=None if bundle is None else bundle.reference().bayer_order,
     )
 
 

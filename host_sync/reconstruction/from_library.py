@@ -7,11 +7,10 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
-from device.bundles.calibration import CalibrationBundle
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
 from device.errors import CalibrationMismatch
-from hal.frame import AS_GRANTED
+from hal.frame import AS_GRANTED, BayerOrder
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -96,10 +95,11 @@ class LibraryReconstructor:
             facts = named.facts
             if facts.gel_id is not None and facts.fingerprint is not None:
                 _check_fingerprints(scan, facts.made_from, facts.gel_id, facts.fingerprint)
+                _check_orders(scan, facts.channel_order)
             return named
         bundle = self._library.calibration_for(scan)
         _check_fingerprints(scan, bundle.calibration_id, bundle.record.gel_id, bundle.record.fingerprint)
-        _check_orders(scan, bundle)
+        _check_orders(scan, bundle.reference().bayer_order)
         kept = self._calibrator.of_bundle(bundle)
         if bundle.calibration_id not in self._reported:
             self._reported.add(bundle.calibration_id)
@@ -116,12 +116,14 @@ def _exposure_checks(scan: ScanBundle) -> tuple[FrameCheck, ...]:
     return (FrameCheck("ambient light taken out", "passed", value=share, unit="of full scale"),)
 
 
-def _check_orders(scan: ScanBundle, bundle: CalibrationBundle) -> None:
-    """Refuse frames that a kernel turned since the calibration; of a stated order the fingerprints already speak."""
-    if scan.record.fingerprint.channel_order != AS_GRANTED:
+def _check_orders(scan: ScanBundle, theirs: BayerOrder | None) -> None:
+    """Refuse frames that a kernel turned since the calibration; of a stated order the fingerprints already speak.
+
+    theirs : of the calibration's frames; None of a file that older versions wrote, which does not say
+    """
+    if theirs is None or scan.record.fingerprint.channel_order != AS_GRANTED:
         return
-    theirs, ours = bundle.reference().bayer_order, scan.raw_frame().bayer_order
-    if theirs != ours:
+    if theirs != (ours := scan.raw_frame().bayer_order):
         raise CalibrationMismatch(
             f"scan {scan.scan_id}: the calibration and the frame differ in channel order ({theirs}, not {ours}): "
             "use a calibration made as the scan was"

@@ -9,7 +9,7 @@ from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings
 from hal.profile_files import profile_names
-from hal.simulator.camera import CONTROLS, granted
+from hal.simulator.sensor_controls import SENSORS, granted
 
 
 def rewritten(folder: Path, old: str, new: str, name: str = "twin") -> Path:
@@ -170,11 +170,11 @@ def test_the_global_shutter_camera_hands_out_bggr_on_every_board() -> None:
         ("max_ma = 25.0 ", "max_ma = 4.0 ", r"lights: current_ma of red is 6\.4; accepted: at most its max_ma, 4"),
         ("analogue_gain = 1.0", "analogue_gain = 65.0", r"camera\.analogue_gain: 65\.0 .*to 64"),
         (
-            "max_gain = 64.0 ",
+            "max_gain = 15.66 ",
             "min_gain = 1.2 ",
             r"camera\.analogue_gain: the IMX296 has no gain of 1; accepted: 1\.2 to",
         ),
-        ("exposure_us = 2000.0", "exposure_us = 10.0", r"camera\.exposure_us: accepted: at least 14\.8"),
+        ("exposure_us = 2000.0", "exposure_us = 10.0", r"camera\.exposure_us: accepted: at least 29\.0"),
         ('[button]\nchip_label = "pinctrl-rp1"\nline = 17\n', "", r"button: .*needs a \[button\] table"),
         ('camera_id = "imx296@1a"\n', "", r"libcamera\.camera_id: is missing; accepted: a text of 3 letters"),
         ('throttled = "vcgencmd"', 'throttled = "guess"', r"power\.throttled: .*accepted: sysfs, vcgencmd"),
@@ -195,10 +195,11 @@ def test_a_shipped_profile_requests_only_what_its_sensor_grants(name: str) -> No
     found = granted(sensor.model, asked, sensor.exposure_step_us)
     assert found.analogue_gain == pytest.approx(asked.analogue_gain, rel=1e-3)
     assert found.exposure_us == pytest.approx(asked.exposure_us, abs=sensor.exposure_step_us + 1.0)
-    controls = CONTROLS[sensor.model]
+    controls = SENSORS[sensor.model]
     assert sensor.min_gain == pytest.approx(controls.gain(controls.codes[0]), rel=1e-4)
-    assert sensor.max_gain <= controls.gain(controls.codes[1]) * 1.001
-    assert (sensor.min_exposure_us or sensor.exposure_step_us) >= controls.min_lines * sensor.exposure_step_us - 1e-9
+    assert sensor.max_gain == pytest.approx(controls.gain(controls.codes[1]), rel=1e-3)
+    shortest_us = controls.min_lines / controls.lines_per_step * sensor.exposure_step_us + controls.offset_us
+    assert (sensor.min_exposure_us or sensor.exposure_step_us) == pytest.approx(shortest_us, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -206,6 +207,31 @@ def test_a_shipped_profile_requests_only_what_its_sensor_grants(name: str) -> No
 )
 def test_a_sensor_clamps_a_gain_that_it_does_not_have(model: str, asked: float, gain: float) -> None:
     assert granted(model, CameraSettings(2000.0, asked), 10.0).analogue_gain == pytest.approx(gain, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("model", "step_us", "frame_us", "asked_us", "exposure_us"),
+    [
+        ("IMX296", 14.8148, None, 1.0, 29.0),  # one line and 14.26 us
+        ("IMX296", 14.8148, None, 2000.0, 1999.0),  # 134 lines and 14.26 us
+        ("IMX296", 14.8148, 16667.0, 1e5, 16621.0),  # 1125 lines in a frame, 4 of them blank
+        ("IMX477", 15.1667, None, 1.0, 60.0),  # four lines
+        ("IMX477", 15.1667, 25000.0, 25000.0, 24661.0),  # 1648 lines, 22 of them blank
+        ("IMX708", 26.7213, None, 1.0, 53.0),
+        ("IMX708", 26.7213, None, 40000.0, 40001.0),  # 2993 lines: the kernel rounds to the even 2994
+        ("IMX708", 26.7213, 50000.0, 50000.0, 49354.0),  # 3742 lines, 48 of them blank
+    ],
+)
+def test_a_sensor_grants_whole_lines_within_its_frame(
+    model: str, step_us: float, frame_us: float | None, asked_us: float, exposure_us: float
+) -> None:
+    found = granted(model, CameraSettings(asked_us, 2.0), step_us, frame_us)
+    assert found.exposure_us == pytest.approx(exposure_us, abs=1.0)
+
+
+def test_libcamera_reaches_only_half_of_the_gains_of_the_global_shutter_sensor() -> None:
+    assert granted("IMX296", CameraSettings(2000.0, 64.0), 14.8148).analogue_gain == pytest.approx(15.668, rel=1e-4)
+    assert granted("IMX296", CameraSettings(2000.0, 2.0), 14.8148).analogue_gain == pytest.approx(10**0.3, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", REAL_BOARDS)

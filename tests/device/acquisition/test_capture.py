@@ -4,9 +4,18 @@ from collections.abc import Mapping
 import msgspec
 import pytest
 
-from device.acquisition.capture import MAX_FRAMES, MAX_RESTARTS, CaptureSettings, capture, capture_with_faults
+from device.acquisition.capture import (
+    GAIN_MARGIN,
+    MAX_FRAMES,
+    MAX_RESTARTS,
+    CaptureSettings,
+    capture,
+    capture_with_faults,
+)
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.errors import FrameError, FrameNotConfirmed
+from hal.board_profile import BoardProfile, load_board_profile
+from hal.clock import VirtualClock
 from hal.errors import FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
@@ -14,6 +23,7 @@ from hal.interfaces import LightFault
 from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.emulated.hardware import Chip, emulated_hardware
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.sensor_controls import SENSORS, granted
 
 
 def test_the_frame_shows_what_was_asked_and_began_in_steady_light(hardware: Hardware, bench: SimulatedScene) -> None:
@@ -88,6 +98,26 @@ def test_a_calibrations_plan_is_granted_the_same_exposure_as_often_as_it_is_aske
             again = CaptureSettings.of_calibration(hardware, fingerprint, asked)
             for _ in range(3):
                 assert capture(hardware, again).granted == reference.granted
+
+
+@pytest.mark.parametrize("name", ["pi5-imx296", "pi4-imx477", "pi4-imx477-binned", "zero2w-imx708"])
+def test_what_a_sensor_granted_it_grants_again(small_twin: BoardProfile, name: str) -> None:
+    """Metadata state gains in single precision, and every second one would be cut to the code before it."""
+    sensor = load_board_profile(name).sensor
+    controls = SENSORS[sensor.model]
+    gains = [controls.gain(code) for code in range(controls.codes[0], controls.codes[1] + 1)]
+    lost = [gain for gain in gains if controls.granted_gain(gain) != gain]
+    own = msgspec.structs.replace(small_twin.sensor, model=sensor.model, exposure_step_us=sensor.exposure_step_us)
+    with twin_hardware(build(msgspec.structs.replace(small_twin, sensor=own), VirtualClock())) as hardware:
+        plan = CaptureSettings.of_board(hardware)
+        for steps in range(200, 240):
+            asked = CameraSettings(steps * sensor.exposure_step_us, lost[steps % len(lost)] * (1.0 + GAIN_MARGIN))
+            found = granted(sensor.model, asked, sensor.exposure_step_us)
+            fingerprint = Fingerprint.of(hardware.profile, found, plan.currents_ma)
+            again = CaptureSettings.of_calibration(hardware, fingerprint).settings
+            assert granted(sensor.model, again, sensor.exposure_step_us) == found
+        assert capture(hardware, CaptureSettings.of_calibration(hardware, fingerprint)).granted == found
+    assert [controls.granted_gain(gain * (1.0 + GAIN_MARGIN)) for gain in gains] == gains
 
 
 def test_a_frame_one_step_off_the_calibration_is_not_taken(hardware: Hardware, bench: SimulatedScene) -> None:
