@@ -206,6 +206,10 @@ class Instrument:
         """Activate a stored calibration: `Info`, or `Failed` if it is foreign, stale or damaged."""
         self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.activate(calibration_id)))
 
+    def read_focus(self, on: bool) -> None:
+        """Read how sharp the lens is set into the state's `focus`, live, or no longer; it ends after ten minutes."""
+        self._worker.enqueue(lambda worker: worker.read_focus(on))
+
     def open_pairing(self) -> None:
         """Open the pairing window for two minutes: `PairingChanged`, and the code in the state."""
         self._worker.enqueue(InstrumentWorker.open_pairing)

@@ -140,7 +140,7 @@ class LiveLoop:
     def _period_s(self) -> float:
         """Interval of live frames: slow while nobody waits for one."""
         state = self._states.state
-        waits = state.live_shown or state.processing > 0 or state.auto_shutter
+        waits = state.live_shown or state.processing > 0 or state.auto_shutter or state.focus is not None
         return PERIOD_S if waits and not self.is_asleep() else UNSEEN_PERIOD_S
 
     def is_asleep(self) -> bool:

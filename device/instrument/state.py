@@ -15,6 +15,7 @@ from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.reading import GuideReading
 from device.imaging.exposure import Brightness
+from device.imaging.focus import FocusReading
 from device.instrument.events import Event
 from device.quality.thresholds import OLD_CALIBRATION_S
 from device.store.settings import Settings
@@ -153,6 +154,7 @@ class InstrumentState:
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
     live_shown : whether a screen shows the live picture
     replaces : id of the scan that the next one is to replace; None: it is one more
+    focus : how sharp the lens is set, while a screen asks for it
     alarms : battery and room for scans, most urgent first
     sentence : the last message
     """
@@ -178,6 +180,7 @@ class InstrumentState:
     guide: CalibrationProgress | None = None
     pairing: PairingState | None = None
     check: CheckState = field(default_factory=CheckState)
+    focus: FocusReading | None = None
     sentence: str = ""
 
 

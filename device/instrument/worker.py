@@ -17,6 +17,7 @@ from device.instrument.button import LONG_PUSH_S, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
 from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
+from device.instrument.focus_run import FocusRun
 from device.instrument.live import LiveLoop
 from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_labels import ScanLabels
@@ -74,6 +75,7 @@ class InstrumentWorker:
             deleted,
         )
         self._deleted = deleted
+        self._focus = FocusRun(states, self._live, hardware.clock)
         calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
         self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
         self._run: CalibrationRun | None = None
@@ -152,6 +154,7 @@ class InstrumentWorker:
             return
         if by_button:
             self._pairing.close()
+        self._focus.stop()
         fitted, done = self._active.fitted(), self._end_calibration
         self._run = CalibrationRun(fitted, self._store, self.states, self._executor, ball_radius_mm, done, by_button)
         self._live.begin(self._run.plan, None)
@@ -191,6 +194,15 @@ class InstrumentWorker:
         work(self._active)
         self._live.lights_changed()
 
+    def read_focus(self, on: bool) -> None:
+        """Read how sharp the lens is set from now on, or no longer."""
+        if not on:
+            self._focus.stop()
+        elif self._run or not self._is_open:
+            self.states.publish(Failed(NOT_NOW))
+        else:
+            self._focus.start()
+
     def open_pairing(self) -> None:
         """Open the pairing window."""
         if self._pairing.open():
@@ -222,7 +234,8 @@ class InstrumentWorker:
         elif self._scans.watch_button(self._live.wait_s()):
             self._after_press()
         live = self._live.step()
-        if live is None or self._run:
+        self._focus.step(live)
+        if live is None or self._run or self.states.state.focus:
             return
         self._active.check_baseline(live)
         if self.states.state.auto_shutter and self._live.fires(live.reading):

@@ -10,10 +10,11 @@ from typing import Final
 
 from device.acquisition.selftest import Finding
 from device.bundles.check import UNITS, CheckRecord
+from device.imaging.focus import FocusReading
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import CalibrationState, CheckState, HealthState, InstrumentState, PairingState
 from device.tui.drawing.advice import screen_advice
-from device.tui.drawing.text import age_text, hanging, local_time, percent_text, shortened
+from device.tui.drawing.text import age_text, gauge_text, hanging, local_time, percent_text, shortened
 from hal.interfaces import PowerReading
 
 _LABEL: Final = 12
@@ -150,6 +151,13 @@ def _chart_cell(check: CheckRecord, row: int, reach: float) -> str:
     place = _deviation_um(check) / reach * CHART_ROWS
     inside = row - 1 <= place < row + 1 or (row == CHART_ROWS and place >= row)
     return ("o" if check.passed else "x") if inside else " "
+
+
+def focus_panel(focus: FocusReading, columns: int) -> str:
+    """How sharp the lens is set beside the best so far, and what to turn."""
+    gauge = gauge_text("sharpness", focus.fraction, columns)
+    lines = [gauge, "", f"now   {focus.figure:8.2f}", f"best  {focus.best:8.2f}", ""]
+    return "\n".join([*lines, hanging(focus.advice, columns, 0), "", "Enter ends."])
 
 
 def selftest_panel(findings: Sequence[Finding], is_running: bool, columns: int) -> str:

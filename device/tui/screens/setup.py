@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
 from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
@@ -21,7 +20,8 @@ from device.store.stick import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
-from device.tui.screens.panels import check_panel, instrument_panel, pairing_panel, selftest_panel
+from device.tui.screens.panels import check_panel, focus_panel, instrument_panel, pairing_panel, selftest_panel
+from device.tui.screens.setup_actions import SETUP_ACTIONS, SetupAction
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
 from device.tui.widgets.line_list import ChoiceList
 from device.tui.widgets.navigation import Notice
@@ -30,71 +30,10 @@ from device.tui.widgets.words import Words
 Read = TypeVar("Read")
 
 
-ActionName = Literal["back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "stick", "display", "off"]
-
-
-@dataclass(frozen=True, slots=True)
-class SetupAction:
-    """An action of the set-up screen: its title, and what it does."""
-
-    name: ActionName
-    title: str
-    meaning: str
-
-
 STANDARD_HINT: Final = "As its certificate says; the same unit for both"
 MAX_STANDARD_UM: Final = 1e5
 
 GEL_HINT: Final = "Lower-case letters, digits and hyphens, for example the number on the gel's frame"
-
-SETUP_ACTIONS: Final = (
-    SetupAction("back", "Back to Scan", ""),
-    SetupAction("facts", "This instrument", ""),
-    SetupAction(
-        "pair",
-        "Pair",
-        "A paired workstation may fetch scans.\nEnter shows a code for two minutes; type it on the workstation.",
-    ),
-    SetupAction(
-        "test",
-        "Self-test",
-        "Tests every part, and each light through the camera.\nTouch nothing with the gel. Enter starts.",
-    ),
-    SetupAction(
-        "zero",
-        "Zero check",
-        "Measures how flat the untouched skin reads: run it each morning, and when results look wrong.\n"
-        "Touch nothing with the gel. Enter takes a frame; no scan is stored.",
-    ),
-    SetupAction("check", "Check standard", ""),
-    SetupAction(
-        "gel",
-        "Change gel",
-        "Select the mounted gel: its own calibration becomes active, or scans are refused until it has one.\n"
-        "Enter lists the known gels.",
-    ),
-    SetupAction(
-        "calibrations",
-        "Calibrations",
-        "All calibrations of this instrument are kept; any that matches can be activated again.\nEnter lists them.",
-    ),
-    SetupAction(
-        "stick",
-        "USB stick",
-        "Copies every scan and calibration to the mounted USB stick, reads each back, and counts it as sent.\n"
-        "retrosync pull fetches them from there. Enter starts.",
-    ),
-    SetupAction(
-        "display",
-        "Light display",
-        "Black on white with strong colours, for the sun; or the dark screens again.\nEnter switches.",
-    ),
-    SetupAction(
-        "off",
-        "Power off",
-        "Stores running work, switches the lights off, and powers the instrument off.\nEnter asks first.",
-    ),
-)
 
 
 class SetUpScreen(InstrumentScreen):
@@ -124,8 +63,14 @@ class SetUpScreen(InstrumentScreen):
         """Read the network again: cables may have been plugged meanwhile."""
         self._read(self.instrument.network, self._show_network)
 
+    def on_screen_suspend(self) -> None:
+        """Read the focus no longer: nobody sees it."""
+        self.instrument.read_focus(False)
+
     def on_line_list_chosen(self) -> None:
         """Show the panel of the chosen action."""
+        if self._chosen().name != "focus":
+            self.instrument.read_focus(False)
         self.show_body(self.instrument.state)
 
     async def on_choice_list_done(self) -> None:
@@ -138,6 +83,8 @@ class SetUpScreen(InstrumentScreen):
                 self.app.push_screen(ConfirmDialog(question, "Stop and test"), self._selftest)
             case "test":
                 self._selftest(True)
+            case "focus":
+                self.instrument.read_focus(self.instrument.state.focus is None)
             case "zero":
                 self.instrument.zero_check()
             case "check":
@@ -183,6 +130,8 @@ class SetUpScreen(InstrumentScreen):
             return selftest_panel(findings, running, columns)
         if chosen.name == "check":
             return check_panel(state.check, columns)
+        if chosen.name == "focus" and state.focus:
+            return focus_panel(state.focus, columns)
         now = self.instrument.wall_time()
         return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns, now)
 

@@ -62,6 +62,7 @@ def test_the_command_shows_figure_and_best(small_board: Path, capsys: pytest.Cap
     assert len(lines) == 4
     figures, bests = zip(*((float(line.split()[0]), float(line.split()[2])) for line in lines[1:]), strict=True)
     assert bests[-1] == max(figures) > 0.0
+    assert all("Turn the focus ring slowly" in line for line in lines[1:])
 
 
 def test_no_number_of_frames_is_refused(small_board: Path, capsys: pytest.CaptureFixture[str]) -> None:

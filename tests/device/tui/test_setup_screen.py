@@ -6,13 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 Stage = Any
 
-ACTIONS = ("back", "facts", "pair", "test", "zero", "check", "gel", "calibrations", "stick", "display", "off")
+ACTIONS = ("back", "facts", "pair", "test", "focus", "zero", "check", "gel", "calibrations", "stick", "display", "off")
+
+LIST_COLUMNS = 21
 
 
 async def _choose(stage: Stage, action: str) -> None:
     await stage.press("4", *["down"] * ACTIONS.index(action))
+
+
+def _panel(stage: Stage) -> str:
+    """The words right of the list of actions, without line breaks."""
+    return " ".join(" ".join(line[LIST_COLUMNS:] for line in stage.lines()[1:]).split())
 
 
 def test_facts_name_device_network_key_gel_lights_and_storage(play: Callable[..., None], root: Path) -> None:
@@ -192,3 +201,29 @@ def test_an_export_without_a_stick_says_so_and_the_clock_is_shown(play: Callable
         assert "no USB stick is mounted" in stage.text()
 
     play(scenario, root, size=(100, 30))
+
+
+@pytest.mark.parametrize("size", [(40, 16), (80, 24)])
+def test_the_focus_is_read_while_its_panel_is_shown(
+    play: Callable[..., None], root: Path, size: tuple[int, int]
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "focus")
+        assert "turn its focus ring" in _panel(stage)
+        await stage.press("enter")
+        await stage.live(8)
+        shown = _panel(stage)
+        assert "sharpness" in shown
+        assert f"best {stage.instrument.state.focus.best:.2f}" in shown
+        assert "Turn the focus ring slowly" in shown
+        await stage.press("enter")
+        await stage.live(1)
+        assert stage.instrument.state.focus is None
+        await stage.press("enter")
+        await stage.live(2)
+        assert stage.instrument.state.focus is not None
+        await stage.press("1")
+        await stage.live(1)
+        assert stage.instrument.state.focus is None
+
+    play(scenario, root, size=size)
