@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.drawings.board.light_tables import with_tables
+from tests.drawings.board.netlist import netlist_page
 from tests.drawings.board.totals import with_total
 from tests.drawings.board.wiring import wired_boards, wiring
 from tests.drawings.board.wiring_drawing import drawing
@@ -23,6 +24,7 @@ def pages() -> dict[Path, str]:
         facts = wiring(board)
         made[Path("wiring") / f"{board}.svg"] = drawing(facts)
         made[Path("wiring") / f"{board}.md"] = wiring_page(facts)
+        made[Path("wiring") / f"{board}.nets.csv"] = netlist_page(facts)
     lights = Path("light-geometry.md")
     made[lights] = with_tables((FOLDER / lights).read_text(encoding="utf-8"))
     bill = Path("bill-of-materials.md")
