@@ -21,7 +21,7 @@ from device.acquisition.capture import (
     check_frame,
     retry_with_restart,
 )
-from device.bundles.scan import CaptureMode
+from device.bundles.scan import CaptureMode, ExposuresRecord
 from device.errors import CaptureModeRefused
 from device.guidance.downsample import downsample_step
 from device.guidance.guide import box_smoothed, change
@@ -58,6 +58,16 @@ class PreciseCapture:
     moved: int = 0
     dark: RawFrame | None = None
     alone: dict[str, RawFrame] = field(default_factory=dict)
+
+
+def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
+    """What the raw frame is made of, and the names of the frames beside it."""
+    return ExposuresRecord(
+        averaged=precise.averaged,
+        moved=precise.moved,
+        dark_file=None if precise.dark is None else "dark.tif",
+        alone_files={name: f"alone-{number}.tif" for number, name in enumerate(precise.alone)},
+    )
 
 
 def frames_stored(mode: CaptureMode, lights: int) -> int:

@@ -9,7 +9,8 @@ from typing import Final
 
 from device.acquisition.capture import CaptureSettings, capture_with_faults
 from device.acquisition.check_press import measure_check
-from device.acquisition.precise_capture import PreciseCapture, capture_precisely, frames_stored
+from device.acquisition.precise_capture import PreciseCapture, capture_precisely, exposures_record, frames_stored
+from device.acquisition.retake import Retake
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CHECK_FILE, CheckRecord, CheckStandard, last_of_standards
@@ -19,7 +20,6 @@ from device.bundles.record import Identity, encode_record
 from device.bundles.scan import (
     Annotations,
     CaptureMode,
-    ExposuresRecord,
     LightFaultRecord,
     PowerRecord,
     ScanBundle,
@@ -252,11 +252,16 @@ class Scanner:
         return None not in changes.values()
 
     def publish(
-        self, assessed: Assessment, annotations: Annotations, standard: CheckStandard | None = None
+        self,
+        assessed: Assessment,
+        annotations: Annotations,
+        standard: CheckStandard | None = None,
+        retake: Retake | None = None,
     ) -> ScanOutcome:
         """Judge an assessed press, with the lights as measured since where its frame did not show them, and publish it.
 
         standard : the check standard that was pressed, if one was
+        retake : the scan that was taken again, if one was; the record names it if this one replaces it
 
         Raises
         ------
@@ -281,7 +286,9 @@ class Scanner:
         last = self.last_check()
         if last is not None and not last.passed:
             evidence = evidence.with_failed_check(last.sentence)
-        record = self._record(press, annotations, evidence.verdict(), identity, check)
+        verdict = evidence.verdict()
+        replaces = retake.scan_id if retake and retake.is_replaced_by(verdict.level) else None
+        record = self._record(press, annotations, verdict, identity, check, replaces)
         exposures, beside = record.exposures, press.precise
 
         def write(directory: Path) -> None:
@@ -330,12 +337,14 @@ class Scanner:
         verdict: VerdictRecord,
         identity: Identity,
         check: CheckRecord | None,
+        replaces: str | None,
     ) -> ScanRecord:
         profile, frame, faults = self._hardware.profile, press.frame, press.precise.capture.light_faults
         currents_ma = dict(self._plan.currents_ma)
         return ScanRecord(
             identity=identity,
             check=check,
+            replaces=replaces,
             wall_time=self._store.wall_time(),
             board=profile.name,
             pixel_pitch_um=profile.sensor.pixel_pitch_um,
@@ -347,7 +356,7 @@ class Scanner:
             fingerprint=Fingerprint.of(profile, frame.granted, currents_ma),
             calibration_id=self._calibration.calibration_id,
             verdict=_with_ambient(verdict, press.precise),
-            exposures=_exposures(press.precise),
+            exposures=exposures_record(press.precise),
             annotations=annotations,
             # Read again after the quick look, the heaviest work of a scan, during which a weak supply sags.
             power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),
@@ -355,16 +364,6 @@ class Scanner:
             if faults is None
             else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
         )
-
-
-def _exposures(precise: PreciseCapture) -> ExposuresRecord:
-    """What the raw frame is made of, and the names of the frames beside it."""
-    return ExposuresRecord(
-        averaged=precise.averaged,
-        moved=precise.moved,
-        dark_file=None if precise.dark is None else "dark.tif",
-        alone_files={name: f"alone-{number}.tif" for number, name in enumerate(precise.alone)},
-    )
 
 
 def _with_ambient(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:

@@ -118,6 +118,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     light_faults : reported by the light driver while the lights were on; None when it cannot report
     exposures : what the raw frame is made of, and the frames under other lights
     check : the last check of the check standard with this calibration; this scan itself if it has its id
+    replaces : the scan of the same place that was taken again and that this one replaces; None: it is one more
     files : hash and size of every file beside the manifest; filled in by the store
     """
 
@@ -139,6 +140,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     raw_file: FileName = "raw.tif"
     exposures: ExposuresRecord = ExposuresRecord()
     check: CheckRecord | None = None
+    replaces: BundleId | None = None
     files: Files = msgspec.field(default_factory=dict)
 
     @property

@@ -29,6 +29,7 @@ class ScanEntry:
     offloaded : a workstation has acknowledged its copy
     mark : the operator's later mark; None without one
     doubt : the failed check of the check standard that makes it doubtful; empty without one
+    replaced_by : number of the scan that was taken instead of it; None without one
     """
 
     scan_id: str
@@ -41,6 +42,7 @@ class ScanEntry:
     offloaded: bool
     mark: ScanMark | None
     doubt: str = ""
+    replaced_by: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,10 @@ def read_history(store: BundleStore) -> History:
     offloaded = {scan.scan_id for scan in acknowledged_scans(store.root)}
     newest_first = sorted(listing.bundles, key=lambda scan: scan.record.identity.counter, reverse=True)
     checks = read_checks(store.root)
-    entries = (_entry(store.root, scan, scan.scan_id in offloaded, checks) for scan in newest_first)
+    replaced = {old: scan.record.identity.counter for scan in newest_first if (old := scan.record.replaces)}
+    entries = (
+        _entry(store.root, scan, scan.scan_id in offloaded, checks, replaced.get(scan.scan_id)) for scan in newest_first
+    )
     return History(tuple(entries), tuple(bundle.reason for bundle in listing.damaged))
 
 
@@ -87,7 +92,9 @@ def read_quick_look(store: BundleStore, scan_id: str) -> HeightMap | None:
     return HeightMap(z_um, bundle.record.pixel_pitch_um * quick_look_binning(bundle.record.shape))
 
 
-def _entry(root: Path, scan: ScanBundle, offloaded: bool, checks: tuple[CheckRecord, ...]) -> ScanEntry:
+def _entry(
+    root: Path, scan: ScanBundle, offloaded: bool, checks: tuple[CheckRecord, ...], replaced_by: int | None
+) -> ScanEntry:
     record = scan.record
     failed = doubt_of_checks(
         record.identity.counter, (check for check in checks if check.calibration_id == record.calibration_id)
@@ -103,4 +110,5 @@ def _entry(root: Path, scan: ScanBundle, offloaded: bool, checks: tuple[CheckRec
         offloaded=offloaded,
         mark=read_mark(root, record.scan_id),
         doubt=failed.sentence if failed else "",
+        replaced_by=replaced_by,
     )

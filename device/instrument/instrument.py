@@ -15,6 +15,7 @@ from typing import Any, Final, ParamSpec, Self, TypeVar
 from msgspec import structs
 
 from device.acquisition.precise_capture import mode_fault
+from device.acquisition.retake import Retake
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError
@@ -133,8 +134,9 @@ class Instrument:
             self._states.update(replaces=None)
             self._states.publish(Info("The next press is one more scan."))
         else:
-            self._states.update(replaces=state.last.scan_id)
-            self._states.publish(Info(f"Press again: the next scan replaces #{state.last.counter}."))
+            last = state.last
+            self._states.update(replaces=Retake(last.scan_id, last.counter, last.verdict.level, last.annotations))
+            self._states.publish(Info(f"Press again: the next scan replaces #{last.counter}."))
 
     def read_code(self) -> None:
         """Name the next part by the QR code or barcode that is held before the camera: `Info`, or `Failed`."""
@@ -237,7 +239,9 @@ class Instrument:
         self._deleted.delete(scan_id)
         state = self._states.state
         if state.last and state.last.scan_id == scan_id:
-            self._states.update(last=None, replaces=None)
+            self._states.update(last=None)
+        if state.replaces and state.replaces.scan_id == scan_id:
+            self._states.update(replaces=None)
 
     def undo_delete(self) -> str:
         """Bring the scan that was deleted last back; returns its id. Errors as for `DeletedScans.undo`."""

@@ -16,6 +16,7 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeVar
 
+from device.acquisition.retake import Retake
 from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
@@ -54,29 +55,37 @@ LIFT_OFF: Final = "lift off: the lights are checked on untouched skin, then come
 
 Source = Literal["button", "screen", "auto-shutter"]
 Result = TypeVar("Result")
-Taken = tuple[Scanner, RawCapture]
-"""A press in memory with its scanner, which also judges and records it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """A press in memory.
+
+    scanner : also judges and records it
+    standard : the check standard that is pressed, if one is
+    replaces : the scan that is taken again, if one is; both as it was when the press began
+    """
+
+    scanner: Scanner
+    raw: RawCapture
+    standard: CheckStandard | None = None
+    replaces: Retake | None = None
 
 
 @dataclass(slots=True)
 class Pending:
     """A press on its way to the disk.
 
-    replaces : id of the scan that it replaces
-    old_level : of that scan's verdict
     assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
         skin, until `until_ns`
     """
 
-    scanner: Scanner
+    press: Taken
     annotations: Annotations
-    standard: CheckStandard | None
     until_ns: int
     assessing: Future[tuple[Assessment, float]]
     publishing: Future[tuple[ScanOutcome, float]] | None = None
     is_announced: bool = False
-    replaces: str | None = None
-    old_level: str = ""
 
 
 class ScanQueue:
@@ -145,6 +154,7 @@ class ScanQueue:
     def capture(self, source: Source, began_ns: int) -> Taken | None:
         """Capture a press into memory; None if it was refused (already reported)."""
         now_ns = self._hardware.clock.monotonic_ns()
+        before = self._states.state
         if not (scanner := self._admitted()):
             return None
         latency_ms = (now_ns - began_ns) * 1e-6
@@ -162,26 +172,24 @@ class ScanQueue:
         motion = self._motion(taken.frame)
         show(self._hardware, "may lift")
         self._hardware.operator.ask(MayLift())
-        return scanner, replace(taken, motion=motion)
+        standard = before.check.standard if before.check.is_next else None
+        return Taken(scanner, replace(taken, motion=motion), standard, None if standard else before.replaces)
 
     def submit(self, press: Taken) -> None:
         """Hand a press over to be judged and published."""
-        scanner, taken = press
-        until_ns = taken.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
-        assessing = self._timed(lambda: scanner.assess(taken))
+        until_ns = press.raw.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
+        assessing = self._timed(lambda: press.scanner.assess(press.raw))
         state = self._states.state
-        standard = state.check.standard if state.check.is_next else None
-        self._states.update(check=replace(state.check, is_next=False))
-        replaces = None if standard else state.replaces
-        old_level = ""
-        if replaces and state.last and state.last.scan_id == replaces:
-            annotations, old_level = state.last.annotations, state.last.verdict.level
+        if press.standard:
+            self._states.update(check=replace(state.check, is_next=False))
+            annotations = state.sticky
+        elif press.replaces:
+            annotations = press.replaces.annotations
+            if state.replaces == press.replaces:
+                self._states.update(replaces=None)
         else:
-            annotations = state.sticky if standard or replaces else self._labels.take()
-        if replaces:
-            self._states.update(replaces=None)
-        pending = Pending(scanner, annotations, standard, until_ns, assessing, replaces=replaces, old_level=old_level)
-        self._works.append(pending)
+            annotations = self._labels.take()
+        self._works.append(Pending(press, annotations, until_ns, assessing))
         self._states.update(processing=len(self._works))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
@@ -203,28 +211,27 @@ class ScanQueue:
             if outcome:
                 self._works.remove(pending)
                 self._finish(*outcome)
-                if pending.replaces:
-                    self._replace(pending.replaces, pending.old_level, outcome[0])
+                if pending.press.replaces:
+                    self._replace(pending.press.replaces, outcome[0])
                 finished.append(outcome[0])
         return finished
 
     def _give_back(self, pending: Pending) -> None:
         """After a press that was not stored: the check, the retake or the part's number is still to come."""
-        if pending.standard is not None:
+        if pending.press.standard is not None:
             self._states.update(check=replace(self._states.state.check, is_next=True))
-        elif pending.replaces:
-            self._states.update(replaces=pending.replaces)
+        elif pending.press.replaces:
+            self._states.update(replaces=self._states.state.replaces or pending.press.replaces)
         else:
             self._labels.give_back(pending.annotations)
 
-    def _replace(self, scan_id: str, old_level: str, outcome: ScanOutcome) -> None:
-        """Delete the scan that was taken again, unless the new one is worse or to be taken again too."""
-        level = outcome.bundle.record.verdict.level
-        if level == "retake" or (level == "doubtful" and old_level == "good"):
+    def _replace(self, old: Retake, outcome: ScanOutcome) -> None:
+        """Delete the scan that was taken again if the new one replaces it."""
+        if outcome.bundle.record.replaces != old.scan_id:
             self._states.publish(Info(KEPT_BOTH))
             return
         try:
-            self._deleted.delete(scan_id)
+            self._deleted.delete(old.scan_id)
         except DeviceError as error:
             self._states.publish(Failed(str(error)))
             return
@@ -252,8 +259,10 @@ class ScanQueue:
         if pending.publishing is None:
             if waits and self._must_wait(pending, assessed):
                 return None
-            scanner, annotations, standard = pending.scanner, pending.annotations, pending.standard
-            pending.publishing = self._timed(lambda: scanner.publish(assessed, annotations, standard))
+            press, annotations = pending.press, pending.annotations
+            pending.publishing = self._timed(
+                lambda: press.scanner.publish(assessed, annotations, press.standard, press.replaces)
+            )
         if not pending.publishing.done():
             return None
         outcome, more_ms = pending.publishing.result()
@@ -261,7 +270,7 @@ class ScanQueue:
 
     def _must_wait(self, pending: Pending, assessed: Assessment) -> bool:
         in_time = self._hardware.clock.monotonic_ns() < pending.until_ns
-        must = in_time and assessed.awaits_lift and not pending.scanner.lights_proven(assessed)
+        must = in_time and assessed.awaits_lift and not pending.press.scanner.lights_proven(assessed)
         if must and not pending.is_announced:
             pending.is_announced = True
             self._states.update(sentence=LIFT_OFF)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.acquisition.guided_calibration import CalibrationProgress
+from device.acquisition.retake import Retake
 from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.reading import GuideReading
@@ -153,7 +154,7 @@ class InstrumentState:
     settings : what the operator chose, such as how presses are taken
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
     live_shown : whether a screen shows the live picture
-    replaces : id of the scan that the next one is to replace; None: it is one more
+    replaces : the scan that the next one is to replace; None: it is one more
     focus : how sharp the lens is set, while a screen asks for it
     alarms : battery and room for scans, most urgent first
     sentence : the last message
@@ -176,7 +177,7 @@ class InstrumentState:
     live_shown: bool = True
     live: LiveView | None = None
     last: LastScan | None = None
-    replaces: str | None = None
+    replaces: Retake | None = None
     guide: CalibrationProgress | None = None
     pairing: PairingState | None = None
     check: CheckState = field(default_factory=CheckState)

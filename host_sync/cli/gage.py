@@ -13,6 +13,7 @@ from host_sync.cli.console import DONE, OutputFile, print_line, renamed
 from host_sync.cli.measure import chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
 from host_sync.library.library import Library
+from host_sync.results.replaced_scans import replacing
 
 if TYPE_CHECKING:
     from host_sync.gage.gage_table import GageRow
@@ -35,7 +36,7 @@ def gage_command(
     Parameters
     ----------
     scans
-        Scans of the library; all by default. Their annotations name part and operator.
+        Scans of the library; by default all that were not taken again. Their annotations name part and operator.
     table
         CSV file of measured values, with the columns part, operator, value.
     plan
@@ -87,7 +88,8 @@ def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
     """Part, operator and newest results of each scan."""
     from host_sync.gage.gage_table import GageRow
 
-    scans = [library.named(name) for name in names] if names else list(library.scans().bundles)
+    every = (scan for scan in library.scans().bundles if not replacing(scan.directory))
+    scans = [library.named(name) for name in names] if names else list(every)
     rows = []
     for scan in scans:
         notes = scan.record.annotations

@@ -110,7 +110,7 @@ def _aligned(hits: Sequence[Hit]) -> list[str]:
     """A header and a line per scan, in columns; nothing without scans."""
     rows = [
         (
-            hit.scan_id, hit.taken[:16], hit.verdict, hit.job or "-", hit.part or "-", hit.gel, hit.operator or "-",
+            hit.scan_id, hit.taken[:16], _verdict(hit), hit.job or "-", hit.part or "-", hit.gel, hit.operator or "-",
             hit.name or "-", ",".join(hit.tags) or "-", " ".join(hit.note.split()) or "-",
         )
         for hit in hits
@@ -118,6 +118,10 @@ def _aligned(hits: Sequence[Hit]) -> list[str]:
     every = [COLUMNS, *rows] if rows else []
     widths = [min(WIDEST, max(len(row[at]) for row in every)) for at in range(len(COLUMNS))] if rows else []
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in every]
+
+
+def _verdict(hit: Hit) -> str:
+    return f"{hit.verdict} (replaced)" if hit.replaced_by else hit.verdict
 
 
 def _with_saved(query: Query, library: Library, name: str) -> Query:

@@ -23,14 +23,17 @@ from host_sync.library.library import AnyBundle, Library
 
 INDEX_FILE: Final = "index.sqlite3"
 IN_MEMORY: Final = Path(":memory:")
-_VERSION: Final = 2
-_HIT: Final = "id, taken, verdict, job, part, gel, operator, device, reason"
+_VERSION: Final = 3
+_REPLACED: Final = "(SELECT newer.id FROM bundle AS newer WHERE newer.replaces = bundle.id)"
+_HIT: Final = f"id, taken, verdict, job, part, gel, operator, device, reason, {_REPLACED}"
 _TABLES: Final = """
 CREATE TABLE bundle (kind TEXT, id TEXT, stamp TEXT, damage TEXT, device TEXT, counter INTEGER, taken TEXT, board TEXT,
-    gel TEXT, job TEXT, part TEXT, operator TEXT, verdict TEXT, reason TEXT, calibration TEXT, PRIMARY KEY (kind, id));
+    gel TEXT, job TEXT, part TEXT, operator TEXT, verdict TEXT, reason TEXT, calibration TEXT, replaces TEXT,
+    PRIMARY KEY (kind, id));
 CREATE TABLE file (kind TEXT, id TEXT, name TEXT, sha256 TEXT, size INTEGER,
     FOREIGN KEY (kind, id) REFERENCES bundle ON DELETE CASCADE);
 CREATE INDEX file_by_hash ON file (sha256);
+CREATE INDEX bundle_by_replaced ON bundle (replaces);
 """
 
 
@@ -61,6 +64,7 @@ class Query:
 class Hit:
     """A scan that matches a query; `taken` is by the device's clock, `reason` is the verdict's.
 
+    replaced_by : id of the scan of this library that was taken instead of it; None without one
     name, tags, note : its label
     """
 
@@ -73,6 +77,7 @@ class Hit:
     operator: str | None
     device: str
     reason: str
+    replaced_by: str | None = None
     name: str = ""
     tags: tuple[str, ...] = ()
     note: str = ""
@@ -108,7 +113,9 @@ def _answers(hit: Hit, query: Query) -> bool:
         if wanted is not None and not any(fnmatchcase(one.casefold(), wanted.casefold()) for one in values if one):
             return False
     facts = (hit.scan_id, hit.taken, hit.verdict, hit.job, hit.part, hit.gel, hit.operator, hit.device, hit.reason)
-    known = "\n".join(str(one) for one in (*facts, hit.name, *hit.tags, hit.note) if one).casefold()
+    known = "\n".join(
+        str(one) for one in (*facts, hit.replaced_by and "replaced", hit.name, *hit.tags, hit.note) if one
+    ).casefold()
     return all(word.casefold() in known for word in (query.text or "").split())
 
 
@@ -252,4 +259,5 @@ def _facts(bundle: AnyBundle) -> dict[str, str | int | None]:
         "verdict": scan.verdict.level,
         "reason": scan.verdict.reason,
         "calibration": scan.calibration_id,
+        "replaces": scan.replaces,
     }

@@ -22,7 +22,7 @@ from device.surface.fields import Float64Array
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Limits, Quantity, decimals, plain
 from host_sync.measurement.tolerance import NO_PITCH_SIGMA, VOID
-from host_sync.results.doubt import DoubtKind
+from host_sync.results.doubt import REPLACED, DoubtKind
 
 INDIVIDUALS: Final = 2.66
 PER_RANGE: Final = 1.128
@@ -47,6 +47,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     beyond : which results lie outside them, counted over all from 0
     cp, cpk, ppk : None without a tolerance, or without a spread
     doubts : what is doubted of the results that take part, and of how many
+    replaced : results with a value that do not take part, for their scans were taken again
     """
 
     count: int
@@ -65,6 +66,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     ppk: float | None = None
     coverage_factor: int = 1
     doubts: tuple[str, ...] = ()
+    replaced: int = 0
 
     def text(self, unit: str) -> str:
         """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2; k = 1"."""
@@ -78,6 +80,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
             cp = "" if self.cp is None else f"Cp {self.cp:.2f}, "
             words += f"; {cp}Cpk {_with(self.cpk, self.cpk_uncertainty)}, Ppk {self.ppk:.2f}"
         words += "" if self.mean_uncertainty is None else f"; k = {self.coverage_factor}"
+        words += f"; without {self.replaced} that were taken again" if self.replaced else ""
         return f"{words}; doubts: {', '.join(self.doubts)}" if self.doubts else words
 
 
@@ -95,20 +98,25 @@ def trend_of(
     sigmas : standard uncertainty of each value; the trend has none where a value that takes part has none
     low, high : the tolerance
     coverage_factor : of the trend's own uncertainties
-    warnings : reasons to distrust each value, its doubts among them; empty where there are none
+    warnings : reasons to distrust each value, its doubts among them; empty where there are none. A value whose scan was
+        taken again takes no part, as if it had not been asked for
     """
+    said = list(warnings) if warnings else [()] * len(values)
+    replaced = np.array([any(one.startswith(REPLACED) for one in words) for words in said], bool)
     every = np.array([np.nan if value is None else value for value in values], np.float64)
+    known = int((replaced & np.isfinite(every)).sum())
+    every[replaced] = np.nan
     seen = every[np.isfinite(every)]
     if seen.size < MIN_COUNT:
         return None
     mean, deviation = float(seen.mean()), float(seen.std(ddof=1))
-    steps = np.abs(np.diff(every))
+    steps = np.abs(np.diff(every[~replaced]))
     steps = steps[np.isfinite(steps)]  # over a missing result nothing is known of neighbours
     if not steps.size:
         return None
     step = float(steps.mean())
     bounds = mean - INDIVIDUALS * step, mean + INDIVIDUALS * step
-    said = [words for value, words in zip(values, warnings, strict=True) if value is not None] if warnings else []
+    said = [words for value, words in zip(every, said, strict=True) if np.isfinite(value)]
     own = [sigma for sigma, value in zip(sigmas, every, strict=True) if np.isfinite(value)]
     holds = not any(one.startswith(VOID) for words in said for one in words)
     common = None
@@ -139,6 +147,7 @@ def trend_of(
         ppk=ppk,
         coverage_factor=coverage_factor,
         doubts=tuple(_doubted(said)),
+        replaced=known,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
@@ -18,7 +18,12 @@ DoubtKind = Literal[
     "not converged",
     "reconstruction",
     "foreign file",
+    "replaced scan",
 ]
+
+
+REPLACED: Final[DoubtKind] = "replaced scan"
+"""Its scan was taken again: it takes part in no trend and no gage study."""
 
 
 class Doubt(msgspec.Struct, frozen=True):

@@ -19,8 +19,9 @@ from device.bundles.record import Identity
 from device.bundles.scan import SCAN_MANIFEST, LightFaultRecord, VerdictRecord
 from device.calibration.coverage import SECTORS, sector_indices
 from device.surface.fields import Float64Array
-from host_sync.results.doubt import Doubt, DoubtKind
+from host_sync.results.doubt import REPLACED, Doubt, DoubtKind
 from host_sync.results.record import ResultRecord, SequenceRecord, read_record, refusals
+from host_sync.results.replaced_scans import replacing
 
 EXTRAPOLATED_SHARE: Final = 0.005
 """Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""
@@ -42,7 +43,7 @@ _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
     """The doubts of a result in its folder, with those that a certificate of its calibration raises."""
     certified = _check_standards(folder, record.calibration_id, record.calibration_bundle)
-    return (*record_doubts(record), *certified, *_device_checks(folder, record))
+    return (*record_doubts(record), *certified, *_said_later(folder, record))
 
 
 def video_doubts(folder: Path, record: SequenceRecord) -> tuple[Doubt, ...]:
@@ -57,6 +58,7 @@ def quick_look_doubts(scan: Path) -> tuple[Doubt, ...]:
         return ()
     found = [*_check_standards(scan / "results" / "quick look", None, manifest.calibration_id)]
     found += _failed_checks(scan, manifest)
+    found += _replacement(scan)
     if manifest.light_faults:
         faults = ", ".join(f"{fault.light} is {fault.kind}" for fault in manifest.light_faults)
         found.append(Doubt("drifted light", f"the light driver reported that {faults}"))
@@ -184,14 +186,20 @@ class _ScanManifest(msgspec.Struct, frozen=True):
     verdict: VerdictRecord | None = None
 
 
-def _device_checks(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
-    """What the handheld's checks of its check standard say of a result in a library, also those after its scan."""
+def _said_later(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
+    """What the handheld said of a result in a library after its scan: failed checks, and that it was taken again."""
     scan = folder.absolute().parent.parent
     if record.scan_id is None or scan.name != record.scan_id:
         return
     manifest = _decoded(scan / SCAN_MANIFEST, _ScanManifest)
     if manifest is not None:
         yield from _failed_checks(scan, manifest)
+    yield from _replacement(scan)
+
+
+def _replacement(scan: Path) -> Iterator[Doubt]:
+    if newer := replacing(scan):
+        yield Doubt(REPLACED, f"it was taken again as {newer}")
 
 
 def _failed_checks(scan: Path, manifest: _ScanManifest) -> Iterator[Doubt]:

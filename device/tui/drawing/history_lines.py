@@ -15,7 +15,7 @@ ORDERS: Final[tuple[Order, ...]] = ("newest first", "oldest first", "by part", "
 
 _WORD: Final = re.compile(r"marked\s+(?:good|bad)\b|\S+")
 _NUMBER: Final = re.compile(r"#\d+")
-_KINDS: Final = ("marked", "marked good", "marked bad", "unmarked", "sent", "unsent")
+_KINDS: Final = ("marked", "marked good", "marked bad", "unmarked", "sent", "unsent", "replaced")
 """Words that say of which kind a scan is: whole, as "unsent" holds "sent"."""
 
 _WORST_FIRST: Final = ("retake", "doubtful", "good")
@@ -36,11 +36,12 @@ def scan_line(entry: ScanEntry) -> str:
 def details_of(entry: ScanEntry) -> str:
     """Verdict, annotations, time, offload state and note of a scan."""
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
+    replaced = f" · replaced by #{entry.replaced_by}" if entry.replaced_by is not None else ""
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
     doubt = f"! {entry.doubt}\n" if entry.doubt and entry.doubt != entry.verdict.reason else ""
     return (
         f"{doubt}{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
-        f"{local_time(entry.wall_time)} · {sent}{note}"
+        f"{local_time(entry.wall_time)} · {sent}{replaced}{note}"
     )
 
 
@@ -48,8 +49,8 @@ def chosen_scans(scans: Iterable[ScanEntry], words: str, order: Order) -> tuple[
     """The scans that hold every one of the words, in that order.
 
     scans : newest first
-    words : number ("#12"), "marked good", "unmarked", "sent" or "unsent", whole; or parts of level, date, job, part,
-        operator and notes
+    words : number ("#12"), "marked good", "unmarked", "sent", "unsent" or "replaced", whole; or parts of level, date,
+        job, part, operator and notes
     """
     wanted = _WORD.findall(words.casefold())
     found = [entry for entry in scans if all(_holds(entry, word) for word in wanted)]
@@ -79,6 +80,7 @@ def _kinds(entry: ScanEntry) -> tuple[str, ...]:
         f"#{entry.counter}",
         *(("marked", f"marked {opinion}") if opinion else ("unmarked",)),
         "sent" if entry.offloaded else "unsent",
+        *(("replaced",) if entry.replaced_by is not None else ()),
     )
 
 

@@ -83,7 +83,7 @@ class ScanScreen(InstrumentScreen):
         if state.check.is_next and state.check.standard:
             auto += f" · next: check of {state.check.standard.name}"
         elif state.replaces:
-            auto += f" · next: retake of #{state.last.counter if state.last else '?'}"
+            auto += f" · next: retake of #{state.replaces.counter}"
         numbered = " (numbered)" if state.settings.number_parts else ""
         self._sticky.update(f"{sticky_text(state.sticky, numbered)}{_MODE_WORDS[state.settings.capture]}{auto}")
         self._show_last(state)

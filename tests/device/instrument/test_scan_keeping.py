@@ -108,7 +108,8 @@ def test_a_retake_replaces_the_last_scan_and_keeps_its_part(
         first = scanned(instrument, bench)
         assert instrument.state.sticky.part == "A-10"
         instrument.retake()
-        assert instrument.state.replaces == first.scan_id
+        assert instrument.state.replaces is not None
+        assert instrument.state.replaces.scan_id == first.scan_id
         scanned(instrument, bench)
         assert instrument.state.replaces is None
         scanned(instrument, bench)

@@ -106,6 +106,22 @@ def test_scans_are_found_by_what_is_said_about_them(
     assert parts(until=date(1970, 12, 31)) == []
 
 
+def test_a_scan_that_was_taken_again_is_shown_as_replaced(
+    library: Library, scan_record: Callable[..., ScanRecord], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = BundleStore(library.root, VirtualClock(wall_start_s=86400.0 * 365), boot_id="b0071d00")
+    annotated(scan_record, store, part="lid-1")
+    (old,) = search(library, Query())
+    record = msgspec.structs.replace(scan_record(store), replaces=old.scan_id)
+    new = store.publish_scan(record, lambda directory: (directory / "raw.tif").write_bytes(b"raw") and None)
+    assert [hit.replaced_by for hit in search(library, Query())] == [new.scan_id, None]
+    assert [hit.scan_id for hit in search(library, Query(text="replaced"))] == [old.scan_id]
+    assert main(["search", "--library", str(library.root)]) == 0
+    assert "good (replaced)" in capsys.readouterr().out
+    shutil.rmtree(new.directory)
+    assert [hit.replaced_by for hit in search(library, Query())] == [None]
+
+
 def test_the_index_follows_the_folders_and_can_be_thrown_away(
     store: BundleStore, library: Library, publish_scan: PublishScan
 ) -> None:

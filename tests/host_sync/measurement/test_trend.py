@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -47,6 +48,16 @@ def test_what_jumps_lies_beyond_and_what_is_missing_keeps_its_place() -> None:
     assert found.beyond == (8,)
     assert (found.mean_uncertainty, found.cpk) == (None, None)
     assert "± not known" in found.text("")
+
+
+def test_a_scan_that_was_taken_again_takes_no_part() -> None:
+    again = ("replaced scan: it was taken again as rg-2",)
+    found = trend_of([10.0, 99.0, 12.0, 11.0], [0.1] * 4, 5.0, 16.0, warnings=[(), again, (), ()])
+    alone = trend_of([10.0, 12.0, 11.0], [0.1] * 3, 5.0, 16.0)
+    assert found is not None
+    assert alone is not None
+    assert msgspec.structs.replace(found, replaced=0) == alone
+    assert found.text("µm").endswith("; without 1 that were taken again")
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [None, 2.0, None]])

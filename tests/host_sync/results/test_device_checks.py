@@ -1,5 +1,6 @@
 """A handheld's failed check of its check standard is a doubt of the results since the last good one."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,6 +60,25 @@ def test_scans_since_the_last_good_check_are_doubtful(store: BundleStore, librar
     for number in (1, 2, 4):
         (sentence,) = found[number]
         assert sentence.startswith("failed check standard: check of ball 3 FAILED: 3.5 mm, 3 ± 0.3 mm expected")
+
+
+def test_a_scan_that_was_taken_again_says_so_where_the_newer_one_is(
+    store: BundleStore, scan_record: Callable[..., ScanRecord]
+) -> None:
+    def published(replaces: str | None) -> Path:
+        record = msgspec.structs.replace(scan_record(store, CALIBRATION), replaces=replaces)
+        return store.publish_scan(record, lambda folder: (folder / "raw.tif").write_bytes(b"x")).directory
+
+    old, lonely = published(None), published("rg-gone-7")
+    assert quick_look_doubts(old) == ()
+    newer = published(old.name)
+    (sentence,) = (doubt.sentence for doubt in quick_look_doubts(old))
+    assert sentence == f"replaced scan: it was taken again as {newer.name}"
+    record = ResultRecord(name="one", rows=4, columns=4, pixel_pitch_um=1.0, scan_id=old.name, height_zero="skin")
+    assert [doubt.kind for doubt in result_doubts(old / "results" / "one", record)] == ["replaced scan"]
+    assert quick_look_doubts(newer) == quick_look_doubts(lonely) == ()
+    shutil.rmtree(newer)
+    assert quick_look_doubts(old) == ()
 
 
 def test_a_quick_look_has_the_doubts_of_its_scan(

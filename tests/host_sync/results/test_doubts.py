@@ -60,6 +60,7 @@ REASONS = {
     "not converged": "did not reach its limit",
     "reconstruction": "something else speaks against it",
     "foreign file": "its pixels were interpolated to squares",
+    "replaced scan": "it was taken again as newer-",
 }
 CERTIFICATE = {
     "calibration_id": CALIBRATION,
@@ -114,6 +115,11 @@ def write(folder: Path, kind: str | None, seed: int = 0) -> Path:
     if kind == "failed check standard":
         (folder.parent / "calibration").mkdir()
         (folder.parent / "calibration" / "certificate.json").write_text(json.dumps(CERTIFICATE))
+    scan, facts = folder.parent.parent, FACTS.get(kind or "", {})
+    if kind == "replaced scan":
+        (newer := scan.with_name(f"newer-{scan.name}")).mkdir(exist_ok=True)
+        (newer / "scan.json").write_text(json.dumps({"replaces": scan.name}))
+        facts = {"scan_id": scan.name}
     record = {
         "schema": "retrograph.result/1",
         "name": "part",
@@ -124,7 +130,7 @@ def write(folder: Path, kind: str | None, seed: int = 0) -> Path:
         "calibration_passed": True,
         "height_scale": {"pixel_pitch_share": 0.001, "ball_radius_share": 0.001},
     }
-    (folder / "result.json").write_text(json.dumps(record | FACTS.get(kind or "", {})))
+    (folder / "result.json").write_text(json.dumps(record | facts))
     return folder
 
 
@@ -173,13 +179,13 @@ def test_the_report_shows_it(doubtful: Doubtful, tmp_path: Path, monkeypatch: py
     kind, folder = doubtful
     monkeypatch.chdir(tmp_path)
     assert main(["report", str(folder), "--recipe", recipe(tmp_path), "--out", str(tmp_path / "out")]) == 0
-    page = (tmp_path / "out" / "part.html").read_text()
+    page = next((tmp_path / "out").glob("*.html")).read_text()
     assert f'<p class="warning">Warning: {kind}: ' in page
     captions = [part.partition("<")[0] for part in page.split("<figcaption>")[1:]]
     for begins in ("Height map", "Profile across", "edge: edges at"):
         (caption,) = [one for one in captions if one.startswith(begins)]
         assert f"{kind}: " in caption
-    assert (tmp_path / "out" / "part.pdf").stat().st_size > 10_000
+    assert next((tmp_path / "out").glob("*.pdf")).stat().st_size > 10_000
 
 
 def test_the_viewer_shows_it(doubtful: Doubtful, tmp_path: Path) -> None:
