@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,6 +13,7 @@ from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
 from device.io.os_errors import explain_os_error
 from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.worker_count import default_workers, usable_cores, usable_memory
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
 from host_sync.filters.detail import DetailBand
@@ -25,9 +24,6 @@ from host_sync.results.files import DetailName
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Method
     from host_sync.reconstruction.from_library import LibraryReconstructor
-
-SCANS_A_WORKER: Final = 4
-"""A process more takes a second to start: it is worth that for so many scans."""
 
 KEPT_CALIBRATIONS: Final = 2
 """So many of the calibrations that a process read last stay in its memory."""
@@ -99,23 +95,16 @@ def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
     return ScanOutcome(scan.scan_id, folder, stated_doubts(folder))
 
 
-def usable_cores() -> int:
-    """Cores that this process may run on: fewer than the computer's where a service or container is confined."""
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def reconstruct_all(
     scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, workers: int | None = None
 ) -> Iterator[ScanOutcome]:
     """What became of every scan, once, by so many processes.
 
-    workers : by default as many as the number of scans and the cores that this process may use allow
+    workers : by default as many as the number of scans, cores and memory allow
 
     work, job : of the same order; `job` does it where one process is enough
     """
-    wanted = workers or min(usable_cores(), len(scans) // SCANS_A_WORKER)
+    wanted = workers or default_workers([scan.record.shape for scan in scans], usable_cores(), usable_memory())
     if wanted <= 1:
         return one_by_one(scans, job)
     return reconstruct_scans(scans, work, job, min(wanted, len(scans)), first_alone=not holds_kernels())

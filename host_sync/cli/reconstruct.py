@@ -85,7 +85,8 @@ def reconstruct(
         Also reconstruct scans that do not fit their calibration; result.json keeps the warning.
     workers
         Scans of a library at a time, each in a process of its own that computes with one thread. By default as many as
-        there are cores, at most one for every 4 scans; 1 stays in this process. At 12 megapixels one takes 1.2 GB.
+        there are cores, at most one for every 4 scans, and no more than fit into the available memory: one takes 0.4 GB
+        and 70 bytes a pixel (1.3 GB at 12 megapixels). 1 stays in this process.
     json
         Print one JSON document instead of lines: calibrations, and what became of each scan.
     """

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -18,7 +16,7 @@ from mortal_work import DieOnce
 
 from device.bundles.scan import ScanBundle
 from device.errors import OutputError
-from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans, usable_cores
+from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -156,17 +154,6 @@ def test_a_full_temporary_folder_is_said_of_every_scan(
     found = list(reconstruct_scans(scans, work, job, 2))
     assert [one.scan for one in found] == [scan.scan_id for scan in scans]
     assert all("no temporary folder" in (one.reason or "") for one in found)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the system does not confine processes to cores")
-def test_cores_that_this_process_may_not_use_do_not_count() -> None:
-    allowed = os.sched_getaffinity(0)
-    assert usable_cores() == len(allowed)
-    try:
-        os.sched_setaffinity(0, {min(allowed)})
-        assert usable_cores() == 1
-    finally:
-        os.sched_setaffinity(0, allowed)
 
 
 def test_a_scan_that_is_named_twice_is_reconstructed_once(
