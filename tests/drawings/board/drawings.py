@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.drawings.board.block import block_drawing
 from tests.drawings.board.light_tables import with_tables
 from tests.drawings.board.netlist import netlist_page
 from tests.drawings.board.totals import with_total
@@ -25,6 +26,7 @@ def pages() -> dict[Path, str]:
         made[Path("wiring") / f"{board}.svg"] = drawing(facts)
         made[Path("wiring") / f"{board}.md"] = wiring_page(facts)
         made[Path("wiring") / f"{board}.nets.csv"] = netlist_page(facts)
+    made[Path("enclosure") / "block.svg"] = block_drawing()
     lights = Path("light-geometry.md")
     made[lights] = with_tables((FOLDER / lights).read_text(encoding="utf-8"))
     bill = Path("bill-of-materials.md")
