@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from device.surface.fields import HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
 from tests.benchmarks.accuracy import ball_error, marks, methods, pattern, rendered_sets, sigma_coverage
+from tests.drawings.board.wiring import wired_boards
 
 PITCH_UM = 10.0
 RADIUS_UM = 800.0
@@ -134,3 +135,10 @@ def test_figures_of_a_rendered_set_leave_out_what_has_no_zero() -> None:
     assert found["rendered far features off by"] == pytest.approx(0.01)
     assert found["rendered far untouched skin, rms"] == 0.4
     assert found["rendered far heights within sigma"] == pytest.approx(0.6)
+
+
+def test_every_board_that_is_wired_is_measured_as_built() -> None:
+    full = {"pi4-imx477"}  # four times the pixels of the binned one, through the same lens
+    assert set(marks.BUILT) | full == set(wired_boards())
+    named = {mark.name for mark in marks.all_marks()}
+    assert all(f"{board}: sinusoid of 8 px keeps" in named for board in marks.BUILT)

@@ -1,7 +1,7 @@
 """Measures every accuracy mark on real frames and on the twin, prints a table, and writes accuracy.json.
 
 usage: python -m tests.benchmarks.accuracy.accuracy [--quick] [--out FILE]
-       [--only real rendered twin resolution certificate]
+       [--only real rendered twin resolution boards certificate]
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from device.shutdown import keep_types_at_exit
+from tests.benchmarks.accuracy.built_boards import built_figures
 from tests.benchmarks.accuracy.check_standard import certificate_figures
 from tests.benchmarks.accuracy.marks import Figures, all_marks, record
 from tests.benchmarks.accuracy.measurements import real_figures, resolution_figures, twin_figures
 from tests.benchmarks.accuracy.rendered_sets import rendered_figures
 
-PARTS: Final = ("real", "rendered", "twin", "resolution", "certificate")
+PARTS: Final = ("real", "rendered", "twin", "resolution", "boards", "certificate")
 
 
 def main() -> int:
@@ -63,6 +64,8 @@ def _measure(parts: list[str], quick: bool, tell: Callable[[str], None]) -> Figu
             figures |= twin_figures(folder, tell, quick=quick)
         if "resolution" in parts:
             figures |= resolution_figures(folder, tell)
+        if "boards" in parts:
+            figures |= built_figures(folder, tell)
         if "certificate" in parts:
             figures |= certificate_figures(folder, tell)
     return figures
