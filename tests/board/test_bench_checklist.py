@@ -1,0 +1,30 @@
+"""The bench checklist says of every step what to expect and what to do if not, and names what there is."""
+
+import re
+from pathlib import Path
+
+from tests.drawings.board.wiring import wired_boards, wiring
+
+PAGE = (Path(__file__).parents[2] / "board" / "bench-checklist.md").read_text(encoding="utf-8")
+STEPS = re.findall(r"^- \[ \] (.*?)(?=^- \[ \]|^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_every_step_says_what_to_expect_and_what_to_do_if_not() -> None:
+    assert len(STEPS) > 50
+    assert [step for step in STEPS if step.count("*Expect*") != 1 or step.count("*Else*") != 1] == []
+
+
+def test_sections_are_numbered_in_the_order_of_the_day() -> None:
+    assert [int(number) for number in re.findall(r"^## (\d+)\. ", PAGE, re.MULTILINE)] == list(range(1, 10))
+
+
+def test_the_pins_that_it_looks_at_are_those_that_are_wired() -> None:
+    lines = {
+        int(wire.pin_name.removeprefix("GPIO"))
+        for b in wired_boards()
+        for wire in wiring(b).wires
+        if "line" in wire.kind
+    }
+    asked = re.search(r"pinctrl get ([\d,]+)", PAGE)
+    assert asked
+    assert {int(line) for line in asked[1].split(",")} == lines - {27}  # the indicator is an output
