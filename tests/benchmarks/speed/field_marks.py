@@ -57,8 +57,8 @@ async def load_of(bench: TimedScene) -> float:
     return used_s / (time.monotonic() - began_s)
 
 
-async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float) -> None:
-    """Start the screens over the instrument, and print every mark."""
+async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float) -> str:
+    """Start the screens over the instrument, and print every mark; returns why it cannot, or an empty text."""
     from device.acquisition.sd_notify import SdNotify
     from device.cli.screens import InstrumentThread
     from device.cli.service import ServiceReport
@@ -76,6 +76,10 @@ async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, render
         shown = asyncio.create_task(app.run_async(headless=True, size=(100, 30)))
         while instrument.state.live is None or not app.is_running:
             await asyncio.sleep(0.01)
+        if fault := instrument.state.calibration.fault:
+            app.exit()
+            await shown
+            return f"{store_folder}: no calibration to measure with: {fault}"
         started_s = time.monotonic() - BEGAN_S - rendered_s - bench.spent_s
         sys.stdout.write(f"start to live picture: {started_s:.2f} s (mark 2.5)\n")
         await asyncio.sleep(SETTLE_S)
@@ -89,10 +93,14 @@ async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, render
         sys.stdout.write(f"Set-up, asleep: {await load_of(bench):.1%} of a core (mark 2 %)\n")
         app.exit()
         await shown
+    return ""
 
 
-def main() -> None:
-    """Print every mark."""
+def main() -> int:
+    """Print every mark; 2 where the store is none to measure with."""
+    if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
+        sys.stderr.write("name a folder that holds a calibration of the twin: field_marks STORE\n")
+        return 2
     before_s = time.monotonic()
     profile = load_board_profile("twin")
     before_mb = resident_mb()
@@ -102,8 +110,11 @@ def main() -> None:
     scene_mb = resident_mb() - before_mb
     rendered_s = time.monotonic() - before_s
     bench.spent_s = bench.cpu_s = 0.0
-    asyncio.run(measure(bench, Path(sys.argv[1]), scene_mb, rendered_s))
+    fault = asyncio.run(measure(bench, Path(sys.argv[1]), scene_mb, rendered_s))
+    if fault:
+        sys.stderr.write(f"{fault}\n")
+    return 2 if fault else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
