@@ -50,7 +50,8 @@ class PreciseCapture:
     averaged : frames in it
     moved : frames that were left out because the object had moved
     dark : the frame under no light; None if not taken
-    alone : the frame under each light alone, by its name
+    alone : the frame under each light alone, by its name; empty where the object moved meanwhile
+    alone_moved : frames that were left out for that
     """
 
     capture: Capture
@@ -58,6 +59,7 @@ class PreciseCapture:
     moved: int = 0
     dark: RawFrame | None = None
     alone: dict[str, RawFrame] = field(default_factory=dict)
+    alone_moved: int = 0
 
 
 def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
@@ -67,6 +69,7 @@ def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
         moved=precise.moved,
         dark_file=None if precise.dark is None else "dark.tif",
         alone_files={name: f"alone-{number}.tif" for number, name in enumerate(precise.alone)},
+        alone_moved=precise.alone_moved,
     )
 
 
@@ -99,7 +102,24 @@ def capture_precisely(hardware: Hardware, plan: CaptureSettings, mode: CaptureMo
         return found
     under = {name: replace(plan, currents_ma={name: plan.currents_ma[name]}) for name in hardware.lights.names}
     alone = {name: capture(hardware, only) for name, only in under.items()}
-    return replace(found, dark=capture(hardware, replace(plan, currents_ma={})), alone=alone)
+    dark = capture(hardware, replace(plan, currents_ma={}))
+    if _together(alone, dark, found.capture.frame) > MAX_CHANGE:
+        return replace(found, dark=dark, alone_moved=len(alone))
+    return replace(found, dark=dark, alone=alone)
+
+
+def _together(alone: dict[str, RawFrame], dark: RawFrame, lit: RawFrame) -> float:
+    """Change from the light of all lights to the sum of each light's own, as 99th percentile.
+
+    Light adds up, so only movement changes the sum; a light that is a little weaker beside others on one supply is
+    fitted. Which frame moved is not seen: one light's frame does not show what the others light.
+    """
+    below = _small(dark)
+    seen = _small(lit) - below
+    lights = np.stack([(_small(frame) - below).ravel() for frame in alone.values()], axis=-1)
+    gains, *_ = np.linalg.lstsq(lights, seen.ravel(), rcond=None)
+    brightest = _brightest(seen)
+    return change(seen / brightest, (lights @ gains).reshape(seen.shape) / brightest)
 
 
 def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
@@ -163,5 +183,14 @@ class FrameMean:
 
 def _smooth(frame: RawFrame) -> Float32Array:
     """A small smoothed image of a frame, relative to its brightest parts: float32 array of shape (h, w, 3)."""
-    smooth = box_smoothed(bin_bayer(frame, downsample_step(frame.shape)).rgb)
-    return smooth / np.float32(max(float(np.percentile(smooth, 99)), 1e-6))
+    smooth = _small(frame)
+    return smooth / _brightest(smooth)
+
+
+def _small(frame: RawFrame) -> Float32Array:
+    """A small smoothed image of a frame, fractions of full scale: float32 array of shape (h, w, 3)."""
+    return box_smoothed(bin_bayer(frame, downsample_step(frame.shape)).rgb)
+
+
+def _brightest(smooth: Float32Array) -> np.float32:
+    return np.float32(max(float(np.percentile(smooth, 99)), 1e-6))

@@ -83,6 +83,7 @@ class ExposuresRecord(Record, frozen=True):
     moved : frames that were left out because the object had moved
     dark_file : the frame under no light; None if not taken
     alone_files : the frame under each light alone, by its name
+    alone_moved : frames under a light alone that were left out because the object had moved
     """
 
     averaged: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1
@@ -91,6 +92,7 @@ class ExposuresRecord(Record, frozen=True):
     alone_files: Annotated[dict[ShortText, FileName], msgspec.Meta(max_length=100)] = msgspec.field(
         default_factory=dict
     )
+    alone_moved: Annotated[int, msgspec.Meta(ge=0, le=100)] = 0
 
     @property
     def files(self) -> tuple[str, ...]:

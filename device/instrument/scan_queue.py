@@ -51,6 +51,7 @@ MAX_CUE_DELAY_MS: Final = 100.0
 AWAKE: Final = "Lights on: push again to scan."
 REPLACED: Final = "The scan before was replaced: z on Scans brings it back until power off."
 KEPT_BOTH: Final = "The new scan is no better: both are kept."
+MOVED_ALONE: Final = "It moved while each light shone alone: those frames were left out."
 LIFT_OFF: Final = "lift off: the lights are checked on untouched skin, then comes the verdict"
 
 Source = Literal["button", "screen", "auto-shutter"]
@@ -172,6 +173,8 @@ class ScanQueue:
         motion = self._motion(taken.frame)
         show(self._hardware, "may lift")
         self._hardware.operator.ask(MayLift())
+        if taken.precise.alone_moved:
+            self._states.publish(Info(MOVED_ALONE))
         standard = before.check.standard if before.check.is_next else None
         return Taken(scanner, replace(taken, motion=motion), standard, None if standard else before.replaces)
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from device.bundles.check import CheckStandard, StandardKind
+from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.quick_look.measures import levelled, mean_line
 from device.quick_look.solver import QuickLook
@@ -16,8 +16,14 @@ SMOOTH_PX: Final = 5
 INNER: Final = 0.75
 """Fraction of the radius of its steepest ring within which a ball is fitted: beyond, the skin leaves it."""
 
-PLAUSIBLE: Final = 4.0
-"""What reads more than so many times too large or too small is another object than the standard."""
+PLAUSIBLE: Final[dict[StandardKind, float]] = {"ball": 1.5, "step": 1.5, "roughness": 2.0}
+"""What reads more than so many times too large or too small under right light is another object than the standard."""
+
+SEEN: Final[dict[StandardKind, str]] = {
+    "ball": "a ball of radius",
+    "step": "a step of",
+    "roughness": "a roughness Ra of",
+}
 
 MIN_EXPLAINED: Final = 0.8
 """Fraction of the slopes' square that a ball must explain."""
@@ -61,8 +67,14 @@ def measure_standard(standard: CheckStandard, look: QuickLook) -> float:
         It does not show; says what to do.
     """
     found = _measured(standard.kind, look)
-    if not 1.0 / PLAUSIBLE < found / standard.value_um < PLAUSIBLE:
-        raise CheckNotMeasured(f"this does not look like {standard.name}: press {standard.name}")
+    factor = PLAUSIBLE[standard.kind]
+    if not 1.0 / factor < found / standard.value_um < factor:
+        unit, scale = UNITS[standard.kind]
+        seen, expected = (f"{value / scale:.3g} {unit}" for value in (found, standard.value_um))
+        raise CheckNotMeasured(
+            f"{SEEN[standard.kind]} {seen} was seen, {expected} expected: press {standard.name}, or calibrate again if "
+            "this is it"
+        )
     return found
 
 

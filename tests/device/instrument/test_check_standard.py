@@ -80,7 +80,12 @@ def test_a_right_standard_passes_at_any_place_and_a_wrong_one_fails(
         assert not instrument.state.check.is_due
         assert len(instrument.state.check.checks) == 3
         instrument.set_standard(
-            CheckStandard(name="other", kind=kind, value_um=2.0 * standard.value_um, tolerance_um=1.0)
+            CheckStandard(
+                name="other",
+                kind=kind,
+                value_um=(1.45 if kind == "roughness" else 1.3) * standard.value_um,
+                tolerance_um=standard.tolerance_um,
+            )
         )
         wrong = checked(instrument, bench, surface, depth_mm, (0.0, 0.0))
         assert not wrong.passed
@@ -127,6 +132,28 @@ def refusal(
     found = pressed(instrument, bench, surface, depth_mm, (0.3, -0.2))
     assert instrument.state.check.is_next, "the check is still to be made"
     return next(event.sentence for event in found if isinstance(event, Failed))
+
+
+@pytest.mark.parametrize(
+    ("kind", "other", "words"),
+    [
+        ("ball", Sphere(1.5), "a ball of radius 1."),
+        ("ball", Sphere(6.0), "a ball of radius 6."),
+        ("step", Step(Block(4.5, 3.5), 0.04, 0.15), "a step of 3"),
+        ("step", Step(Block(4.5, 3.5), 0.3, 0.15), "a step of 17"),
+        ("roughness", Sinusoid(Block(8.0, 6.0), 0.5, 0.003), "a roughness Ra of 1."),
+    ],
+)
+def test_another_specimen_of_the_same_kind_is_named_and_is_no_failure(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, kind: StandardKind, other: Surface, words: str
+) -> None:
+    standard, _, depth_mm = STANDARDS[kind]
+    expected = {"ball": "3 mm", "step": "100 µm", "roughness": "3 µm"}[kind]
+    with Instrument(hardware, calibrated) as instrument:
+        sentence = refusal(instrument, bench, standard, other, depth_mm)
+        assert sentence.startswith(f"no standard seen: {words}")
+        assert f"was seen, {expected} expected: press {standard.name}" in sentence
+    assert read_checks(calibrated.root) == ()
 
 
 def test_a_press_that_does_not_show_the_standard_is_refused_and_is_no_failure(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.precise_capture import AVERAGE_S, FrameMean, capture_precisely
+from device.acquisition.precise_capture import AVERAGE_S, FrameMean, capture_precisely, exposures_record
 from device.bundles.scan import CaptureMode, ScanBundle
 from device.imaging.flat_field import SATURATED, bin_bayer, flat_field_correct, make_flat_field
 from device.instrument.events import ScanFinished
@@ -159,6 +159,27 @@ def test_each_light_alone_is_stored_and_ambient_light_is_taken_out(
     assert dark is not None
     alone = sum(bin_bayer(scan.named_frame(name)).rgb - bin_bayer(dark).rgb for name in exposures.alone_files.values())
     assert float(np.abs(alone - lit).mean()) < 0.01
+
+
+def test_frames_of_single_lights_are_left_out_where_the_object_moved(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    names = hardware.lights.names
+    with hardware:
+        plan = CaptureSettings.of_board(hardware)
+        for shown in ("coin", "texture", "plane"):
+            bench.place(pressed(shown))
+            still = capture_precisely(hardware, plan, "lights")
+            assert (tuple(still.alone), still.alone_moved) == (names, 0), shown
+        bench.faults.ambient = 0.05
+        bench.place(pressed("coin"))
+        assert capture_precisely(hardware, plan, "lights").alone_moved == 0
+        bench.faults.wobble_mm = 0.1
+        moved = capture_precisely(hardware, plan, "lights")
+    assert (moved.alone, moved.alone_moved) == ({}, len(names))
+    assert moved.dark is not None
+    record = exposures_record(moved)
+    assert (record.alone_files, record.alone_moved) == ({}, len(names))
 
 
 def test_the_choice_survives_a_restart_and_its_room_is_reckoned(hardware: Hardware, calibrated: BundleStore) -> None:
