@@ -110,7 +110,7 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==.*/--no-emit-package \1/p' requirements.lock) \
-	    --extra bench --output-file requirements-bench.lock pyproject.toml
+	    --extra bench --extra cluster --output-file requirements-bench.lock pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==[^;]*$$/--no-emit-package \1/p' requirements.lock) \

@@ -52,6 +52,10 @@ class UnreadableResult(HostError, ValueError):
     """A file of a result or quick look is missing, damaged or too large. Reconstruct the scan, or pull it again."""
 
 
+class ClusterError(HostError, RuntimeError):
+    """A cluster cannot be used: not installed, not reached, or unlike this computer. Correct what the message names."""
+
+
 class IntegrationError(HostError, ValueError):
     """Slopes cannot be integrated: shapes differ, or values are not finite. Mask invalid values first."""
 

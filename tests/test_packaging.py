@@ -130,7 +130,7 @@ def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
     ("lock", "extras"),
     [
         ("requirements.lock", ("device", "host", "dev")),
-        ("requirements-bench.lock", ("bench",)),
+        ("requirements-bench.lock", ("bench", "cluster")),
         ("requirements-docs.lock", ("docs",)),
     ],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
 from device.io.os_errors import explain_os_error
+from host_sync.batch.cluster import Unfinished, outcomes_on_cluster
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.batch.worker_count import default_workers, usable_cores, usable_memory
 from host_sync.batch.worker_pool import Lost, outcomes_of
@@ -22,6 +23,8 @@ from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from host_sync.calibration.calibrate import Method
     from host_sync.reconstruction.from_library import LibraryReconstructor
 
@@ -127,15 +130,52 @@ def reconstruct_scans(
     *,
     first_alone: bool = False,
 ) -> Iterator[ScanOutcome]:
-    """What became of every scan, once, in the order in which they are done.
+    """What became of every scan, once, by so many processes, in the order in which they are done.
 
     job : makes each calibration once, in this process; scans that have none are not sent to another
     workers : processes at a time, with one thread each
     first_alone : the first scan is done before another begins: it compiles what all need
     """
+
+    def by_processes(tasks: Iterable[ScanTask], _: Path) -> Iterator[ScanOutcome]:
+        for task, outcome in outcomes_of(tasks, work, workers, first_alone=first_alone):
+            yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Lost) else outcome
+
+    return _with_calibrations(scans, job, by_processes)
+
+
+def reconstruct_on_cluster(
+    scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, client: Client
+) -> Iterator[ScanOutcome]:
+    """The same by the workers of a dask cluster, who share the library's folder with this computer.
+
+    Raises
+    ------
+    ClusterError
+        The workers cannot do it, or scheduler or all workers were lost.
+    """
+
+    def by_cluster(tasks: Iterable[ScanTask], shared: Path) -> Iterator[ScanOutcome]:
+        for task, outcome in outcomes_on_cluster(client, tasks, work, shared):
+            yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Unfinished) else outcome
+
+    return _with_calibrations(scans, job, by_cluster, place=work.root)
+
+
+def _with_calibrations(
+    scans: Sequence[ScanBundle],
+    job: LibraryReconstructor,
+    run: Callable[[Iterable[ScanTask], Path], Iterator[ScanOutcome]],
+    place: Path | None = None,
+) -> Iterator[ScanOutcome]:
+    """What became of every scan, with calibrations in files of a temporary folder.
+
+    run : gets tasks, and that folder
+    place : of that folder; by default the system's
+    """
     refused: list[ScanOutcome] = []
     try:
-        temporary = TemporaryDirectory(prefix="retrosync-")
+        temporary = TemporaryDirectory(prefix=".retrosync-", dir=place)
     except OSError as error:
         reason = f"no temporary folder for calibrations can be made {explain_os_error(error)}"
         yield from (ScanOutcome(scan.scan_id, reason=reason) for scan in scans)
@@ -154,8 +194,8 @@ def reconstruct_scans(
                 else:
                     yield ScanTask(scan.directory, path)
 
-        for task, outcome in outcomes_of(tasks(), work, workers, first_alone=first_alone):
-            yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Lost) else outcome
+        for outcome in run(tasks(), Path(folder)):
+            yield outcome
             while refused:
                 yield refused.pop(0)
         yield from refused

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.command_line import Folder
+from host_sync.batch.cluster import connected
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.console import (
@@ -31,6 +33,11 @@ from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from device.bundles.scan import ScanBundle
+
 PictureFormat = Literal["png", "pdf", "svg"]
 MethodName = Literal["direct", "paper"]
 """Methods of reconstruction; defined here too because importing them loads the numerics."""
@@ -46,6 +53,7 @@ class Order:
     force: bool
     facts: list[dict[str, object]] | None
     workers: int | None
+    cluster: str | None
 
 
 def reconstruct(
@@ -59,6 +67,7 @@ def reconstruct(
     detail: DetailName = "shrunk",
     force: bool = False,
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
+    cluster: str | None = None,
     json: bool = False,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
@@ -87,6 +96,9 @@ def reconstruct(
         Scans of a library at a time, each in a process of its own that computes with one thread. By default as many as
         there are cores, at most one for every 4 scans, and no more than fit into the available memory: one takes 0.4 GB
         and 70 bytes a pixel (1.3 GB at 12 megapixels). 1 stays in this process.
+    cluster
+        Address of a dask scheduler (tcp://HOST:8786), or its file: its workers, which share the library's folder with
+        this computer, reconstruct the scans of the library. Needs the extra `cluster`; see docs/offload.md.
     json
         Print one JSON document instead of lines: calibrations, and what became of each scan.
     """
@@ -95,10 +107,16 @@ def reconstruct(
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     if library is None and workers is not None:
         raise FrameSetError("--workers is for the scans of a library: name it with --library LIB")
-    order = Order(method, band, detail, force, [] if json else None, workers)
+    if cluster is not None and (library is None or workers is not None):
+        raise FrameSetError(
+            "--cluster is for the scans of a library, and has workers of its own: use it with --library LIB"
+        )
+    order = Order(method, band, detail, force, [] if json else None, workers, cluster)
     with status_spinner() as tell:
         if library is not None:
-            outcomes = _reconstruct_library(Library(library), names, calibration, order, tell)
+            outcomes = _reconstruct_library(
+                Library(library if cluster is None else library.resolve()), names, calibration, order, tell
+            )
         elif not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
         else:
@@ -159,9 +177,22 @@ def _reconstruct_library(
     failed = [ScanOutcome(bundle.directory.name, reason=bundle.reason) for bundle in damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
+    with nullcontext() if order.cluster is None else connected(order.cluster) as client:
+        return _reconstruct_scans(library, scans, failed, calibration, order, client, tell)
+
+
+def _reconstruct_scans(
+    library: Library,
+    scans: Sequence[ScanBundle],
+    failed: list[ScanOutcome],
+    calibration: Path | None,
+    order: Order,
+    client: Client | None,
+    tell: Callable[[str], None],
+) -> list[ScanOutcome]:
     tell("loading compiled code")
     tell_of_compiling()
-    from host_sync.batch.library_batch import ScanWork, reconstruct_all
+    from host_sync.batch.library_batch import ScanWork, reconstruct_all, reconstruct_on_cluster
     from host_sync.reconstruction.from_library import LibraryReconstructor
 
     calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
@@ -169,7 +200,10 @@ def _reconstruct_library(
         library, order.method, tell, order.band, force=order.force, detail=order.detail, calibrator=calibrator
     )
     work = ScanWork(library.root, order.method, order.band, order.force, order.detail)
-    outcomes = reconstruct_all(scans, work, job, order.workers)
+    if client is None:
+        outcomes = reconstruct_all(scans, work, job, order.workers)
+    else:
+        outcomes = reconstruct_on_cluster(scans, work, job, client)
     done = []
     for number, outcome in enumerate(outcomes, start=1):
         tell(f"{number} of {len(scans)} scans")

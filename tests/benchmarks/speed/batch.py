@@ -1,89 +1,96 @@
-"""A batch of raw files through two single-thread processes: by a bare process pool, and by Dask where it is installed.
+"""Raw files to results on disk by the product's own batches: one and two single-thread processes, and two workers of a
+dask cluster, where dask is installed (extra `cluster`; `make bench` installs it with the peers).
 
-Paths go to the processes and figures come back: frames are read and heights stay where they are made. The product needs
-neither; Dask is in no list of requirements and must be installed for its figure (`pip install distributed`).
+A rate counts from the moment when every worker has done a scan: starting processes and loading compiled code are
+not in it. Paths go to the workers and figures come back.
 """
 
 from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.util import find_spec
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
-from device.bundles.raw_frame import read_raw, write_raw
-from hal.frame import RawFrame
+from device.bundles.raw_frame import read_raw
+from device.imaging.flat_field import demosaic
+from host_sync.batch.cluster import connected, outcomes_on_cluster
+from host_sync.batch.worker_pool import outcomes_of
 from host_sync.calibration.calibrate import Calibration
-from host_sync.frames.sequence import StoredFrame
-from host_sync.video.frame_solver import FrameSolver
-from tests.benchmarks.speed.fresh import thread_settings
-from tests.benchmarks.speed.plan import Plan, Shape
-from tests.benchmarks.speed.video import sequence
+from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.result_writer import write_result
+from tests.benchmarks.speed.plan import Plan, Shape, named
+from tests.benchmarks.speed.specimen import resampled
 
 WORKERS = 2
-ROUNDS = 3
-Batch = Callable[[Sequence[Path]], float]
+ROUNDS = 2
+SCANS = 24
+
+
+@dataclass(frozen=True)
+class RawToResults:
+    """Reconstructs one raw file again and again; each task's results have a folder of their own.
+
+    calibration : pickled
+    """
+
+    calibration: Path
+    raw: Path
+    out: Path
+
+    def __call__(self) -> Callable[[int], str]:
+        cv2.setNumThreads(1)
+        calibration: Calibration = pickle.loads(self.calibration.read_bytes())  # noqa: S301 - `measure` wrote it
+
+        def work(number: int) -> str:
+            name = f"{self.raw.stem}-{number}"
+            write_result(self.out / name, reconstruct(read_raw(self.raw), calibration, name), calibration, name)
+            return name
+
+        return work
 
 
 def measure(plan: Plan, calibration: Calibration, folder: Path, shape: Shape) -> dict[str, Any]:
-    """Frames per second of both, and their ratio; best of several rounds in turns."""
-    frames, full = sequence(calibration, folder, shape, plan.frames)
+    """Scans per second of each way, and ratios; best of several rounds in turns."""
+    full = resampled(calibration, demosaic(read_raw(folder / f"reference-{named(shape)}.tif")))
     stored = folder / "batch-calibration.pickle"
     stored.write_bytes(pickle.dumps(full))
-    paths = [folder / f"batch-{number}.tif" for number in range(len(frames))]
-    for path, frame in zip(paths, frames, strict=True):
-        assert isinstance(frame.pixels, RawFrame)
-        write_raw(path, frame.pixels)
-    context = get_context("spawn")
-    with thread_settings(1), ProcessPoolExecutor(WORKERS, context) as pool:
-        batches: dict[str, Batch] = {
-            "pool_fps": lambda some: _fps(lambda: list(pool.map(peak_um, [stored] * len(some), some)))
-        }
-        if find_spec("distributed") is None:
-            return _best(batches, paths, plan)
-        from distributed import Client, LocalCluster
+    work = RawToResults(stored, folder / f"coin-{named(shape)}.tif", folder / "batch")
+    numbers = range(2 * WORKERS if plan.quick else SCANS)
+    ways: dict[str, Callable[[], float]] = {
+        "one_process": lambda: _rate(outcomes_of(numbers, work, 1), 1),
+        "two_processes": lambda: _rate(outcomes_of(numbers, work, WORKERS), WORKERS),
+    }
+    rounds = range(1 if plan.quick else ROUNDS)
+    if find_spec("distributed") is None:
+        rates = _best([{name: way() for name, way in ways.items()} for _ in rounds])
+    else:
+        from distributed import LocalCluster
 
         with (
-            LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=None) as cluster,
-            Client(cluster) as client,
+            LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=":0") as cluster,
+            connected(cluster.scheduler_address) as client,
         ):
-            batches["dask_fps"] = lambda some: _fps(
-                lambda: client.gather(client.map(peak_um, [stored] * len(some), some, pure=False))
-            )
-            rates = _best(batches, paths, plan)
-    return rates | {"dask_over_pool": rates["dask_fps"] / rates["pool_fps"]}
+            ways["cluster"] = lambda: _rate(outcomes_on_cluster(client, numbers, work, folder), WORKERS)
+            rates = _best([{name: way() for name, way in ways.items()} for _ in rounds])
+        rates["cluster_over_pool"] = rates["cluster"] / rates["two_processes"]
+    return rates | {"two_over_one": rates["two_processes"] / rates["one_process"]}
 
 
-def peak_um(stored_calibration: Path, path: Path) -> float:
-    """The highest point of a frame's relief; heights are dropped."""
-    solver = _solver(stored_calibration)
-    out = np.empty(solver.shape, np.float32)
-    figures = solver.solve(StoredFrame(path.name, read_raw(path)), out)
-    assert figures.peak_um is not None
-    return figures.peak_um
+def _rate(outcomes: Iterator[tuple[int, object]], workers: int) -> float:
+    """Scans per second, without the first of each worker."""
+    began, count = 0.0, 0
+    for count, (number, outcome) in enumerate(outcomes, start=1):
+        assert isinstance(outcome, str), f"scan {number}: {outcome}"
+        if count == workers:
+            began = time.perf_counter()
+    return (count - workers) / (time.perf_counter() - began)
 
 
-@cache
-def _solver(stored_calibration: Path) -> FrameSolver:
-    cv2.setNumThreads(1)
-    return FrameSolver(pickle.loads(stored_calibration.read_bytes()), "direct", None)  # noqa: S301 - `measure` wrote it
-
-
-def _fps(solve: Callable[[], list[float]]) -> float:
-    began = time.perf_counter()
-    count = len(solve())
-    return count / (time.perf_counter() - began)
-
-
-def _best(batches: dict[str, Batch], paths: list[Path], plan: Plan) -> dict[str, float]:
-    """Best rate of each, after a first round that loads compiled code."""
-    rounds = [{name: batch(paths) for name, batch in batches.items()} for _ in range(1 if plan.quick else 1 + ROUNDS)]
-    return {name: max(rates[name] for rates in rounds[-ROUNDS:]) for name in batches}
+def _best(rounds: list[dict[str, float]]) -> dict[str, float]:
+    return {name: max(rates[name] for rates in rounds) for name in rounds[0]}

@@ -12,6 +12,7 @@ from typing import cast
 
 import msgspec
 import pytest
+from batch_results import Said, contents, plain
 from mortal_work import DieOnce
 
 from device.bundles.scan import ScanBundle
@@ -25,12 +26,6 @@ from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import LibraryReconstructor
 
 
-class Said(msgspec.Struct):
-    """What the command prints as JSON."""
-
-    scans: tuple[ScanOutcome, ...]
-
-
 @pytest.fixture(scope="module")
 def alone(library: Library, tmp_path_factory: pytest.TempPathFactory) -> tuple[Library, list[ScanOutcome]]:
     """The library's copy with the results of one process, and what it said."""
@@ -41,34 +36,6 @@ def alone(library: Library, tmp_path_factory: pytest.TempPathFactory) -> tuple[L
 def copied(library: Library, root: Path) -> Library:
     shutil.copytree(library.root, root)
     return Library(root)
-
-
-def contents(library: Library) -> dict[str, object]:
-    """Every file of results by place, without the time it was written; hidden ones too."""
-    found: dict[str, object] = {}
-    for path in library.root.rglob("results/**/*"):
-        if path.is_file():
-            place = str(path.relative_to(library.root))
-            found[place] = path.read_bytes()
-            if path.name == "result.json":
-                found[place] = {
-                    key: value for key, value in json.loads(path.read_bytes()).items() if key != "written_utc"
-                }
-    return found
-
-
-def plain(outcomes: list[ScanOutcome], library: Library) -> list[tuple[str, str | None, tuple[str, ...], str | None]]:
-    """Outcomes by scan, with places relative to the library."""
-    root = str(library.root)
-    return sorted(
-        (
-            one.scan,
-            None if one.folder is None else str(one.folder.relative_to(root)),
-            one.warnings,
-            None if one.reason is None else one.reason.replace(root, "LIB"),
-        )
-        for one in outcomes
-    )
 
 
 @pytest.mark.parametrize("at", ["slopes and height", "results"])
