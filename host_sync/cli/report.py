@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +15,14 @@ from host_sync.cli.measure import chosen_recipe, measured, result_folders
 from host_sync.errors import HostError, ResultError
 
 if TYPE_CHECKING:
-    from host_sync.report.content import Picture
+    from host_sync.measurement.measurement import Measurement
+    from host_sync.measurement.recipe import Recipe
+    from host_sync.report.content import Picture, Report
     from host_sync.report.template import Template
 
 MAX_NAME = 80
 NUMBERS_FILE = "numbers.csv"
+POPULATION = "population"
 
 
 def report_command(
@@ -28,6 +31,7 @@ def report_command(
     recipe: Path | None = None,
     template: Path | None = None,
     library: Folder | None = None,
+    population: bool = False,
     force: bool = False,
 ) -> int:
     """Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.
@@ -44,6 +48,9 @@ def report_command(
         TOML file with organisation, address, logo, operator, instrument, procedure, footer, and parts of the report.
     library
         Folder of pulled scans, each with its newest results.
+    population
+        Write one report on all results instead, population.html and population.pdf: control charts, mean and Cpk with
+        ±, outliers with thumbnails.
     force
         Replace existing reports.
     """
@@ -55,6 +62,8 @@ def report_command(
     except OSError as error:
         raise ResultError(f"{out} cannot be written ({error.strerror}): choose another place") from error
     _check_free([out / NUMBERS_FILE], replace=force)
+    if population:
+        return _report_on_all(folders, chosen, style, logo, out, force=force)
     done = []
     failed = False
     taken: set[str] = set()
@@ -64,23 +73,15 @@ def report_command(
             print_error(found, PARTLY)
             continue
         from host_sync.report.composing import compose
-        from host_sync.report.html_page import html_page
-        from host_sync.report.pdf_pages import pdf_pages
 
         name = file_name(found.record.scan_id or found.record.name, taken)
         try:
-            report = compose(found, style, logo)
-            pages = {".html": html_page(report).encode(), ".pdf": pdf_pages(report)}
-            places = {ending: out / f"{name}{ending}" for ending in pages}
-            _check_free(places.values(), replace=force)
-            for ending, data in pages.items():
-                write_output(places[ending], data)
-                print_line(str(places[ending]))
+            _write(compose(found, style, logo), out / name, replace=force)
         except (DeviceError, HostError) as error:
             failed = True
             print_error(error, PARTLY)
         else:
-            done.append(found)
+            done.append(found.numbers_only())
             failed = failed or bool(found.failed) or found.fails
     if done:
         from host_sync.measurement.measurement_text import as_csv
@@ -89,6 +90,49 @@ def report_command(
     if failed:
         return PARTLY if done else BAD_INPUT
     return DONE
+
+
+def _report_on_all(
+    folders: Sequence[Path | str],
+    recipe: Recipe,
+    style: Template | None,
+    logo: Picture | None,
+    out: Path,
+    *,
+    force: bool,
+) -> int:
+    """Write the population's report; returns the exit code."""
+    _check_free([out / f"{POPULATION}.html", out / f"{POPULATION}.pdf"], replace=force)
+    done: list[Measurement] = []
+    failed = False
+    for found in measured(folders, recipe):
+        if isinstance(found, str):
+            failed = True
+            print_error(found, PARTLY)
+        else:
+            done.append(found.numbers_only())
+            failed = failed or bool(found.failed) or found.fails
+    if not done:
+        return BAD_INPUT
+    from host_sync.measurement.measurement_text import as_csv
+    from host_sync.report.population import compose_population
+
+    _write(compose_population(done, style, logo), out / POPULATION, replace=force)
+    write_output(out / NUMBERS_FILE, as_csv(done).encode())
+    return PARTLY if failed else DONE
+
+
+def _write(report: Report, place: Path, *, replace: bool) -> None:
+    """Write a report's page and its PDF, and print where."""
+    from host_sync.report.html_page import html_page
+    from host_sync.report.pdf_pages import pdf_pages
+
+    pages = {".html": html_page(report).encode(), ".pdf": pdf_pages(report)}
+    places = {ending: place.with_name(f"{place.name}{ending}") for ending in pages}
+    _check_free(places.values(), replace=replace)
+    for ending, data in pages.items():
+        write_output(places[ending], data)
+        print_line(str(places[ending]))
 
 
 def _template(path: Path | None) -> tuple[Template | None, Picture | None]:

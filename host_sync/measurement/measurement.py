@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.iso25178.power_spectrum import PowerSpectrum
@@ -81,3 +83,11 @@ class Measurement:
     def fails(self) -> bool:
         """Whether a number fails its tolerance."""
         return any(one.limits is not None and one.limits.verdict == "fail" for one in self.quantities)
+
+    def numbers_only(self) -> Measurement:
+        """The same without maps, profiles and spectrum: a few kilobytes, of which thousands fit into memory.
+
+        Height and surface are one invalid pixel.
+        """
+        nothing = HeightMap(np.full((1, 1), np.nan, np.float32), self.height.pitch_um)
+        return replace(self, height=nothing, surface=nothing, sigma_um=None, profiles=(), spectrum=None, steps=())

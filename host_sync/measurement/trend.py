@@ -71,14 +71,17 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     def text(self, unit: str) -> str:
         """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2; k = 1"."""
         after = f" {unit}" if unit else ""
-        parts = [f"mean {_with(self.mean, self.mean_uncertainty, after)}", f"range {plain(self.range)}{after}"]
+        parts = [
+            f"mean {with_uncertainty(self.mean, self.mean_uncertainty, after)}",
+            f"range {plain(self.range)}{after}",
+        ]
         parts.append(f"s {plain(self.deviation)}{after}")
         words = f"{self.count} results: {', '.join(parts)}"
         words += f"; control limits {plain(self.control_low)} to {plain(self.control_high)}{after}"
         words += f", {len(self.beyond)} beyond" if self.beyond else ""
         if self.cpk is not None and self.ppk is not None:
             cp = "" if self.cp is None else f"Cp {self.cp:.2f}, "
-            words += f"; {cp}Cpk {_with(self.cpk, self.cpk_uncertainty)}, Ppk {self.ppk:.2f}"
+            words += f"; {cp}Cpk {with_uncertainty(self.cpk, self.cpk_uncertainty)}, Ppk {self.ppk:.2f}"
         words += "" if self.mean_uncertainty is None else f"; k = {self.coverage_factor}"
         words += f"; without {self.replaced} that were taken again" if self.replaced else ""
         return f"{words}; doubts: {', '.join(self.doubts)}" if self.doubts else words
@@ -214,7 +217,8 @@ def _ends(limits: Limits) -> dict[str, float | None]:
     return {"low": limits.low, "high": limits.high}
 
 
-def _with(value: float, uncertainty: float | None, after: str = "") -> str:
+def with_uncertainty(value: float, uncertainty: float | None, after: str = "") -> str:
+    """For example "1.83 ± 0.06 µm"; `after` is the unit with a space before it."""
     if uncertainty is None:
         return f"{plain(value)}{after} (± not known)"
     places = max(decimals(uncertainty), 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -52,21 +52,22 @@ def compose(measurement: Measurement, template: Template | None = None, logo: Pi
         ),
         head=tuple(line for line in (template.organisation, template.address) if line),
         logo=logo,
-        verdict=_verdict(measurement),
+        verdict=worst([measurement]),
         footer=template.footer,
     )
-    return replace(report, signature=_signature(report, hashes))
+    return replace(report, signature=signature(report, hashes))
 
 
-def _verdict(measurement: Measurement) -> str:
-    """The worst verdict over all tolerances; one that was not measured is undecided."""
-    verdicts = {one.limits.verdict for one in measurement.quantities if one.limits is not None}
-    if len(measurement.recipe.tolerance) > sum(one.limits is not None for one in measurement.quantities):
-        verdicts.add("undecided")
+def worst(measurements: Sequence[Measurement]) -> str:
+    """The worst verdict over all tolerances, empty without; one that was not measured is undecided."""
+    verdicts = {one.limits.verdict for measurement in measurements for one in measurement.quantities if one.limits}
+    for measurement in measurements:
+        if len(measurement.recipe.tolerance) > sum(one.limits is not None for one in measurement.quantities):
+            verdicts.add("undecided")
     return next((one for one in ("fail", "undecided", "pass") if one in verdicts), "")
 
 
-def _signature(report: Report, hashes: Table) -> str:
+def signature(report: Report, hashes: Table) -> str:
     """SHA-256 of every word and number that the report prints, and of the files' hashes even where it leaves them out.
 
     Pictures and the logo are not in it, but for their captions: pictures are drawn from those files.
@@ -78,7 +79,7 @@ def _signature(report: Report, hashes: Table) -> str:
     return hashlib.sha256(msgspec.json.encode((stated, beside))).hexdigest()
 
 
-def _place(folder: Path, origin: Origin) -> Path:
+def place_of(folder: Path, origin: Origin) -> Path:
     """The result's path without private parts: within its library, else relative to here, else its last two names."""
     if origin.scan is not None:
         return Path(*folder.absolute().parts[-4:])
@@ -91,7 +92,7 @@ def _facts(measurement: Measurement, origin: Origin, template: Template) -> Iter
     record = measurement.record
     height = measurement.height
     rows, columns = height.z_um.shape
-    yield "result", str(_place(measurement.folder, origin))
+    yield "result", str(place_of(measurement.folder, origin))
     yield "recipe", measurement.recipe.name
     yield "procedure", template.procedure
     yield "instrument", template.instrument

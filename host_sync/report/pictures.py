@@ -58,7 +58,7 @@ def relief_picture(measurement: Measurement) -> Picture:
     draw_relief(axes, measurement.height, "")
     draw_places(axes, measurement)
     words = "Height map with the places that were measured; white is masked"
-    return _picture(figure, words + _doubtful([doubt.sentence for doubt in measurement.doubts]))
+    return picture_of(figure, words + _doubtful([doubt.sentence for doubt in measurement.doubts]))
 
 
 def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
@@ -71,14 +71,14 @@ def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
     axes.set_xlabel("column, mm")
     axes.set_ylabel("row, mm")
     figure.colorbar(shown, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label="standard uncertainty, µm")
-    return _picture(figure, "Standard uncertainty of the height above untouched skin (k = 1)")
+    return picture_of(figure, "Standard uncertainty of the height above untouched skin (k = 1)")
 
 
 def surface_picture(measurement: Measurement) -> Picture:
     """The scale-limited surface."""
     figure, axes = _figure(7.0, 4.6, grid=False)
     draw_relief(axes, measurement.surface, "")
-    return _picture(figure, "Scale-limited surface of the region, from which the areal parameters are taken")
+    return picture_of(figure, "Scale-limited surface of the region, from which the areal parameters are taken")
 
 
 def frame_picture(scan: ScanBundle) -> Picture:
@@ -105,7 +105,7 @@ def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
     axes.set_xlabel("along the line, mm")
     axes.set_ylabel("height, µm")
     band = f"; band: ± at k = {factor}" if one.sigma_um is not None else ""
-    return _picture(figure, f"Profile {one.name}, levelled and filtered along itself{band}{_doubtful(one.doubts)}")
+    return picture_of(figure, f"Profile {one.name}, levelled and filtered along itself{band}{_doubtful(one.doubts)}")
 
 
 def step_picture(one: MeasuredStep) -> Picture:
@@ -123,7 +123,7 @@ def step_picture(one: MeasuredStep) -> Picture:
     axes.set_ylabel("height, µm")
     places = ", ".join(f"{edge_um / 1000.0:.3f}" for edge_um in one.edges_um)
     words = f"{one.name}: edges at {places} mm (dashed); thick red is what both lines are fitted to"
-    return _picture(figure, words + _doubtful(one.doubts))
+    return picture_of(figure, words + _doubtful(one.doubts))
 
 
 def _doubtful(doubts: Sequence[str]) -> str:
@@ -152,7 +152,7 @@ def ratio_picture(measurement: Measurement) -> Picture:
     axes.set_xlabel("areal material ratio, %")
     axes.set_ylabel("height, µm")
     axes.set_xlim(0.0, 100.0)
-    return _picture(figure, words)
+    return picture_of(figure, words)
 
 
 def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:
@@ -165,7 +165,7 @@ def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:
     axes.loglog(per_mm, density, color=_BLUE, linewidth=1.1)
     axes.set_xlabel("spatial frequency, 1/mm")
     axes.set_ylabel("density, µm³")
-    return _picture(figure, "Power spectral density, averaged over directions")
+    return picture_of(figure, "Power spectral density, averaged over directions")
 
 
 def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, Axes]:
@@ -181,7 +181,8 @@ def _plain(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-def _picture(figure: Figure, caption: str) -> Picture:
+def picture_of(figure: Figure, caption: str) -> Picture:
+    """The figure as a PNG in memory."""
     stream = io.BytesIO()
     with warnings.catch_warnings():
         # Characters that the font lacks are drawn as boxes; the report's text has them.

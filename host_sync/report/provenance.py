@@ -70,16 +70,22 @@ def hashed_files(folder: Path, origin: Origin) -> tuple[tuple[str, str, str], ..
         files += [(f"scan/{name}", origin.scan.directory / name) for name in (SCAN_MANIFEST, record.raw_file)]
     if origin.calibration_file is not None:
         files.append((f"calibration/{CALIBRATION_REPORT}", origin.calibration_file))
-    found = []
-    for name, path in files:
-        try:
-            entry = describe_file(path)
-        except OSError as error:
-            raise MeasurementError(
-                f"{path}: cannot be read ({error.strerror}): fetch or reconstruct it again"
-            ) from error
-        found.append((name, str(entry.size), entry.sha256))
-    return tuple(found)
+    return tuple(hashed_file(name, path) for name, path in files)
+
+
+def hashed_file(name: str, path: Path) -> tuple[str, str, str]:
+    """Name, bytes and SHA-256 of a file.
+
+    Raises
+    ------
+    MeasurementError
+        It cannot be read.
+    """
+    try:
+        entry = describe_file(path)
+    except OSError as error:
+        raise MeasurementError(f"{path}: cannot be read ({error.strerror}): fetch or reconstruct it again") from error
+    return name, str(entry.size), entry.sha256
 
 
 def _report(place: Path) -> dict[str, Any] | None:

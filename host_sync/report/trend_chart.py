@@ -21,6 +21,9 @@ from host_sync.text import printable
 DPI: Final = 130
 MOST_CHARTS: Final = 12
 MOST_NAMES: Final = 40
+"""Beyond so many results only those are named that lie beyond the control limits, and of them the first ones."""
+
+MOST_NAMED: Final = 12
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 COLOURS: Final = {"pass": "#1d5d33", "fail": "#8c2f1b", "undecided": "#7a4a00", "": "#0b5f69"}
 SIGNS: Final = {"pass": "o", "fail": "X", "undecided": "s", "": "o"}
@@ -49,22 +52,41 @@ def write_trend(path: Path, measurements: Sequence[Measurement]) -> None:
         The file cannot be written.
     """
     check_trend(path)
-    found = trends(measurements)
-    chosen = [one for one in found.values() if one[0].limits is not None] or list(found.values())
-    if not chosen:
-        raise MeasurementError("a trend needs two results or more with the same number: name more results")
-    chosen = chosen[:MOST_CHARTS]
+    chosen = chosen_trends(measurements)
     names = [printable(one.record.name) for one in measurements]
     figure = Figure(figsize=(8.0, 2.6 * len(chosen) + 0.6), layout="constrained")
     panels = np.ravel(figure.subplots(len(chosen), 1, squeeze=False))
     for axes, (example, row, trend) in zip(panels, chosen, strict=True):
-        _draw(axes, example, row, trend, names)
+        draw_chart(axes, example, row, trend, names)
+        words = f"{printable(example.subject)}: {trend.text(example.unit)}"
+        axes.set_title(words.replace("; ", "\n"), fontsize=8, loc="left")
     picture = io.BytesIO()
     figure.savefig(picture, dpi=DPI, format=path.suffix.lower()[1:])
     write_output(path, picture.getvalue())
 
 
-def _draw(axes: Axes, example: Quantity, row: Sequence[Quantity | None], trend: Trend, names: list[str]) -> None:
+def chosen_trends(measurements: Sequence[Measurement]) -> list[tuple[Quantity, list[Quantity | None], Trend]]:
+    """Those of the numbers that have a tolerance, or of the first ones, as `trends` has them.
+
+    Raises
+    ------
+    MeasurementError
+        Fewer than two results have a number.
+    """
+    found = trends(measurements).values()
+    chosen = [one for one in found if one[0].limits is not None] or list(found)
+    if not chosen:
+        raise MeasurementError("a trend needs two results or more with the same number: name more results")
+    return chosen[:MOST_CHARTS]
+
+
+def draw_chart(
+    axes: Axes, example: Quantity, row: Sequence[Quantity | None], trend: Trend, names: Sequence[str]
+) -> None:
+    """The control chart of a number: values with their ±, mean, control limits and tolerance.
+
+    row : the number of each result, None where it has none; results beyond the control limits are named
+    """
     for verdict, colour in COLOURS.items():
         points = [
             (at, one)
@@ -91,11 +113,12 @@ def _draw(axes: Axes, example: Quantity, row: Sequence[Quantity | None], trend: 
             axes.axhline(end, color=COLOURS["fail"], linewidth=1.1)
     unit = f", {example.unit}" if example.unit else ""
     axes.set_ylabel(f"{printable(example.name)}{unit}")
-    axes.set_title(
-        f"{printable(example.subject)}: {trend.text(example.unit)}".replace("; ", "\n"), fontsize=8, loc="left"
-    )
     shown = len(names) <= MOST_NAMES
     axes.set_xticks(range(len(names)), names if shown else [""] * len(names), rotation=60, ha="right", fontsize=7)
+    for at in () if shown else trend.beyond[:MOST_NAMED]:
+        one = row[at]
+        if one is not None and one.value is not None:
+            axes.annotate(names[at], (at, one.value), (4.0, 4.0), textcoords="offset points", fontsize=6)
     axes.grid(visible=True, axis="y", alpha=0.3)
     if limits:
         axes.legend(fontsize=7, loc="best")
