@@ -23,7 +23,9 @@ from tests.drawings.board.beam import (
     half_field_mm,
     light_over_field,
 )
+from tests.drawings.board.block import Block
 from tests.drawings.board.totals import euros, rows_of
+from tests.drawings.board.weights import CARRIED_G, block_g, handheld_g
 from tests.drawings.board.wiring import wired_boards, wiring
 
 BOARD = Path(__file__).parents[2] / "board"
@@ -194,8 +196,23 @@ def test_the_total_holds_every_part_that_a_board_cannot_do_without(board: str) -
     for housed in ("lens", "block", "housing", "extension rings", "carrier"):
         assert bought.count(housed) == (board in HOUSED), housed
     least, most = euros(board, BILL)
-    assert f"| {board.removesuffix('-binned')} | {len(bought)} | {least} to {most} € |" in BILL
+    assert f"| {board.removesuffix('-binned')} | {len(bought)} | {least} to {most} € | " in BILL
     assert 0 < least < most
+
+
+@pytest.mark.parametrize("board", ["pi5-imx296", "pi4-imx477"])
+def test_what_a_handheld_weighs_is_of_rows_of_its_bill(board: str) -> None:
+    bought = [what for what, _ in rows_of(board, BILL)]
+    weighed = {what for what, grams in CARRIED_G.items() if board in grams}
+    assert weighed <= set(bought)
+    for heavy in ("computer", "camera", "lens", "housing", "UPS"):
+        assert heavy in weighed
+    grams = handheld_g(board)
+    assert grams is not None
+    assert f"| about {round(grams, -1):.0f} g |" in BILL
+    # Acrylic of the drawing: a disc less what three facets take.
+    assert 0.5 < block_g() / (math.pi * Block.of_source().radius ** 2 * Block.of_source().height * 1.19e-3) < 1.0
+    assert handheld_g(BENCH) is None
 
 
 def test_the_leds_fit_the_facet() -> None:

@@ -1,10 +1,11 @@
-"""What a board costs: the price classes of its rows in the bill of materials, added up."""
+"""What a board costs and weighs: the price classes of its rows in the bill of materials, and what it carries."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 
+from tests.drawings.board.weights import handheld_g
 from tests.drawings.board.wiring import wired_boards
 
 CLASS_EUROS = {"–": (0, 0), "A": (0, 2), "B": (2, 10), "C": (10, 40), "D": (40, 100), "E": (100, 250)}
@@ -32,10 +33,12 @@ def euros(board: str, page: str) -> tuple[int, int]:
 
 
 def _table(page: str) -> Iterator[str]:
-    yield "| board | rows | total |"
-    yield "|---|---|---|"
+    yield "| board | rows | total | handheld weighs |"
+    yield "|---|---|---|---|"
     for board in wired_boards():
         if board.endswith("-binned"):
             continue
         least, most = euros(board, page)
-        yield f"| {board} | {len(rows_of(board, page))} | {least} to {most} € |"
+        grams = handheld_g(board)
+        weight = "no housing" if grams is None else f"about {round(grams, -1):.0f} g"
+        yield f"| {board} | {len(rows_of(board, page))} | {least} to {most} € | {weight} |"
