@@ -48,6 +48,10 @@ class PairingRefused(DeviceError, PermissionError):
     """No workstation was paired: none connected in time, or the code was wrong. Open the window again."""
 
 
+class MachineError(DeviceError, OSError):
+    """A setting of this machine (clock, network, brightness) cannot be read or changed. Do as the message says."""
+
+
 class TerminalMissing(DeviceError, OSError):
     """The screens were started without a terminal. Run them in one, or scan without a screen."""
 

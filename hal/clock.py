@@ -45,6 +45,10 @@ class VirtualClock:
         """Seconds since 1970, advancing with the virtual time."""
         return self._wall_start_s + (self._now_ns - self._start_ns) / _NS_PER_S
 
+    def jump_wall(self, by_s: float) -> None:
+        """Set the wall clock by that much, as a person or a time server does; monotonic time goes on."""
+        self._wall_start_s += by_s
+
     def sleep(self, duration_s: float) -> None:
         """Advance by `duration_s` seconds at once, by at least 1 ns when it is positive."""
         if duration_s > 0.0:

@@ -6,7 +6,7 @@ install_packages() {
     [ -z "$(boot_folder)" ] || wanted+=(device-tree-compiler)
     ! grep -q '^driver = "picamera2"' "$(profile_file)" || wanted+=(python3-picamera2)
     [ "$read_only" = no ] || wanted+=(overlayroot)
-    [ "$screen" = none ] || wanted+=(kbd console-setup-linux)
+    [ "$screen" = none ] || wanted+=(kbd console-setup-linux polkitd)
     if ! live; then
         say "  (packages are not installed into --root: ${wanted[*]})"
         return
@@ -132,6 +132,7 @@ put_files() {
     put "$here/systemd/sshd-retrograph.conf" /etc/ssh/sshd_config.d/retrograph.conf
     [ ! -d "$root/etc/NetworkManager" ] ||
         put "$here/systemd/networkmanager-retrograph.conf" /etc/NetworkManager/conf.d/retrograph.conf
+    [ "$screen" = none ] || put "$here/systemd/polkit-retrograph.rules" /etc/polkit-1/rules.d/50-retrograph.rules
     put "$here/systemd/avahi-retrograph.xml" /etc/avahi/services/retrograph.service
     put "$here/systemd/first-boot" /usr/local/lib/retrograph/first-boot 755
     put "$here/systemd/usb-gadget" /usr/local/lib/retrograph/usb-gadget 755
@@ -265,5 +266,6 @@ tell_the_system() {
     systemctl try-reload-or-restart systemd-journald ssh avahi-daemon 2>/dev/null || true
     # Bus and lines that are there already get the groups that the rules name.
     udevadm control --reload 2>/dev/null || true
+    udevadm trigger --action=add --subsystem-match=backlight 2>/dev/null || true
     udevadm trigger --subsystem-match=i2c-dev --subsystem-match=gpio 2>/dev/null || true
 }

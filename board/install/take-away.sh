@@ -9,7 +9,7 @@ installed_files() {
     for unit in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$unit.service.d/i2c.conf"; done
     for unit in tmpfiles.d sysusers.d modules-load.d systemd/journald.conf.d systemd/system.conf.d systemd/logind.conf.d \
         systemd/timesyncd.conf.d ssh/sshd_config.d NetworkManager/conf.d; do echo "/etc/$unit/retrograph.conf"; done
-    echo /etc/avahi/services/retrograph.service /etc/udev/rules.d/99-retrograph.rules /etc/default/retroscan \
+    echo /etc/avahi/services/retrograph.service /etc/udev/rules.d/99-retrograph.rules /etc/polkit-1/rules.d/50-retrograph.rules /etc/default/retroscan \
         /etc/retrograph/board.toml /etc/retrograph/release-signers /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
@@ -22,6 +22,7 @@ installed_folders() {
     for part in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$part.service.d"; done
     for part in journald system logind timesyncd; do echo "/etc/systemd/$part.conf.d"; done
     dirname "$no_swap_file" "$swap_in_memory"
+    echo /etc/polkit-1/rules.d /etc/polkit-1 | tr ' ' '\n'
     echo /etc/retrograph /usr/local/lib/retrograph /srv/retrograph/store /srv/retrograph /var/lib/retroscan \
         /var/lib/retroscan-pairing /data/{store,pairing,ssh,network,netplan,journal,timesync} /data | tr ' ' '\n'
 }

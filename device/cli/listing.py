@@ -10,6 +10,7 @@ from device.cli.console import Given, open_store, print_json, print_line
 from device.errors import DeviceError
 from device.instrument.history import ScanEntry, read_history
 from device.store.eviction import acknowledged_scans
+from device.tui.drawing.text import local_time
 from hal.board_profile import load_board_profile
 
 
@@ -71,7 +72,7 @@ def list_scans(*, json: bool = False, options: Given) -> int:
             " (sent)" if scan.offloaded else "",
             f", part {scan.annotations.part}" if scan.annotations.part else "",
         )
-        time = f"{scan.wall_time.astimezone():%Y-%m-%d %H:%M}"
+        time = local_time(scan.wall_time)
         print_line(f"#{scan.counter} {time} {scan.verdict.level}: {scan.verdict.reason}{part}{sent} ({scan.scan_id})")
     for reason in history.damaged:
         print_line(f"damaged: {reason}")

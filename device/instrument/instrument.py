@@ -28,6 +28,9 @@ from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, StateStore
 from device.instrument.worker import InstrumentWorker
+from device.machine.interfaces import Machine
+from device.machine.real_machine import real_machine
+from device.machine.twin_machine import twin_machine
 from device.pairing_service.service import PairingSetup
 from device.store.gels import known_gels
 from device.store.marks import Opinion, ScanMark, write_mark
@@ -65,6 +68,7 @@ class Instrument:
     pairing : how workstations reach the device; default: as installed
     ball_radius_mm : of the ball for calibrations that the button starts
     stick : finds the mounted USB stick
+    machine : its clock, network and brightness; default: this computer's, or the twin's own
     """
 
     def __init__(
@@ -75,8 +79,10 @@ class Instrument:
         pairing: PairingSetup | None = None,
         ball_radius_mm: float = BALL_RADIUS_MM,
         stick: Callable[[], Path] = find_stick,
+        machine: Machine | None = None,
     ) -> None:
         self._stick = stick
+        self.machine = machine or (twin_machine() if hardware.profile.driver == "twin" else real_machine())
         self._hardware = hardware
         self._setup = pairing or PairingSetup()
         virtual = isinstance(hardware.clock, VirtualClock)

@@ -14,6 +14,9 @@ from device.calibration.limits import PASSED_STEEPEST_DEG
 GAUGE_FULL: Final = "■"
 GAUGE_EMPTY: Final = "·"
 
+MIN_CLOCK_YEAR: Final = 2025
+"""A clock that shows an earlier year was never set."""
+
 _LEVELS: Final[dict[VerdictLevel, str]] = {"good": "GOOD", "doubtful": "DOUBTFUL", "retake": "RETAKE"}
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
 
@@ -42,8 +45,16 @@ def age_text(age_s: float) -> str:
 
 
 def local_time(at: datetime) -> str:
-    """Date and time in the instrument's time zone."""
-    return f"{at.astimezone():%Y-%m-%d %H:%M}"
+    """Date and time in the instrument's time zone; no date at all from a clock that had never been set."""
+    return f"{at.astimezone():%Y-%m-%d %H:%M}" if at.year >= MIN_CLOCK_YEAR else "time not known"
+
+
+def clock_text(now: datetime) -> str:
+    """The present local date and time with the time zone; what to do about a clock that was never set."""
+    local = now.astimezone()
+    if now.year < MIN_CLOCK_YEAR:
+        return "the clock was never set: set it here, or join a network"
+    return f"{local:%Y-%m-%d %H:%M} {local.tzname()} (UTC{local:%z})"
 
 
 def percent_text(fraction: float | None) -> str:

@@ -14,12 +14,10 @@ from device.imaging.focus import FocusReading
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import CalibrationState, CheckState, HealthState, InstrumentState, PairingState
 from device.tui.drawing.advice import screen_advice
-from device.tui.drawing.text import age_text, gauge_text, hanging, local_time, percent_text, shortened
+from device.tui.drawing.text import age_text, clock_text, gauge_text, hanging, percent_text, shortened
 from hal.interfaces import PowerReading
 
 _LABEL: Final = 12
-
-MIN_CLOCK_YEAR: Final = 2025
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +55,6 @@ def instrument_panel(
         ("Version", program.version),
     ]
     return _labelled(lines, columns)
-
-
-def clock_text(now: datetime) -> str:
-    """Local date and time with the time zone, and what to do about a clock that was never set."""
-    local = now.astimezone()
-    wrong = "" if local.year >= MIN_CLOCK_YEAR else ": the clock was never set, join a network for a while"
-    return f"{local_time(now)} {local.tzname()} (UTC{local:%z}){wrong}"
 
 
 def _version(calibration: CalibrationState) -> str:

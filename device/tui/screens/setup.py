@@ -20,6 +20,7 @@ from device.store.stick import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.machine_actions import MachineActions
 from device.tui.screens.panels import check_panel, focus_panel, instrument_panel, pairing_panel, selftest_panel
 from device.tui.screens.setup_actions import SETUP_ACTIONS, SetupAction
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
@@ -47,6 +48,7 @@ class SetUpScreen(InstrumentScreen):
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
         self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
+        self._machine = MachineActions(self, instrument.machine, self._read)
 
     def body(self) -> Iterable[Widget]:
         """The list and the panel."""
@@ -60,8 +62,9 @@ class SetUpScreen(InstrumentScreen):
         self._panel.update(self._text(state))
 
     def on_screen_resume(self) -> None:
-        """Read the network again: cables may have been plugged meanwhile."""
+        """Read network, clock and brightness again: cables may have been plugged meanwhile."""
         self._read(self.instrument.network, self._show_network)
+        self._machine.refresh()
 
     def on_screen_suspend(self) -> None:
         """Read the focus no longer: nobody sees it."""
@@ -98,6 +101,8 @@ class SetUpScreen(InstrumentScreen):
                 self._read(self.instrument.export_to_stick, self._show_export)
             case "display":
                 self.retroscan.switch_display()
+            case "brightness" | "clock" as name:
+                self._machine.start(name)
             case "off":
                 question = "Power off? Running work is stored first."
                 self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
@@ -133,6 +138,8 @@ class SetUpScreen(InstrumentScreen):
         if chosen.name == "focus" and state.focus:
             return focus_panel(state.focus, columns)
         now = self.instrument.wall_time()
+        if chosen.name in {"brightness", "clock"}:
+            return self._machine.panel(chosen.name, chosen.meaning, now, columns)
         return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns, now)
 
     def _read(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:

@@ -17,6 +17,8 @@ ActionName = Literal[
     "calibrations",
     "stick",
     "display",
+    "brightness",
+    "clock",
     "off",
 ]
 
@@ -77,6 +79,12 @@ SETUP_ACTIONS: Final = (
         "display",
         "Light display",
         "Black on white with strong colours, for the sun; or the dark screens again.\nEnter switches.",
+    ),
+    SetupAction("brightness", "Brightness", "Brightness of this panel. Enter goes to the next level."),
+    SetupAction(
+        "clock",
+        "Clock",
+        "A network sets the clock by itself. Without one, Enter sets date and time, or the time zone.",
     ),
     SetupAction(
         "off",

@@ -18,6 +18,7 @@ from textual.pilot import Pilot
 
 from device.instrument.demo_faults import DemoDisk, DemoFaults
 from device.instrument.instrument import Instrument
+from device.machine.interfaces import Machine
 from device.pairing_service.service import PairingSetup
 from device.store.store import BundleStore
 from device.tui.drawing.cells import ColourDepth
@@ -154,12 +155,13 @@ def play(bench: SimulatedScene, no_ambient_colour_wishes: None) -> Callable[...,
         depth: ColourDepth = "full",
         host_key: Path = Path("absent.pub"),
         is_demo: bool = False,
+        machine: Machine | None = None,
     ) -> None:
         async def on_stage() -> None:
             disk = DemoDisk()
             store = BundleStore(root, bench.clock, boot_id="b0075e1f", statvfs=disk)
             pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
-            with Instrument(twin_hardware(bench), store, pairing=pairing) as instrument:
+            with Instrument(twin_hardware(bench), store, pairing=pairing, machine=machine) as instrument:
                 faults = DemoFaults(instrument, disk) if is_demo else None
                 sensor = bench.profile.sensor
                 app = RetroscanApp(instrument, PROGRAM, depth, sensor, is_twin=True, updates_per_s=None, faults=faults)

@@ -10,7 +10,22 @@ import pytest
 
 Stage = Any
 
-ACTIONS = ("back", "facts", "pair", "test", "focus", "zero", "check", "gel", "calibrations", "stick", "display", "off")
+ACTIONS = (
+    "back",
+    "facts",
+    "pair",
+    "test",
+    "focus",
+    "zero",
+    "check",
+    "gel",
+    "calibrations",
+    "stick",
+    "display",
+    "brightness",
+    "clock",
+    "off",
+)
 
 LIST_COLUMNS = 21
 
@@ -129,7 +144,7 @@ def test_calibrations_are_listed_with_the_active_one(play: Callable[..., None], 
     async def scenario(stage: Stage) -> None:
         await _choose(stage, "calibrations")
         await stage.press("enter")
-        assert re.search(r"> twin-gel user v1 \S+ \S+ active", stage.text())
+        assert re.search(r"> twin-gel user v1 time not known active", stage.text())
         await stage.press("escape")
         assert stage.instrument.state.calibration.calibration_id is not None
 
@@ -193,7 +208,6 @@ def test_the_display_turns_light_and_stays_so(play: Callable[..., None], root: P
 def test_an_export_without_a_stick_says_so_and_the_clock_is_shown(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await _choose(stage, "facts")
-        assert "Clock 1970-01-01" in stage.text()
         assert "the clock was never set" in stage.text()
         await stage.press("home")
         await _choose(stage, "stick")

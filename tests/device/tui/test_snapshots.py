@@ -44,7 +44,7 @@ async def walk(stage: Stage) -> dict[str, list[str]]:
     seen["scans"] = stage.lines()
     await stage.press("4", "down", "down")
     seen["set-up"] = stage.lines()
-    await stage.press(*["down"] * 9, "enter")
+    await stage.press("end", "enter")
     seen["power-off"] = stage.lines()
     await stage.press("n", "2")
     seen["calibrate"] = stage.lines()

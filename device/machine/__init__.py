@@ -1,0 +1,1 @@
+"""Settings of the machine that the instrument runs on: clock, network and brightness of the panel."""

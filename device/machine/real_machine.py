@@ -1,0 +1,12 @@
+"""The machine that the program runs on."""
+
+from __future__ import annotations
+
+from device.machine.backlight import SysfsBacklight
+from device.machine.clock import TimedateClock
+from device.machine.interfaces import Machine
+
+
+def real_machine() -> Machine:
+    """Clock and panel of this machine; nothing is asked before its first use."""
+    return Machine(TimedateClock(), SysfsBacklight())
