@@ -114,7 +114,10 @@ def draw_chart(
     unit = f", {example.unit}" if example.unit else ""
     axes.set_ylabel(f"{printable(example.name)}{unit}")
     shown = len(names) <= MOST_NAMES
-    axes.set_xticks(range(len(names)), names if shown else [""] * len(names), rotation=60, ha="right", fontsize=7)
+    if shown:
+        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
+    else:
+        axes.set_xlabel("result, counted from 0", fontsize=7)
     for at in () if shown else trend.beyond[:MOST_NAMED]:
         one = row[at]
         if one is not None and one.value is not None:
