@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Protocol
+from typing import Literal, Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +69,58 @@ class Backlight(Protocol):
         ...
 
 
+Security = Literal["open", "password", "unsupported"]
+"""What a Wi-Fi network asks for; "unsupported" are old WEP and networks with user accounts."""
+
+
+@dataclass(frozen=True, slots=True)
+class WifiNetwork:
+    """A Wi-Fi network in range.
+
+    signal : 0 to 1
+    is_active : whether this machine is in it
+    """
+
+    name: str
+    signal: float
+    security: Security
+    is_active: bool
+
+
+class Wifi(Protocol):
+    """The machine's Wi-Fi."""
+
+    def active(self) -> str | None:
+        """Name of the network that the machine is in; None: in none.
+
+        Raises
+        ------
+        MachineError
+            There is no Wi-Fi, or it cannot be asked.
+        """
+        ...
+
+    def networks(self) -> tuple[WifiNetwork, ...]:
+        """The networks in range, strongest first; takes some seconds. Errors as for `active`."""
+        ...
+
+    def join(self, network: WifiNetwork, password: str) -> None:
+        """Join a network, and whenever it is in range from now on; takes up to a minute.
+
+        password : empty for an open network
+
+        Raises
+        ------
+        MachineError
+            It was not joined; networks that were known stay as they were.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Machine:
     """All settings of the machine."""
 
     clock: SystemClockSetting
     backlight: Backlight
+    wifi: Wifi

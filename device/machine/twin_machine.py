@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime
+from typing import Final
 
 from device.errors import MachineError
 from device.machine.backlight import MIN_LEVEL
-from device.machine.interfaces import ClockStatus, Machine
+from device.machine.interfaces import ClockStatus, Machine, WifiNetwork
 
 
 class TwinClock:
@@ -48,6 +49,36 @@ class TwinBacklight:
         self._level = min(max(level, MIN_LEVEL), 1.0)
 
 
+TWIN_KEY: Final = "twin-password"
+
+
+class TwinWifi:
+    """Three networks in memory; the password of the one that needs it is `TWIN_KEY`."""
+
+    def __init__(self) -> None:
+        self._networks: tuple[WifiNetwork, ...] = (
+            WifiNetwork("workshop", 0.8, "password", is_active=False),
+            WifiNetwork("visitors", 0.5, "open", is_active=False),
+            WifiNetwork("company", 0.3, "unsupported", is_active=False),
+        )
+
+    def active(self) -> str | None:
+        """The network that was joined last."""
+        return next((network.name for network in self._networks if network.is_active), None)
+
+    def networks(self) -> tuple[WifiNetwork, ...]:
+        """The three networks."""
+        return self._networks
+
+    def join(self, network: WifiNetwork, password: str) -> None:
+        """Join one of them."""
+        if network.security == "unsupported":
+            raise MachineError(f"{network.name} needs a user account or is not safe: join another network")
+        if network.security == "password" and password != TWIN_KEY:
+            raise MachineError(f"the password of {network.name} is wrong: try again")
+        self._networks = tuple(replace(one, is_active=one.name == network.name) for one in self._networks)
+
+
 def twin_machine() -> Machine:
     """The machine of a simulated handheld."""
-    return Machine(TwinClock(), TwinBacklight())
+    return Machine(TwinClock(), TwinBacklight(), TwinWifi())

@@ -6,7 +6,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 RULES = "etc/polkit-1/rules.d/50-retrograph.rules"
-ALLOWED = {f"org.freedesktop.timedate1.{what}" for what in ("set-time", "set-timezone", "set-ntp")}
+ALLOWED = {
+    "org.freedesktop.timedate1.set-time",
+    "org.freedesktop.timedate1.set-timezone",
+    "org.freedesktop.timedate1.set-ntp",
+    "org.freedesktop.NetworkManager.network-control",
+    "org.freedesktop.NetworkManager.settings.modify.system",
+    "org.freedesktop.NetworkManager.enable-disable-wifi",
+    "org.freedesktop.NetworkManager.wifi.scan",
+}
 
 
 def test_the_polkit_rule_allows_the_instruments_user_these_actions_alone() -> None:

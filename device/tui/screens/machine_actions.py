@@ -1,4 +1,4 @@
-"""Settings of the machine in Set-up: brightness of the panel, clock and time zone."""
+"""Settings of the machine in Set-up: brightness of the panel, clock and time zone, Wi-Fi."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from functools import partial
 from typing import Any, Final
 
 from device.errors import DeviceError, MachineError
-from device.machine.interfaces import ClockStatus, Machine
+from device.machine.interfaces import ClockStatus, Machine, WifiNetwork
+from device.machine.wifi import password_complaint
 from device.tui.drawing.text import clock_text, hanging
 from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.setup_actions import ActionName
@@ -24,6 +25,9 @@ TIME_HINT: Final = "As clocks at this place show it, for example 2026-11-23 and 
 
 ELSEWHERE: Final = "other"
 """Region of the zones whose names have none, such as UTC."""
+
+KEY: Final = "Password"
+KEY_HINT: Final = "8 to 63 characters · Enter: join · Escape: cancel"
 
 Read = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 """Calls the first function on another thread, and the second one with its result."""
@@ -50,6 +54,7 @@ class MachineActions:
         settings: dict[ActionName, Callable[[], str]] = {
             "brightness": self._brightness_facts,
             "clock": self._clock_facts,
+            "wifi": self._wifi_facts,
         }
         for name, facts in settings.items():
             self._read(partial(_sentence_of, facts), partial(self._keep, name))
@@ -67,6 +72,9 @@ class MachineActions:
         """Change a setting, or ask for its new value."""
         if name == "brightness":
             self._change(self._next_level)
+        elif name == "wifi":
+            self._screen.retroscan.notice = Notice("Looking for networks ...")
+            self._read(self._machine.wifi.networks, self._ask_for_network)
         else:
             choices = ["Set date and time", "Set the time zone"]
             self._screen.app.push_screen(ChoiceDialog("Clock", choices), self._ask_about_clock)
@@ -98,6 +106,41 @@ class MachineActions:
 
     def _clock_facts(self) -> str:
         return _clock_words(self._machine.clock.status())
+
+    def _wifi_facts(self) -> str:
+        name = self._machine.wifi.active()
+        return f"In the network {name}." if name else "In no Wi-Fi network."
+
+    def _ask_for_network(self, networks: Sequence[WifiNetwork]) -> None:
+        self._screen.retroscan.notice = None
+        if not networks:
+            self._screen.retroscan.report_failure("No Wi-Fi network is in range: go closer to its access point")
+            return
+        lines = [_network_line(network) for network in networks]
+        dialog = ChoiceDialog("Which Wi-Fi network?", lines)
+        self._screen.app.push_screen(dialog, partial(self._join_chosen, networks))
+
+    def _join_chosen(self, networks: Sequence[WifiNetwork], chosen: int | None) -> None:
+        if chosen is None:
+            return
+        network = networks[chosen]
+        if network.security != "password":
+            self._join(network, "")
+            return
+        dialog = FieldsDialog(network.name, {KEY: ""}, KEY_HINT, _password_wrong, secret=KEY)
+        self._screen.app.push_screen(dialog, partial(self._join_with, network))
+
+    def _join_with(self, network: WifiNetwork, fields: dict[str, str] | None) -> None:
+        if fields is not None:
+            self._join(network, fields[KEY])
+
+    def _join(self, network: WifiNetwork, password: str) -> None:
+        self._screen.retroscan.notice = Notice(f"Joining {network.name} ...")
+        self._change(partial(self._join_now, network, password))
+
+    def _join_now(self, network: WifiNetwork, password: str) -> str:
+        self._machine.wifi.join(network, password)
+        return f"Joined {network.name}; it is joined again whenever it is in range."
 
     def _ask_about_clock(self, chosen: int | None) -> None:
         if chosen == 0:
@@ -145,6 +188,16 @@ def _sentence_of(facts: Callable[[], str]) -> str:
 def _clock_words(status: ClockStatus) -> str:
     confirmed = "confirmed by a time server" if status.is_synchronized else "not confirmed by a time server"
     return f"Zone {status.time_zone}; {confirmed}."
+
+
+def _network_line(network: WifiNetwork) -> str:
+    kind = {"open": "open", "password": "", "unsupported": "cannot be joined"}[network.security]
+    mark = "joined" if network.is_active else kind
+    return f"{network.signal:>4.0%} {network.name} {mark}".rstrip()
+
+
+def _password_wrong(fields: dict[str, str]) -> str:
+    return password_complaint(fields[KEY])
 
 
 def _region(zone: str) -> str:

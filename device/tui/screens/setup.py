@@ -62,7 +62,7 @@ class SetUpScreen(InstrumentScreen):
         self._panel.update(self._text(state))
 
     def on_screen_resume(self) -> None:
-        """Read network, clock and brightness again: cables may have been plugged meanwhile."""
+        """Read network, Wi-Fi, clock and brightness again: cables may have been plugged meanwhile."""
         self._read(self.instrument.network, self._show_network)
         self._machine.refresh()
 
@@ -101,7 +101,7 @@ class SetUpScreen(InstrumentScreen):
                 self._read(self.instrument.export_to_stick, self._show_export)
             case "display":
                 self.retroscan.switch_display()
-            case "brightness" | "clock" as name:
+            case "brightness" | "clock" | "wifi" as name:
                 self._machine.start(name)
             case "off":
                 question = "Power off? Running work is stored first."
@@ -138,7 +138,7 @@ class SetUpScreen(InstrumentScreen):
         if chosen.name == "focus" and state.focus:
             return focus_panel(state.focus, columns)
         now = self.instrument.wall_time()
-        if chosen.name in {"brightness", "clock"}:
+        if chosen.name in {"brightness", "clock", "wifi"}:
             return self._machine.panel(chosen.name, chosen.meaning, now, columns)
         return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns, now)
 

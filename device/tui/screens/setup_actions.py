@@ -19,6 +19,7 @@ ActionName = Literal[
     "display",
     "brightness",
     "clock",
+    "wifi",
     "off",
 ]
 
@@ -85,6 +86,11 @@ SETUP_ACTIONS: Final = (
         "clock",
         "Clock",
         "A network sets the clock by itself. Without one, Enter sets date and time, or the time zone.",
+    ),
+    SetupAction(
+        "wifi",
+        "Wi-Fi",
+        "A paired workstation fetches scans by any network. Enter looks for networks; choose one to join it.",
     ),
     SetupAction(
         "off",

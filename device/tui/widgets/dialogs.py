@@ -37,6 +37,7 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
     fields : names and present texts
     hint : one sentence below
     check : what is wrong with the texts, empty if nothing is; the dialog then stays open with what was typed
+    secret : name of the field that shows dots instead of its text
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "cancel")]
@@ -47,8 +48,10 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
         fields: Mapping[str, str],
         hint: str,
         check: Callable[[dict[str, str]], str] = lambda _: "",
+        secret: str = "",
     ) -> None:
         super().__init__()
+        self._secret = secret
         self._title, self._fields, self._hint = title, dict(fields), Static(hint, classes="dialog-hint", markup=False)
         self._check = check
 
@@ -59,7 +62,14 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
             for name, text in self._fields.items():
                 with Horizontal(classes="dialog-field"):
                     yield Static(name, classes="dialog-label", markup=False)
-                    yield Input(text, name=name, compact=True, max_length=80, select_on_focus=False)
+                    yield Input(
+                        text,
+                        name=name,
+                        compact=True,
+                        max_length=80,
+                        select_on_focus=False,
+                        password=name == self._secret,
+                    )
             yield self._hint
             with Horizontal(classes="dialog-buttons"):
                 yield Button(_framed("Save"), id="save", compact=True)
@@ -81,7 +91,9 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
             self.dismiss(None)
 
     def _save(self) -> None:
-        texts = {field.name or "": field.value.strip() for field in self.query(Input)}
+        texts = {
+            field.name or "": field.value if field.password else field.value.strip() for field in self.query(Input)
+        }
         if complaint := self._check(texts):
             self._hint.update(f"! {complaint}")
         else:

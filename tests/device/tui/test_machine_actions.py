@@ -10,7 +10,7 @@ from textual.widgets import Input
 from device.errors import MachineError
 from device.machine.backlight import SysfsBacklight
 from device.machine.interfaces import ClockStatus, Machine
-from device.machine.twin_machine import TwinBacklight, TwinClock
+from device.machine.twin_machine import TWIN_KEY, TwinBacklight, TwinClock, TwinWifi
 from device.tui.drawing.text import local_time
 from tests.device.tui.conftest import Stage
 from tests.device.tui.test_setup_screen import _choose, _panel
@@ -69,7 +69,7 @@ def test_date_and_time_are_set_as_they_are_typed(play: Callable[..., None], root
         assert clock.was_set_to == datetime(2026, 11, 23, 14, 5)
         assert "The clock is set to 2026-11-23 14:05." in stage.text()
 
-    play(scenario, root, size=(100, 30), machine=Machine(clock, TwinBacklight()))
+    play(scenario, root, size=(100, 30), machine=Machine(clock, TwinBacklight(), TwinWifi()))
 
 
 def test_a_clock_that_cannot_be_set_says_why(play: Callable[..., None], root: Path) -> None:
@@ -83,7 +83,7 @@ def test_a_clock_that_cannot_be_set_says_why(play: Callable[..., None], root: Pa
         await stage.press("enter")
         assert f"! {refusal}" in stage.text().replace(_panel(stage), "")
 
-    play(scenario, root, size=(100, 30), machine=Machine(OwnClock(refusal), TwinBacklight()))
+    play(scenario, root, size=(100, 30), machine=Machine(OwnClock(refusal), TwinBacklight(), TwinWifi()))
 
 
 def test_brightness_goes_to_the_next_level_and_from_the_last_to_the_first(
@@ -104,7 +104,7 @@ def test_brightness_goes_to_the_next_level_and_from_the_last_to_the_first(
         assert seen == [150, 100, 50, 20, 200]
         assert "Brightness 100%." in stage.text()
 
-    play(scenario, root, machine=Machine(TwinClock(), SysfsBacklight(panel.parent)))
+    play(scenario, root, machine=Machine(TwinClock(), SysfsBacklight(panel.parent), TwinWifi()))
 
 
 def test_without_a_panel_the_entry_says_so(play: Callable[..., None], root: Path, tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_without_a_panel_the_entry_says_so(play: Callable[..., None], root: Path
         await stage.press("enter")
         assert f"! {words}" in stage.text()
 
-    play(scenario, root, machine=Machine(TwinClock(), SysfsBacklight(tmp_path / "absent")))
+    play(scenario, root, machine=Machine(TwinClock(), SysfsBacklight(tmp_path / "absent"), TwinWifi()))
 
 
 def test_a_time_from_a_clock_that_was_never_set_is_no_time() -> None:
@@ -137,5 +137,38 @@ def test_a_jump_of_the_clock_does_not_disorder_scans(play: Callable[..., None], 
         assert years[0] < years[1]  # the third is dated before the second
         await stage.press("3")
         assert "time not known" in stage.text()
+
+    play(scenario, root)
+
+
+@pytest.mark.parametrize("size", [(40, 16), (80, 24)])
+def test_a_network_is_joined_with_its_password_which_is_not_shown(
+    play: Callable[..., None], root: Path, size: tuple[int, int]
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "wifi")
+        assert "In no Wi-Fi network." in _panel(stage)
+        await stage.press("enter")
+        assert "80% workshop" in stage.text()
+        assert "company cannot be joined" in stage.text()
+        await stage.press("enter", *"short", "enter")
+        assert "! a Wi-Fi password has 8 to 63" in stage.text()
+        await stage.press(*"-password", "enter")
+        assert "! the password of workshop is wrong: try again" in stage.text()
+        assert stage.instrument.machine.wifi.active() is None
+        await stage.press("enter", "enter", *TWIN_KEY)
+        assert TWIN_KEY not in stage.text()
+        await stage.press("enter")
+        assert "Joined workshop" in stage.text()
+        assert "In the network workshop." in _panel(stage)
+
+    play(scenario, root, size=size)
+
+
+def test_an_open_network_asks_for_nothing(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "wifi")
+        await stage.press("enter", "down", "enter")
+        assert "In the network visitors." in _panel(stage)
 
     play(scenario, root)

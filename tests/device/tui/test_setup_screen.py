@@ -24,6 +24,7 @@ ACTIONS = (
     "display",
     "brightness",
     "clock",
+    "wifi",
     "off",
 )
 
