@@ -201,6 +201,17 @@ def test_a_folder_of_images_is_read_by_its_names(tmp_path: Path) -> None:
     assert [one.name for one in found.scans] == ["ball-1", "ball-2", "key"]
 
 
+@pytest.mark.parametrize("kind", ["digit", "images"])
+def test_a_folder_that_holds_a_movie_only_says_how_it_becomes_images(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "recording.MP4").write_bytes(b"a movie")
+    assert run(kind, tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "recording.MP4: a movie does not say which frames are presses" in said
+    assert "ffmpeg -i recording.MP4" in said
+
+
 @pytest.mark.parametrize("kind", ["gelsight", "gs_sdk", "py3dcal", "taxim", "digit"])
 def test_an_empty_folder_is_refused(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(kind, tmp_path, "--pixel-pitch-um", 30, "--encoding", "srgb") == 2
