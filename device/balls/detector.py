@@ -42,6 +42,9 @@ MIN_CONTACT_ALONE: Final = 0.28
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
 
+MAX_SETTING: Final = 0.5
+"""Second harmonic over the first, along its crest, of a lamp that lights less than half of a ring."""
+
 
 @dataclass(frozen=True, slots=True)
 class RejectedBall:
@@ -174,9 +177,17 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
 
 
 def _asymmetry(rings: RadialProfiles, contact: float) -> float:
-    """Share of the shading's energy inside the contact that is neither mean nor first harmonic."""
+    """Share of the shading's energy inside the contact that no sphere under lamps can show.
+
+    A lamp's image on a sphere is symmetric about the lamp's direction. A lamp that sets on the far side, or that shines,
+    adds a second harmonic whose crest lies where the first has its own: 0.42 of it when half the ring is dark. That part
+    counts as even.
+    """
     inside = (rings.distance <= contact) & (rings.seen > 0.3)
     weight = (rings.distance * rings.seen)[inside, None]
-    uneven = (weight * (2.0 * np.abs(rings.second[inside]) ** 2 + rings.rest[inside])).sum()
-    even = (weight * 2.0 * np.abs(rings.first[inside]) ** 2).sum()
+    first, size = rings.first[inside], np.abs(rings.first[inside])
+    second = rings.second[inside] * np.conj(first / np.maximum(size, 1e-12)) ** 2
+    second = second - np.clip(second.real, 0.0, MAX_SETTING * size)
+    uneven = (weight * (2.0 * np.abs(second) ** 2 + rings.rest[inside])).sum()
+    even = (weight * 2.0 * size**2).sum()
     return float(uneven / max(uneven + even, 1e-12))
