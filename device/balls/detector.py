@@ -179,9 +179,9 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
 def _asymmetry(rings: RadialProfiles, contact: float) -> float:
     """Share of the shading's energy inside the contact that no sphere under lamps can show.
 
-    A lamp's image on a sphere is symmetric about the lamp's direction. A lamp that sets on the far side, or that shines,
-    adds a second harmonic whose crest lies where the first has its own: 0.42 of it when half the ring is dark. That part
-    counts as even.
+    A lamp's image on a sphere is symmetric about the lamp's direction. A lamp that sets on the far side, or that
+    shines, adds a second harmonic whose crest lies where the first has its own: 0.42 of it when half the ring is dark.
+    That part counts as even.
     """
     inside = (rings.distance <= contact) & (rings.seen > 0.3)
     weight = (rings.distance * rings.seen)[inside, None]

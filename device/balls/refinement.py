@@ -28,6 +28,13 @@ RING_OUTER: Final = 1.4
 APEX_PATCH: Final = 0.45
 """Radius of the patch in which intensity is interpolated to the apex, share of the ball's radius."""
 
+BENT_PATCH: Final = 0.15
+"""... where a lamp sets near the apex, so that its shading has a bend there ..."""
+
+MAX_BEND: Final = 2.3
+"""... which is where a cubic leaves so much more of the wide patch than of the small one: 1.0 to 1.2 under the lamps of
+makers' devices, 2 with a coat that shines, 2.5 to 4 where a lamp lights the untouched skin hardly or not at all."""
+
 COMMON_DOUBT: Final = 0.028
 """Doubt of the apex, share of the radius, at which the balls' common way to it is gone half."""
 
@@ -104,7 +111,9 @@ def find_circle(reduced: ReducedIntensity, column: float, row: float, radius_px:
 
 def find_apex(reduced: ReducedIntensity, circle: Float64Array, radius_px: float) -> Float64Array:
     """Where the skin is flat near the centre of symmetry, no further than a radius away; in reduced pixels."""
-    found = _follow(lambda at: _apex_step(reduced, at, radius_px), circle, radius_px)
+    found = _follow(lambda at: _apex_step(reduced, at, radius_px, APEX_PATCH), circle, radius_px)
+    if _is_bent(reduced, found, radius_px):
+        found = _follow(lambda at: _apex_step(reduced, at, radius_px, BENT_PATCH), found, radius_px)
     return found if float(np.hypot(*(found - circle))) < MAX_SHIFT * radius_px else circle
 
 
@@ -169,22 +178,42 @@ def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) 
     return np.array([shift.real, -shift.imag]) * radius_px
 
 
-def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
+def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float, patch: float) -> Float64Array:
     """Shift to where the patch's cubic fit reads 1 in every channel, but for a common brightening."""
-    reach = int(np.ceil(APEX_PATCH * radius_px + 1.0))
+    fit, _ = _fit_cubic(reduced, at, radius_px, patch)
+    system = np.zeros((4, 3))
+    system[:3, :2], system[:3, 2], system[3, 2] = fit[1:3].T, -1.0, 1.0
+    move = np.linalg.lstsq(system, np.append(-fit[0], 0.0), rcond=None)[0]
+    return np.asarray(move[:2] * radius_px)
+
+
+def _is_bent(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> bool:
+    """Whether no cubic follows the shading near an apex: it leaves much more of a wide patch than of a small one."""
+    (_, wide), (_, small) = (_fit_cubic(reduced, at, radius_px, patch) for patch in (APEX_PATCH, BENT_PATCH))
+    return wide > MAX_BEND * small
+
+
+def _fit_cubic(
+    reduced: ReducedIntensity, at: Float64Array, radius_px: float, patch: float
+) -> tuple[Float64Array, float]:
+    """Cubic of the deviation around a place, and what it leaves.
+
+    Returns
+    -------
+    float64 array of shape (10, 3), coefficients over distances in radii; root mean square of the rest
+    """
+    reach = int(np.ceil(patch * radius_px + 1.0))
     rows, columns = reduced.weight.shape
     top, bottom = (min(max(round(at[1]) + side, 0), rows) for side in (-reach, reach + 1))
     left, right = (min(max(round(at[0]) + side, 0), columns) for side in (-reach, reach + 1))
     window = np.s_[top:bottom, left:right]
     row, column = (axis.astype(np.float64) for axis in np.mgrid[window])
     across, down = (column - at[0]) / radius_px, (row - at[1]) / radius_px
-    soft = np.clip((APEX_PATCH - np.hypot(across, down)) * radius_px + 0.5, 0.0, 1.0)
+    soft = np.clip((patch - np.hypot(across, down)) * radius_px + 0.5, 0.0, 1.0)
     weight = soft * reduced.weight[window]
     design = np.stack([across**i * down**j for i, j in _CUBIC], axis=-1)
     weighted = design * weight[..., None]
     gram = np.einsum("yxk,yxl->kl", weighted, design) + 1e-6 * np.eye(len(_CUBIC))
     fit = np.linalg.solve(gram, np.einsum("yxk,yxc->kc", weighted, reduced.deviation[window]))
-    system = np.zeros((4, 3))
-    system[:3, :2], system[:3, 2], system[3, 2] = fit[1:3].T, -1.0, 1.0
-    move = np.linalg.lstsq(system, np.append(-fit[0], 0.0), rcond=None)[0]
-    return np.asarray(move[:2] * radius_px)
+    rest = (weight[..., None] * (reduced.deviation[window] - design @ fit) ** 2).sum()
+    return fit, float(np.sqrt(rest / max(3.0 * weight.sum(), 1e-6)))

@@ -23,10 +23,16 @@ DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "share
 Centre = tuple[float, float]
 
 
-def lambertian(shape: tuple[int, int], p: NDArray[np.float64], q: NDArray[np.float64], noise: float) -> NormalizedImage:
+def lambertian(
+    shape: tuple[int, int],
+    p: NDArray[np.float64],
+    q: NDArray[np.float64],
+    noise: float,
+    up_deg: tuple[float, float, float] = (30.0, 30.0, 30.0),
+) -> NormalizedImage:
     """Skin of the given slopes under three distant lights, 120 degrees apart and 30 degrees up."""
-    around, up = np.radians(np.array([20.0, 140.0, 260.0])), np.radians(30.0)
-    lights = np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.full(3, np.sin(up))])
+    around, up = np.radians(np.array([20.0, 140.0, 260.0])), np.radians(np.array(up_deg))
+    lights = np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
     normal = np.stack([-p, -q, np.ones(shape)], axis=-1) / np.sqrt(1.0 + p**2 + q**2)[..., None]
     values = np.maximum(normal @ lights, 0.0) / np.sin(up)
     values += np.random.default_rng(5).normal(0.0, noise, values.shape)
@@ -41,6 +47,7 @@ def pressed(
     shape: tuple[int, int] = SHAPE,
     noise: float = 0.01,
     stretch: float = 1.0,
+    up_deg: tuple[float, float, float] = (30.0, 30.0, 30.0),
 ) -> NormalizedImage:
     """Balls pressed to a contact (share of the radius), around which the slope fades; `stretch` makes them oval."""
     row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
@@ -52,7 +59,7 @@ def pressed(
         steep = inside / np.sqrt(1.0 - inside**2) * np.exp(-np.maximum(away - contact, 0.0) / (0.2 * contact))
         p -= steep * across / away / stretch
         q -= steep * down / away * stretch
-    return lambertian(shape, p, q, noise)
+    return lambertian(shape, p, q, noise, up_deg)
 
 
 def distances(search: BallSearch, centres: list[Centre]) -> NDArray[np.float64]:
@@ -177,6 +184,22 @@ def test_a_hair_over_a_ball_moves_it_little() -> None:
 
 def test_an_oval_dent_is_no_ball() -> None:
     assert find_balls(pressed((262.3, 189.7), stretch=1.7), RADIUS_PX).found == ()
+
+
+GRAZING = (4.0, 9.0, 2.5)
+"""Lights that set where the skin leans away by a few degrees, each at another slope."""
+
+
+@pytest.mark.parametrize("contact", [0.4, 0.64])
+def test_a_ball_under_lights_that_graze_the_skin_is_found(contact: float) -> None:
+    centre = (262.3, 189.7)
+    search = find_balls(pressed(centre, contact=contact, up_deg=GRAZING), RADIUS_PX)
+    assert len(search.found) == 1, search.rejected
+    assert distances(search, [centre])[0] < 0.01 * RADIUS_PX
+
+
+def test_an_oval_dent_under_lights_that_graze_the_skin_is_no_ball() -> None:
+    assert find_balls(pressed((262.3, 189.7), stretch=1.7, up_deg=GRAZING), RADIUS_PX).found == ()
 
 
 def test_a_groove_is_no_ball() -> None:
