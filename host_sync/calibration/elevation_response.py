@@ -54,6 +54,13 @@ LIKELY: Final = 2.0
 CONFIRMED: Final = (0.3, 3.0)
 """Shares outside of which what is seen is something else than elevation under near lights."""
 
+MAX_SHARE: Final = 1.5
+"""Share up to which slants grow with it. On six rendered benches with shares of 1.1 to 1.5 features are 1.4 % off with
+it (geometric mean; 2.1 % when slants were held to what was foretold), and a wave of 80 px keeps its gain."""
+
+SHARE_DOUBT: Final = 0.5
+"""Relative standard uncertainty of slants for each unit by which the share is not 1."""
+
 UNEXPLAINED: Final = 0.1
 """Share from which something is seen of elevation. Sensors whose light knows none show 0.00 to 0.02, the twin's coat of
 flakes 0.20."""
@@ -201,7 +208,8 @@ class ElevationResponse:
             return LAMPS_DOUBT * abs(self.nearness_per_px)
         a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
         slant = abs(float((a * c).sum() / (a**2).sum()))
-        return slant * float(np.hypot(self.relative_sigma, MODEL_DOUBT))
+        off = SHARE_DOUBT * (min(self.share, MAX_SHARE) - 1.0) if self.share > 1.0 else 0.0
+        return slant * float(np.linalg.norm([self.relative_sigma, MODEL_DOUBT, off]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,9 +278,9 @@ def _response(
     there = _foretold(directions, light, nodes, shape)
     parts = np.concatenate([monomials(nodes, BRIGHTENING_DEGREE) @ common, monomials(nodes, degree) @ tilt], 1)
     brightening = np.einsum("nkc,nc->nk", _system(there.directions), parts)
-    # A skin that is not matt brightens more than was foretold; its slants follow the light all the same.
+    # Derivatives of smooth polynomials are too small: what is seen over what was foretold tells by how much.
     vignetted = (monomials(nodes, TILT_DEGREE) @ vignetting)[:, :, None]
-    slanting = min(share, 1.0) * (there.slanting - vignetted / share) if share > 0.0 else 0.0 * there.slanting
+    slanting = min(share, MAX_SHARE) * (there.slanting - vignetted / share) if share > 0.0 else 0.0 * there.slanting
     return ElevationResponse(
         there.directions.reshape(NODES, NODES, 2, 3).astype(np.float32),
         brightening.reshape(NODES, NODES, 3).astype(np.float32),
