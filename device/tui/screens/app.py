@@ -65,6 +65,19 @@ KEYS_IN_WORDS: Final = {
 }
 """Keys that the bottom line does not show, by action."""
 
+FRAMEWORK_ACTIONS: Final = frozenset(
+    {
+        "app.focus_next",
+        "app.focus_previous",
+        "screen.copy_text",
+        "scroll_left",
+        "scroll_right",
+        "page_left",
+        "page_right",
+    }
+)
+"""Of Textual, on every screen or list: not listed among its keys."""
+
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16
 
@@ -187,6 +200,8 @@ class RetroscanApp(App[str]):
         keys: dict[str, str] = {}
         for active in self.screen.active_bindings.values():
             binding = active.binding
+            if binding.action in FRAMEWORK_ACTIONS:
+                continue
             if active.enabled and (what := binding.description or KEYS_IN_WORDS.get(binding.action, "")):
                 keys.setdefault(self.get_key_display(binding), what)
         self.push_screen(KeysDialog(list(keys.items())))

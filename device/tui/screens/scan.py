@@ -80,12 +80,14 @@ class ScanScreen(InstrumentScreen):
         self._cue.update(cue_text(state))
         self._cue.set_class(_is_ready(state), "-ready")
         auto = " · auto-shutter on" if state.auto_shutter else ""
+        following = ""  # stands first: a narrow screen cuts the end
         if state.check.is_next and state.check.standard:
-            auto += f" · next: check of {state.check.standard.name}"
+            following = f"next: check of {state.check.standard.name} · "
         elif state.replaces:
-            auto += f" · next: retake of #{state.replaces.counter}"
+            following = f"next: retake of #{state.replaces.counter} · "
         numbered = " (numbered)" if state.settings.number_parts else ""
-        self._sticky.update(f"{sticky_text(state.sticky, numbered)}{_MODE_WORDS[state.settings.capture]}{auto}")
+        mode = _MODE_WORDS[state.settings.capture]
+        self._sticky.update(f"{following}{sticky_text(state.sticky, numbered)}{mode}{auto}")
         self._show_last(state)
 
     def show_live(self, state: InstrumentState) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar, TypeVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, Vertical
+from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static
@@ -118,8 +118,9 @@ class KeysDialog(Dialog[None]):
         """One line per key."""
         with Vertical(classes="dialog"):
             yield Static("Keys of this screen", classes="dialog-title", markup=False)
-            yield Static("\n".join(f"{key:<10} {what}" for key, what in self._keys), markup=False)
-            yield Static("Escape: close", classes="dialog-hint", markup=False)
+            with VerticalScroll(classes="dialog-keys"):
+                yield Static("\n".join(f"{key:<10} {what}" for key, what in self._keys), markup=False)
+            yield Static("↑ ↓: more · Escape: close", classes="dialog-hint", markup=False)
 
 
 class ConfirmDialog(Dialog[bool]):

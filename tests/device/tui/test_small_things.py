@@ -4,6 +4,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
 from textual.widgets import Input
 
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
@@ -52,6 +53,24 @@ def test_every_key_is_listed_under_the_question_mark(play: Callable[..., None], 
         assert "Keys of this screen" not in stage.text()
 
     play(scenario, root, size=(80, 40))
+
+
+@pytest.mark.parametrize("size", [(80, 24), (40, 16)])
+def test_the_keys_of_a_small_screen_are_scrolled_and_are_its_own(
+    play: Callable[..., None], root: Path, size: tuple[int, int]
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("question_mark")
+        shown = stage.text()
+        assert "Escape: close" in shown
+        await stage.press("end")
+        shown += stage.text()
+        for words in ("number parts", "quit"):
+            assert words in shown
+        for words in ("Focus Next", "Copy selected"):
+            assert words not in shown
+
+    play(scenario, root, size=size)
 
 
 def test_a_small_terminal_is_named(play: Callable[..., None], root: Path) -> None:
