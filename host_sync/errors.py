@@ -92,6 +92,10 @@ class RenderError(HostError, ValueError):
     """A picture cannot be drawn as requested. Choose another size, light, viewpoint or format."""
 
 
+class Indescribable(HostError, ValueError):
+    """A surface cannot be compared by likeness: no skin contact, or too little is valid. Choose another press."""
+
+
 class MosaicError(HostError, ValueError):
     """Presses cannot be stitched: too few, of different pixel pitches, or none overlap. Choose other scans."""
 

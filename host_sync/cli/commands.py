@@ -162,6 +162,15 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "alike",
+        "host_sync.cli.alike:alike_command",
+        "Find the surfaces of a library that look most like one; shifted and turned presses of it too.",
+        (
+            "retrosync alike rg60bb5d63-000007",
+            "retrosync alike results/coin --library scans -n 10 --json",
+        ),
+    ),
+    Command(
         "mosaic",
         "host_sync.cli.mosaic:mosaic_command",
         "Stitch overlapping presses of one object into one height map, which measure, view, report and export take.",

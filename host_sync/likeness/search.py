@@ -1,0 +1,159 @@
+"""The surfaces of a library that look most like one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from device.errors import DeviceError
+from device.io.atomic import RESULTS
+from device.surface.fields import Float32Array
+from host_sync.errors import HostError
+from host_sync.library.library import Library
+from host_sync.likeness.descriptor import describe_result
+from host_sync.likeness.index import Entry, LikenessIndex
+from host_sync.results.files import RECORD_FILE
+from host_sync.results.reader import read_result
+
+# fmt: off
+SPREADS: Final = (
+    0.030, 0.038, 0.038, 0.020, 0.035, 0.046, 0.033, 0.020, 0.039, 0.074, 0.021, 0.020, 0.041, 0.096, 0.032, 0.035,
+    0.020, 0.026, 0.052, 0.028, 0.020, 0.020, 0.020, 0.055, 0.053, 0.043, 0.036, 0.037, 0.022,
+)
+# fmt: on
+"""Standard deviation of each figure of a descriptor between presses of one object, at least 0.02.
+
+Printed by `python -m tests.benchmarks.likeness.gallery --seed 0 --spreads`.
+"""
+
+KEPT_EVERY: Final = 50
+"""Results after which the index is brought to the disk, so that a killed run loses little."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alike:
+    """A result that looks like the one asked for.
+
+    distance : RMS difference of the descriptors' figures over `SPREADS`
+    """
+
+    scan: str
+    folder: Path
+    distance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The most alike results first, and what could not be compared.
+
+    compared : number of results that the question was compared with
+    left_out : scan and reason of every result without a descriptor
+    """
+
+    found: tuple[Alike, ...]
+    compared: int
+    left_out: tuple[tuple[str, str], ...]
+
+
+def nearest(row: Float32Array, rows: Float32Array, count: int) -> list[tuple[int, float]]:
+    """Numbers and distances of the `count` rows that are nearest, nearest first.
+
+    row, rows : float32 arrays of shape (LENGTH,) and (N, LENGTH)
+    """
+    if not len(rows):
+        return []
+    off = (rows - row) / np.asarray(SPREADS, np.float32)
+    distances = np.sqrt(np.mean(off * off, axis=1))
+    return [(int(at), float(distances[at])) for at in np.argsort(distances, kind="stable")[:count]]
+
+
+def alike(result: Path, library: Path, count: int = 5, tell: Callable[[str], None] = lambda _: None) -> Answer:
+    """The results of a library that look most like one, each scan with its newest; the index is updated first.
+
+    result : folder of the result that is asked for; it is not among the answers
+    tell : receives what is done at the moment
+
+    Raises
+    ------
+    Indescribable
+        The result asked for has no contact to compare.
+    UnreadableResult
+        It cannot be read.
+    LibraryError
+        The library cannot be read.
+    """
+    asked = describe_result(read_result(result, samples=False))
+    entries = updated(library, tell)
+    own = result.resolve()
+    held = [
+        (folder, entry.row)
+        for folder, entry in entries.items()
+        if entry.row is not None and (library / folder).resolve() != own
+    ]
+    found = nearest(asked, np.array([row for _, row in held], np.float32), count)
+    return Answer(
+        tuple(Alike(_scan(held[at][0]), library / held[at][0], distance) for at, distance in found),
+        len(held),
+        tuple((_scan(folder), entry.reason or "") for folder, entry in entries.items() if entry.row is None),
+    )
+
+
+def updated(library: Path, tell: Callable[[str], None] = lambda _: None) -> dict[str, Entry]:
+    """Every entry of a library's index after new and changed results were described and lost ones dropped.
+
+    Keys are folders relative to the library. Every entry is described anew where the index is damaged.
+    """
+    held_library = Library(library)
+    held_library.require()
+    with held_library.translating("read"), LikenessIndex(library) as index:
+        held = index.read()
+        current: dict[str, Entry] = {}
+        fresh = 0
+        for folder, stamp in _newest_results(library):
+            entry = held.get(folder)
+            if entry is None or entry.stamp != stamp:
+                tell(f"describing {_scan(folder)}")
+                entry = _described(library / folder, stamp)
+                index.put(folder, entry)
+                fresh += 1
+                if fresh % KEPT_EVERY == 0:
+                    index.keep()
+            current[folder] = entry
+        for folder in held.keys() - current.keys():
+            index.drop(folder)
+        return current
+
+
+def _described(folder: Path, stamp: str) -> Entry:
+    try:
+        return Entry(stamp, describe_result(read_result(folder, samples=False)), None)
+    except (DeviceError, HostError) as error:
+        return Entry(stamp, None, str(error))
+
+
+def _newest_results(library: Path) -> Iterator[tuple[str, str]]:
+    """Folder of each scan's newest result, relative to the library, and the stamp of its record."""
+    scans = sorted(entry.name for entry in os.scandir(library / "scans") if not entry.name.startswith("."))
+    for scan in scans:
+        try:
+            places = [
+                one.name for one in os.scandir(library / "scans" / scan / RESULTS) if not one.name.startswith(".")
+            ]
+            if len(places) > 1:
+                root = library / "scans" / scan / RESULTS
+                places.sort(key=lambda name: (root / name).stat().st_mtime_ns)
+            if places:
+                folder = f"scans/{scan}/{RESULTS}/{places[-1]}"
+                facts = (library / folder / RECORD_FILE).stat()
+                yield folder, f"{facts.st_mtime_ns} {facts.st_size}"
+        except OSError:
+            continue  # no results, or not a result of heights
+
+
+def _scan(folder: str) -> str:
+    return folder.split("/")[1]
