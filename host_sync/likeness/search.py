@@ -17,19 +17,9 @@ from host_sync.errors import HostError
 from host_sync.library.library import Library
 from host_sync.likeness.descriptor import describe_result
 from host_sync.likeness.index import Entry, LikenessIndex
+from host_sync.likeness.whitening import whitening
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result
-
-# fmt: off
-SPREADS: Final = (
-    0.030, 0.038, 0.038, 0.020, 0.035, 0.046, 0.033, 0.020, 0.039, 0.074, 0.021, 0.020, 0.041, 0.096, 0.032, 0.035,
-    0.020, 0.026, 0.052, 0.028, 0.020, 0.020, 0.020, 0.055, 0.053, 0.043, 0.036, 0.037, 0.022,
-)
-# fmt: on
-"""Standard deviation of each figure of a descriptor between presses of one object, at least 0.02.
-
-Printed by `python -m tests.benchmarks.likeness.gallery --seed 0 --spreads`.
-"""
 
 KEPT_EVERY: Final = 50
 """Results after which the index is brought to the disk, so that a killed run loses little."""
@@ -39,7 +29,7 @@ KEPT_EVERY: Final = 50
 class Alike:
     """A result that looks like the one asked for.
 
-    distance : RMS difference of the descriptors' figures over `SPREADS`
+    distance : RMS difference of the descriptors' figures after whitening
     """
 
     scan: str
@@ -67,7 +57,7 @@ def nearest(row: Float32Array, rows: Float32Array, count: int) -> list[tuple[int
     """
     if not len(rows):
         return []
-    off = (rows - row) / np.asarray(SPREADS, np.float32)
+    off = (rows - row) @ whitening()
     distances = np.sqrt(np.mean(off * off, axis=1))
     return [(int(at), float(distances[at])) for at in np.argsort(distances, kind="stable")[:count]]
 
@@ -89,12 +79,9 @@ def alike(result: Path, library: Path, count: int = 5, tell: Callable[[str], Non
     """
     asked = describe_result(read_result(result, samples=False))
     entries = updated(library, tell)
-    own = result.resolve()
-    held = [
-        (folder, entry.row)
-        for folder, entry in entries.items()
-        if entry.row is not None and (library / folder).resolve() != own
-    ]
+    own, root = result.resolve(), library.resolve()
+    own_folder = own.relative_to(root).as_posix() if own.is_relative_to(root) else ""
+    held = [(folder, entry.row) for folder, entry in entries.items() if entry.row is not None and folder != own_folder]
     found = nearest(asked, np.array([row for _, row in held], np.float32), count)
     return Answer(
         tuple(Alike(_scan(held[at][0]), library / held[at][0], distance) for at, distance in found),
@@ -137,20 +124,20 @@ def _described(folder: Path, stamp: str) -> Entry:
 
 
 def _newest_results(library: Path) -> Iterator[tuple[str, str]]:
-    """Folder of each scan's newest result, relative to the library, and the stamp of its record."""
-    scans = sorted(entry.name for entry in os.scandir(library / "scans") if not entry.name.startswith("."))
-    for scan in scans:
+    """Folder of each scan's newest result, relative to the library, and the stamp of its record.
+
+    Plain strings: a path object for each of ten thousand scans takes longer than to ask the disk.
+    """
+    root = os.fspath(library)
+    for scan in sorted(entry.name for entry in os.scandir(f"{root}/scans") if not entry.name.startswith(".")):
+        results = f"scans/{scan}/{RESULTS}"
         try:
-            places = [
-                one.name for one in os.scandir(library / "scans" / scan / RESULTS) if not one.name.startswith(".")
-            ]
-            if len(places) > 1:
-                root = library / "scans" / scan / RESULTS
-                places.sort(key=lambda name: (root / name).stat().st_mtime_ns)
+            with os.scandir(f"{root}/{results}") as found:
+                places = [one for one in found if not one.name.startswith(".")]
             if places:
-                folder = f"scans/{scan}/{RESULTS}/{places[-1]}"
-                facts = (library / folder / RECORD_FILE).stat()
-                yield folder, f"{facts.st_mtime_ns} {facts.st_size}"
+                newest = places[0] if len(places) == 1 else max(places, key=lambda one: one.stat().st_mtime_ns)
+                facts = os.stat(f"{root}/{results}/{newest.name}/{RECORD_FILE}")  # noqa: PTH116 - see above
+                yield f"{results}/{newest.name}", f"{facts.st_mtime_ns} {facts.st_size}"
         except OSError:
             continue  # no results, or not a result of heights
 
