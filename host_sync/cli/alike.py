@@ -21,7 +21,7 @@ def alike_command(
     count: Annotated[int, Parameter(name=("--count", "-n"), validator=Number(gte=1))] = 5,
     json: bool = False,
 ) -> int:
-    """Find the surfaces of a library that look most like one, each scan with its newest results.
+    """Find the surfaces of a library that look most like one; shifted and turned presses of it too.
 
     Parameters
     ----------
