@@ -112,14 +112,14 @@ class KeysDialog(Dialog[None]):
 
     def __init__(self, keys: Sequence[tuple[str, str]]) -> None:
         super().__init__()
-        self._keys = keys
+        self.keys = keys
 
     def compose(self) -> ComposeResult:
         """One line per key."""
         with Vertical(classes="dialog"):
             yield Static("Keys of this screen", classes="dialog-title", markup=False)
             with VerticalScroll(classes="dialog-keys"):
-                yield Static("\n".join(f"{key:<10} {what}" for key, what in self._keys), markup=False)
+                yield Static("\n".join(f"{key:<10} {what}" for key, what in self.keys), markup=False)
             yield Static("↑ ↓: more · Escape: close", classes="dialog-hint", markup=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -24,6 +25,8 @@ PLACES: Final[tuple[tuple[Place, str], ...]] = (
     ("set-up", "Set-up"),
 )
 
+KEPT_HINTS: Final = ("keys", "quit", "faults", "scan", "go_on", "demonstrate")
+"""Actions whose hints are kept where not all fit, most important first; `?` lists every key."""
 
 Severity = Literal["info", "success", "error"]
 
@@ -77,32 +80,55 @@ class NavigationItem(Static):
 
 
 class KeyHints(Horizontal):
-    """The active key bindings; hints that do not fit are left out, last first, never that of all keys."""
+    """The active key bindings; those that do not fit are left out as a whole, never that of all keys."""
 
     def compose(self) -> ComposeResult:
-        """One hint per key."""
+        """One hint per key, as many as fit."""
         hints: dict[str, KeyHint] = {}
         for active in self.screen.active_bindings.values():
             binding = active.binding
             if binding.show and active.enabled and binding.action not in hints:
                 hints[binding.action] = KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
-        yield from sorted(hints.values(), key=lambda hint: hint.key != "question_mark")
+        fitting = hints_that_fit({action: hint.columns for action, hint in hints.items()}, self.app.size.width)
+        yield from (hints[action] for action in fitting)
 
     def on_mount(self) -> None:
         """Subscribe to changes of the bindings."""
         self.screen.bindings_updated_signal.subscribe(self, self._follow)
+
+    def on_resize(self) -> None:
+        """Show more hints, or fewer."""
+        self.call_after_refresh(self.recompose)
 
     def _follow(self, screen: Screen[object]) -> None:
         if self.is_attached and screen is self.screen:
             self.call_after_refresh(self.recompose)
 
 
+def hints_that_fit(columns: Mapping[str, int], available: int) -> list[str]:
+    """Actions whose hints fit beside each other, that of all keys first, the others in their order.
+
+    Parameters
+    ----------
+    columns : width of each hint by action, in the order of the screen
+    available : width of the line
+    """
+    chosen, left = set(), available + 1  # a hint ends in a blank, which the last one may lose
+    for action in [*(action for action in KEPT_HINTS if action in columns), *columns]:
+        if action not in chosen and columns[action] <= left:
+            chosen.add(action)
+            left -= columns[action]
+    return sorted((action for action in columns if action in chosen), key=lambda action: action != KEPT_HINTS[0])
+
+
 class KeyHint(Static):
     """One key and its action; a touch presses it."""
 
     def __init__(self, shown: str, description: str, key: str) -> None:
-        super().__init__(Content.assemble((f" {shown} ", "$accent bold"), (f"{description} ", "")))
+        text = Content.assemble((f" {shown} ", "$accent bold"), (f"{description} ", ""))
+        super().__init__(text)
         self.key = key
+        self.columns = text.cell_length
 
     def on_click(self, event: Click) -> None:
         """Press the key."""

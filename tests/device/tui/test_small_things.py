@@ -1,6 +1,6 @@
 """Small promises of the screens, each by key presses."""
 
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -9,7 +9,10 @@ from textual.widgets import Input
 
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
 from device.tui.drawing.text import local_time
+from device.tui.screens.app import FRAMEWORK_ACTIONS
 from device.tui.screens.panels import battery_text
+from device.tui.widgets.dialogs import KeysDialog
+from device.tui.widgets.navigation import KeyHint
 from hal.interfaces import PowerReading
 from tests.device.tui.conftest import Stage
 
@@ -71,6 +74,67 @@ def test_the_keys_of_a_small_screen_are_scrolled_and_are_its_own(
             assert words not in shown
 
     play(scenario, root, size=size)
+
+
+async def _every_screen(stage: Stage) -> AsyncIterator[str]:
+    """Every screen with all the keys that it can have, one after the other."""
+    await stage.object_pressed()
+    yield "scan"
+    await stage.press("p")
+    yield "profile"
+    await stage.press("p", "3")
+    yield "scans"
+    await stage.press("p")
+    yield "scans, profile"
+    await stage.press("p", "4")
+    yield "set-up"
+    await stage.press("2")
+    yield "calibrate"
+    await stage.press("space")
+    await stage.live(2)
+    yield "calibrating"
+
+
+@pytest.mark.parametrize("is_demo", [False, True])
+@pytest.mark.parametrize("size", [(80, 24), (40, 16)])
+def test_no_hint_is_cut_and_every_key_is_shown_or_listed(
+    play: Callable[..., None], root: Path, size: tuple[int, int], is_demo: bool
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        async for name in _every_screen(stage):
+            screen = stage.app.screen
+            hints = screen.query(KeyHint)
+            line = stage.lines()[-1]
+            assert line == "".join(str(hint.content) for hint in hints).rstrip(), name
+            assert len(line) <= size[0], name
+            for wanted in ("? keys", "q quit", *(["f faults"] if is_demo else [])):
+                assert wanted in line, name
+            keys = {
+                stage.app.get_key_display(active.binding)
+                for active in screen.active_bindings.values()
+                if active.enabled and active.binding.action not in FRAMEWORK_ACTIONS
+            }
+            await stage.pilot.press("question_mark")
+            dialog = stage.app.screen
+            assert isinstance(dialog, KeysDialog), name
+            assert keys == {key for key, _ in dialog.keys}, name
+            await stage.pilot.press("escape")
+
+    play(scenario, root, size=size, is_demo=is_demo)
+
+
+def test_a_line_with_room_has_every_hint(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        narrow = stage.lines()[-1]
+        await stage.pilot.resize_terminal(100, 24)
+        await stage.show()
+        wide = stage.lines()[-1]
+        assert "z zero" not in narrow
+        for words in ("p profile", "space scan", "z zero", "d press", "f faults", "q quit"):
+            assert words in wide
+
+    play(scenario, root, is_demo=True)
 
 
 def test_a_small_terminal_is_named(play: Callable[..., None], root: Path) -> None:
