@@ -271,7 +271,7 @@ class MayLift:
     """Notice: the frame is in memory, the object may be lifted; no push of the button is wanted."""
 
 
-FaultName = Literal["dim", "break", "wobble", "dirt", "tilt", "depth", "battery"]
+FaultName = Literal["dim", "break", "wobble", "dirt", "tilt", "depth", "battery", "stall"]
 
 
 @dataclass(frozen=True, slots=True)

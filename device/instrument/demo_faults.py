@@ -20,6 +20,7 @@ DEMO_FAULTS: Final[tuple[tuple[DemoFault, str], ...]] = (
     ("depth", "the next objects are pressed too deep"),
     ("battery", "the battery is nearly empty"),
     ("storage", "no room for another scan"),
+    ("stall", "the camera delivers no more frames"),
 )
 """Every fault by name, in words."""
 

@@ -106,6 +106,8 @@ class TwinOperator:
                 faults.too_deep = request.on
             case "battery":
                 faults.battery_share = LOW_BATTERY if request.on else None
+            case "stall":
+                faults.camera_stalled = request.on
 
     def _ball(self, request: PressBall) -> Press:
         """A ball pressed to `BALL_SLOPE_DEG`, less where slab or field are too small, inside the field."""

@@ -28,6 +28,31 @@ def test_key_f_switches_a_fault_on_and_off_again(play: Callable[..., None], root
     play(scenario, root, is_demo=True)
 
 
+def test_a_stalled_camera_is_said_on_every_screen_until_it_delivers_again(
+    play: Callable[..., None], root: Path
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        await stage.live(20)
+        assert "Ready" in stage.text()
+        await stage.press("f", "end")
+        assert "[ ] stall: the camera delivers no more frames" in stage.text()
+        await stage.press("enter")
+        await stage.live()
+        for place in ("1", "2", "3", "4", "1"):
+            await stage.press(place)
+            for _ in range(3):
+                await stage.live()
+                assert "Ready" not in stage.text()
+                assert "delivers no frame" in stage.text(), place
+        await stage.press("f", "end", "enter")
+        await stage.live(30)
+        assert "delivers no frame" not in stage.text()
+        assert "Ready" in stage.text()
+
+    play(scenario, root, is_demo=True)
+
+
 def test_an_instrument_has_no_fault_menu(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         before = stage.text()
