@@ -55,8 +55,9 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     if spread <= MAX_RADIUS_SPREAD:
         return
     small, large = owners[int(np.nanargmin(shares))], owners[int(np.nanargmax(shares))]
+    odd = owners[int(np.nanargmax(np.abs(shares - np.nanmedian(shares))))]
     raise CalibrationError(
         f"the balls' radii contradict each other: by their shading they are {np.nanmin(shares):.2f} ({small}) to "
         f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {MAX_RADIUS_SPREAD:.0%}): "
-        "check ball_radius_mm of each press"
+        f"check ball_radius_mm of each press; where they are right, leave out {odd}"
     )
