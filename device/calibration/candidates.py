@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -154,8 +154,12 @@ def fit_regressor(
     reading: Reading | None = None,
     *,
     flat: bool = True,
+    kept: MutableMapping[bytes, Float64Array] | None = None,
 ) -> RegressorFit:
-    """The learner of this form and penalty, for a full-size field of `shape` (H, W)."""
+    """The learner of this form and penalty, for a full-size field of `shape` (H, W).
+
+    kept : as of `ProductFeatures`
+    """
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
     seen = _seen(samples.intensity, place, reading)
     colours = FeatureScaler.observed(seen, linear=reading is not None)
@@ -165,7 +169,7 @@ def fit_regressor(
         rest = colours.variables(seen_at_rest(everywhere, reading))[0].astype(np.float64) if flat else None
         variables = colours.variables(colour)[0].astype(np.float64)
         degrees = form.colour_degree, form.position_degree
-        return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest)
+        return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest, kept)
 
     own = features(seen, place)
     if not isinstance(reading, NearLightModel):
@@ -209,6 +213,7 @@ class Lesson:
     count : of balls
     shape : (H, W) of the full-size field
     flat : as `RegressorFit` has it
+    kept : as of `ProductFeatures`
     """
 
     samples: BallSamples
@@ -216,6 +221,7 @@ class Lesson:
     count: int
     shape: tuple[int, int]
     flat: bool = True
+    kept: MutableMapping[bytes, Float64Array] = field(default_factory=dict)
 
     def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:
         """The learner with the form and the penalty of least held-out error, and that error, in slope.
@@ -264,7 +270,7 @@ class Lesson:
 
     def _trial(self, form: RegressorForm, reading: Reading | None) -> _Trial:
         """A form with every third penalty tried."""
-        learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat)
+        learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat, kept=self.kept)
         folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
         trial = _Trial(self, learner, folds, {})
         trial.attempt(range(1, len(PENALTIES), PENALTY_STRIDE))

@@ -274,11 +274,11 @@ def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) 
         choices["root"] = Lesson.root_learner
     if light is not None:
         choices["light"] = lambda one: one.select_best(light)
-    kinds = {
-        (name, flat): choose for name, choose in choices.items() for flat in ((True, False) if thorough else (True,))
-    }
+    kinds = {(name, True): choose for name, choose in choices.items()}
     if light is not None and many:
         kinds["near", True] = Lesson.fit_near_light
+    if thorough:  # last, when the sums over pixels that both have are known
+        kinds |= {(name, False): choose for name, choose in choices.items()}
     calls = [partial(choose, replace(lesson, flat=flat)) for (_, flat), choose in kinds.items()]
     found = dict(zip(kinds, results_of(calls), strict=True))
     plain, error = _flat_or_free(found, "plain")

@@ -7,8 +7,11 @@ matrix of a hundred thousand elements holds, for a tenth of the work.
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from dataclasses import dataclass
 from functools import cache
+from hashlib import blake2b
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +38,8 @@ class ProductFeatures:
     scale : float64 array of shape (F,), by which features are multiplied
     rest : variables of colour of untouched skin, whose features are taken off: float64 array of shape (1, 3) where they
         are alike everywhere, else (N, 3); None where nothing is taken off
+    kept : sums over pixels, by a digest of what they are of, for forms that differ in scale or rest alone; None where
+        nothing is kept
     """
 
     colours: Float64Array
@@ -44,6 +49,7 @@ class ProductFeatures:
     waves: RandomFourierFeatures
     scale: Float64Array
     rest: Float64Array | None
+    kept: MutableMapping[bytes, Float64Array] | None = None
 
     def normal_equations(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
@@ -112,12 +118,8 @@ class ProductFeatures:
         singles, columns = _pairs(self.position_degree, 2)[0], wanted.shape[1]
         products = _products(self.colour_degree, self.position_degree)
         places = int(_pairs(self.position_degree, 2).max()) + 1
-        sums: Float64Array = np.zeros((int(_pairs(self.colour_degree, 3).max()) + 1, places + len(singles) * columns))
-        for at in blocks_of(len(rows)):
-            place = weight[rows[at]] * monomial_rows(self.place[rows[at]].T, 2 * self.position_degree)
-            asked = (place[singles][:, None] * wanted[rows[at]].T).reshape(-1, place.shape[1])
-            colour = monomial_rows(self.colours[rows[at]].T, 2 * self.colour_degree)
-            sums += colour @ np.concatenate([place, asked]).T
+        parts = self.colours[rows], self.place[rows], weight[rows], wanted[rows]
+        sums = self._sums(*parts) if self.kept is None else self._kept_sums(self.kept, *parts)
         gram = sums[:, :places].ravel().take(products)
         moment = sums[_pairs(self.colour_degree, 3)[0], places:].reshape(len(gram), len(singles), columns)
         if self.rest is not None:
@@ -128,6 +130,34 @@ class ProductFeatures:
             moment -= np.multiply.outer(at_rest, moment[0])
         count = len(self.scale)
         return gram.reshape(count, count), moment.reshape(count, columns)
+
+    def _kept_sums(self, kept: MutableMapping[bytes, Float64Array], *parts: Float64Array) -> Float64Array:
+        key = _digest(np.array([self.colour_degree, self.position_degree]), *parts)
+        if key not in kept:
+            kept[key] = self._sums(*parts)
+        return kept[key]
+
+    def _sums(
+        self, colours: Float64Array, place: Float64Array, weight: Float64Array, wanted: Float64Array
+    ) -> Float64Array:
+        """Sums over pixels of every monomial of colour times every one of place, the last ones also times what is
+        wanted: float64 array, a monomial of colour a row.
+        """
+        pairs = _pairs(self.position_degree, 2)
+        count = int(pairs.max()) + 1 + len(pairs) * wanted.shape[1]
+        sums: Float64Array = np.zeros((int(_pairs(self.colour_degree, 3).max()) + 1, count))
+        for at in blocks_of(len(colours)):
+            weighted = weight[at] * monomial_rows(place[at].T, 2 * self.position_degree)
+            asked = (weighted[pairs[0]][:, None] * wanted[at].T).reshape(-1, weighted.shape[1])
+            sums += monomial_rows(colours[at].T, 2 * self.colour_degree) @ np.concatenate([weighted, asked]).T
+        return sums
+
+
+def _digest(*arrays: NDArray[Any]) -> bytes:
+    digest = blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    return digest.digest()
 
 
 @cache

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,25 @@ def test_normal_equations_and_values(degrees: tuple[int, int], waves: RandomFour
     values = of.times(rows, coefficients)
     assert values == pytest.approx(table @ coefficients, abs=1e-12 * np.abs(values).max())
     assert of.powers(rows, coefficients) == pytest.approx(((table @ coefficients) ** 2).sum(axis=1))
+
+
+def test_forms_that_differ_in_scale_and_rest_share_their_sums() -> None:
+    alone = features((3, 2), RandomFourierFeatures.none(), 1)
+    other = replace(alone, scale=2.0 * alone.scale, rest=None)
+    rows, rng, kept = np.arange(100, 4000), np.random.default_rng(7), dict[bytes, Float64Array]()
+    weight, wanted = rng.uniform(0.5, 2.0, PIXELS), rng.standard_normal((PIXELS, 2))
+    for form in (alone, other):
+        shared = replace(form, kept=kept).normal_equations(rows, weight, wanted)
+        assert all(
+            np.array_equal(*pair) for pair in zip(shared, form.normal_equations(rows, weight, wanted), strict=True)
+        )
+    assert len(kept) == 1
+    changes = {"rows": rows[1:], "weight": weight**2, "wanted": -wanted}
+    for name, changed in changes.items():
+        asked = {"rows": rows, "weight": weight, "wanted": wanted} | {name: changed}
+        shared = replace(alone, kept=kept).normal_equations(**asked)
+        assert all(np.array_equal(*pair) for pair in zip(shared, alone.normal_equations(**asked), strict=True))
+    assert len(kept) == 4
 
 
 def test_monomials_in_rows_are_those_in_columns() -> None:
