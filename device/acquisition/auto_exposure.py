@@ -39,10 +39,81 @@ BORDER_MARGIN: Final = (1 / 8, 1 / 6)
 
 @dataclass(frozen=True, slots=True)
 class ExposureBalance:
-    """The capture settings found, and the brightest level that ball presses are predicted to reach with them."""
+    """Exposure and currents that bring ball presses to the target level.
+
+    plan : the capture settings found
+    predicted : brightest level, R, G, B, that ball presses are predicted to reach with them
+    before, before_predicted : the settings that it replaces, and the same for them; above 1 they saturate
+    limit : what keeps exposure or currents from being other ones, one sentence; empty if nothing does
+    """
 
     plan: CaptureSettings
     predicted: Levels
+    before: CaptureSettings
+    before_predicted: Levels
+    limit: str
+
+
+class ExposureSearch:
+    """Finds exposure and currents from one ball press near each light, press by press.
+
+    Parameters
+    ----------
+    hardware : with the mounted gel
+    ball_radius_mm : of the ball
+    before : settings to compare with; None: the board profile's
+    """
+
+    def __init__(self, hardware: Hardware, ball_radius_mm: float, before: CaptureSettings | None = None) -> None:
+        self._hardware = hardware
+        self._radius_mm = ball_radius_mm
+        self.plan = CaptureSettings.of_board(hardware)
+        self._before = before or self.plan
+        self._responses: list[list[float]] = []
+
+    @property
+    def taken(self) -> int:
+        """Presses so far; one for each light is wanted."""
+        return len(self._responses)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether `result` can be asked for."""
+        return self.taken == len(self._hardware.profile.lights)
+
+    @property
+    def instruction(self) -> str:
+        """Where to press next, one sentence."""
+        return f"press the ball as close to light {self._light.name} as possible, hold it, push the button."
+
+    @property
+    def request(self) -> PressBall:
+        """What the operator should press next."""
+        return PressBall(self._radius_mm, *_nearest_place(self._hardware.profile.sensor, self._light))
+
+    def measure(self) -> None:
+        """Measure the ball that is pressed now. Errors as for `auto_exposure`."""
+        check_light_visible(self._hardware, self.plan, self._light)
+        self._responses.append(_response(self._hardware, self.plan))
+
+    def result(self) -> ExposureBalance:
+        """What was found. Errors as for `auto_exposure`."""
+        highest = [max(values) for values in zip(*self._responses, strict=True)]
+        found, limit = _plan_for(self._hardware, self.plan.settings, highest)
+        return ExposureBalance(found, _levels(highest, found), self._before, _levels(highest, self._before), limit)
+
+    @property
+    def _light(self) -> LightConfig:
+        return self._hardware.profile.lights[self.taken]
+
+
+def _levels(responses: list[float], plan: CaptureSettings) -> Levels:
+    """Brightest level, R, G, B, that ball presses reach with a plan."""
+    red, green, blue = (
+        response * current * plan.settings.exposure_us
+        for response, current in zip(responses, plan.currents_ma.values(), strict=True)
+    )
+    return red, green, blue
 
 
 def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], None]) -> ExposureBalance:
@@ -55,20 +126,12 @@ def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str
     HalError, FrameNotConfirmed
         The hardware failed.
     """
-    plan = CaptureSettings.of_board(hardware)
-    responses = []
-    for light in hardware.profile.lights:
-        tell(f"Exposure: press the ball as close to light {light.name} as possible, hold it, push the button.")
-        prompt_and_wait(hardware, PressBall(ball_radius_mm, *_nearest_place(hardware.profile.sensor, light)))
-        check_light_visible(hardware, plan, light)
-        responses.append(_response(hardware, plan))
-    highest = [max(values) for values in zip(*responses, strict=True)]
-    found = _plan_for(hardware, plan.settings, highest)
-    red, green, blue = (
-        response * current * found.settings.exposure_us
-        for response, current in zip(highest, found.currents_ma.values(), strict=True)
-    )
-    return ExposureBalance(found, (red, green, blue))
+    search = ExposureSearch(hardware, ball_radius_mm)
+    while not search.is_complete:
+        tell(f"Exposure: {search.instruction}")
+        prompt_and_wait(hardware, search.request)
+        search.measure()
+    return search.result()
 
 
 def _nearest_place(sensor: SensorConfig, light: LightConfig) -> tuple[float, float]:
@@ -134,13 +197,16 @@ def _plan_for_exposure(
     return CaptureSettings(CameraSettings(exposure_us // step_us * step_us, settings.analogue_gain), currents_ma)
 
 
-def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> CaptureSettings:
-    """Settings that bring every channel to the target level, with the board's exposure unless a current is limited."""
+def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> tuple[CaptureSettings, str]:
+    """Settings that bring every channel to the target level, with the board's exposure unless a current is limited.
+
+    Returns the limit too, one sentence.
+    """
     lights = hardware.lights
     doses = [AIMED_LEVEL / response for response in responses]
     longest_us = hardware.profile.frame_period_us or 1e6
     if hardware.profile.lights_always_on:
-        return _plan_for_exposure(hardware, settings, doses, longest_us)
+        return _plan_for_exposure(hardware, settings, doses, longest_us), "The lights are always on: exposure alone."
     enough_us = max(doses) / (MAX_CURRENT * lights.max_ma)
     fine_us = min(doses) / (MIN_CURRENT * lights.max_ma)
     shortest_us = min(MIN_STEPS * hardware.profile.sensor.exposure_step_us, longest_us)
@@ -153,4 +219,13 @@ def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[floa
         )
     granted_ma = lights.granted_ma({name: dose / exposure_us for name, dose in zip(lights.names, doses, strict=True)})
     _check_lit(granted_ma)
-    return CaptureSettings(CameraSettings(exposure_us, settings.analogue_gain), granted_ma)
+    found = CaptureSettings(CameraSettings(exposure_us, settings.analogue_gain), granted_ma)
+    weakest, strongest = lights.names[doses.index(max(doses))], lights.names[doses.index(min(doses))]
+    limits = {
+        shortest_us: f"Shorter exposures are too coarse for the sensor: {exposure_us:.0f} µs is its shortest.",
+        fine_us: f"Light {strongest} is strong: the exposure is shorter, or its current would be too coarse to set.",
+        enough_us: f"Light {weakest} is weak: the exposure is longer, with {MAX_CURRENT * lights.max_ma:.0f} mA "
+        f"for it, of at most {lights.max_ma:.0f} mA.",
+        settings.exposure_us: "",
+    }
+    return found, limits[exposure_us]

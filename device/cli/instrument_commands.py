@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
+from device.acquisition.calibration_light import calibration_settings, keep_balance
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
 from device.acquisition.precise_capture import mode_fault
@@ -83,15 +84,17 @@ def calibrate_guided(
     ball_radius_mm
         Radius of the calibration ball, mm.
     auto_exposure
-        Set exposure and currents for gel and lights first.
+        Set exposure and currents for gel and lights first; later calibrations of this gel keep them.
     balance
         The old name of --auto-exposure.
     """
     with open_exclusive(load_board_profile(options.board)) as hardware:
         store = open_store(options, hardware.clock)
         set_first = auto_exposure or balance
-        plan = find_exposure(hardware, ball_radius_mm, print_line).plan if set_first else None
         fitted = with_active_gel(hardware, store.root)
+        if set_first:
+            keep_balance(fitted, store.root, find_exposure(fitted, ball_radius_mm, print_line).plan)
+        plan = calibration_settings(fitted, store.root)
         outcome = calibrate(fitted, store, ball_radius_mm, print_line, plan)
     fit = outcome.fit
     error = "unknown" if fit.held_out_deg is None else f"{fit.held_out_deg:.2f} degrees"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from device.imaging.flat_field import SATURATED
 from hal.frame import RawFrame
 
 BRIGHTEST_PERCENTILE: Final = 99.9
@@ -15,6 +17,9 @@ BRIGHTEST_PERCENTILE: Final = 99.9
 
 HIGHEST_LEVEL: Final = 0.90
 """Maximum level of a ball press in every channel; above it steep slopes saturate."""
+
+LIVE_STEP: Final = 4
+"""Levels of live frames need no more than a sixteenth of the pixels."""
 
 Levels = tuple[float, float, float]
 _COLOURS: Final = ("red", "green", "blue")
@@ -25,11 +30,44 @@ def channel_levels(frame: RawFrame, percentile: float) -> Levels:
     scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
     found = []
     for colour in "RGB":
-        sites = [i for i, letter in enumerate(frame.bayer_order) if letter == colour]
-        counts = np.concatenate([frame.mosaic[i // 2 :: 2, i % 2 :: 2].ravel() for i in sites])
+        counts = _sites(frame, colour)
         found.append((float(np.percentile(counts, percentile)) - frame.black_level_dn) * scale)
     red, green, blue = found
     return red, green, blue
+
+
+def _sites(frame: RawFrame, colour: str) -> NDArray[np.uint16]:
+    """The counts of all pixels of a colour: uint16 array of shape (n,)."""
+    sites = [i for i, letter in enumerate(frame.bayer_order) if letter == colour]
+    return np.concatenate([frame.mosaic[i // 2 :: 2, i % 2 :: 2].ravel() for i in sites])
+
+
+@dataclass(frozen=True, slots=True)
+class SkinLevels:
+    """Light of one frame: fractions of full scale above black, R, G, B.
+
+    median : of all pixels of the colour
+    clipped : fraction of them that are saturated
+    """
+
+    median: Levels
+    clipped: Levels
+
+    @classmethod
+    def of_frame(cls, frame: RawFrame) -> Self:
+        """The levels of every `LIVE_STEP`-th cell of the mosaic, row and column: for every live frame."""
+        few = replace(frame, mosaic=_every_cell(frame.mosaic, LIVE_STEP))
+        limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
+        full = replace(few, mosaic=(few.mosaic >= limit).astype(np.uint16))
+        red, green, blue = (float(np.mean(_sites(full, colour))) for colour in "RGB")
+        return cls(channel_levels(few, 50.0), (red, green, blue))
+
+
+def _every_cell(mosaic: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
+    """Every `step`-th 2x2 cell of a mosaic in both directions: uint16 array of shape (h, w)."""
+    rows, columns = (size // 2 // step * step for size in mosaic.shape)
+    cells = mosaic[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2)[::step, :, ::step]
+    return np.ascontiguousarray(cells).reshape(2 * (rows // step), 2 * (columns // step))
 
 
 @dataclass(frozen=True, slots=True)

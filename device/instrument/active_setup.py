@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from device.acquisition.calibration_light import calibration_settings
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.scan_health import ZeroCheck
@@ -19,11 +20,12 @@ from device.imaging.exposure import Brightness
 from device.instrument.events import Failed, Info, ZeroChecked, show
 from device.instrument.health import BaselineScheduler, health_state, zero_sentence
 from device.instrument.live import LiveFrame, LiveLoop
-from device.instrument.state import CalibrationState, GelState, HealthState, StateStore
+from device.instrument.state import CalibrationState, GelState, HealthState, NextLight, StateStore
 from device.io.memory import give_back_memory
 from device.quality.thresholds import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
+from device.store.balance import remove_balance
 from device.store.checks import read_checks, read_standard, write_standard
 from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
@@ -134,6 +136,7 @@ class ActiveSetup:
         self._states.update(gel=gel_state(self._store.root, self._hardware))
         try:
             fitted = self.fitted()
+            self._report_next_light(fitted)
             scanner = Scanner(fitted, self._store)
             state = calibration_state(
                 scanner.calibration, CalibrationRegistry(self._store, fitted.profile), self._store
@@ -227,6 +230,22 @@ class ActiveSetup:
         self.prepare()
         self._states.publish(Info(f"Gel {gel_id} is mounted; calibration {entry.calibration_id} is active."))
 
+    @property
+    def plan(self) -> CaptureSettings | None:
+        """Exposure and currents of the active calibration; None without one."""
+        return self._scanner.plan if self._scanner else None
+
+    def forget_balance(self) -> None:
+        """Take the board profile's exposure and currents for the next calibration again."""
+        try:
+            remove_balance(self._store.root)
+            self._report_next_light(self.fitted())
+        except DeviceError as error:
+            self._fail(str(error))
+            return
+        self._states.update(balance=None)
+        self._states.publish(Info("The next calibration uses the board profile's exposure and currents again."))
+
     def roll_back(self) -> None:
         """Activate the previous calibration."""
         try:
@@ -246,6 +265,12 @@ class ActiveSetup:
             return
         self.prepare()
         self._states.publish(Info(f"Calibration {calibration_id} is active."))
+
+    def _report_next_light(self, fitted: Hardware) -> None:
+        """Update the light of the next calibration in the state."""
+        plan = calibration_settings(fitted, self._store.root)
+        is_balanced = plan != CaptureSettings.of_board(fitted)
+        self._states.update(next_light=NextLight(plan, is_balanced))
 
     def _registry(self) -> CalibrationRegistry:
         registry = CalibrationRegistry(self._store, self.fitted().profile)

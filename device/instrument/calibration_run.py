@@ -7,7 +7,8 @@ from concurrent.futures import Executor, Future
 from typing import Final
 
 from device.acquisition.calibrate import finish, last_calibration, take_reference
-from device.acquisition.capture import CaptureSettings, capture
+from device.acquisition.calibration_light import calibration_settings
+from device.acquisition.capture import capture
 from device.acquisition.guided_calibration import GuidedCalibration
 from device.errors import DeviceError
 from device.instrument.button import ButtonWatch
@@ -51,7 +52,7 @@ class CalibrationRun:
         self._store = store
         self._states = states
         self._executor = executor
-        self.plan = CaptureSettings.of_board(hardware)
+        self.plan = calibration_settings(hardware, store.root)
         last = last_calibration(hardware, store, self.plan)
         self._guide = GuidedCalibration(hardware.profile, ball_radius_mm, last)
         self._done = done

@@ -87,6 +87,7 @@ class Instrument:
         self._setup = pairing or PairingSetup()
         virtual = isinstance(hardware.clock, VirtualClock)
         self._store = store
+        self._ball_radius_mm = ball_radius_mm
         self._states = StateStore(_first_state(hardware, store))
         working = executor or (InlineExecutor() if virtual else ThreadPoolExecutor(1, "processing"))
         window = PairingRun(self._states, store, hardware.clock, self._setup)
@@ -182,9 +183,17 @@ class Instrument:
         """Start the guided calibration; each push of the button or `press` takes its next frame."""
         self._worker.enqueue(lambda worker: worker.start_calibration(ball_radius_mm))
 
-    def cancel_calibration(self) -> None:
-        """Stop the guided calibration; the previous one stays active."""
-        self._worker.enqueue(InstrumentWorker.cancel_calibration)
+    def start_balance(self) -> None:
+        """Start the exposure balance; each push of the button or `press` measures the ball that is pressed then."""
+        self._worker.enqueue(lambda worker: worker.start_balance(self._ball_radius_mm))
+
+    def forget_balance(self) -> None:
+        """Take the board profile's exposure and currents for the next calibration again: `Info`."""
+        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.forget_balance))
+
+    def cancel_run(self) -> None:
+        """Stop the guided calibration or the exposure balance; what was active before stays so."""
+        self._worker.enqueue(InstrumentWorker.cancel_run)
 
     def run_selftest(self) -> None:
         """Test every part; findings come as `SelfTested`."""
@@ -217,6 +226,10 @@ class Instrument:
     def read_focus(self, on: bool) -> None:
         """Read how sharp the lens is set into the state's `focus`, live, or no longer; it ends after ten minutes."""
         self._worker.enqueue(lambda worker: worker.read_focus(on))
+
+    def read_levels(self, on: bool) -> None:
+        """Read the light on the skin into the state's `levels`, live, or no longer; it ends after ten minutes."""
+        self._worker.enqueue(lambda worker: worker.read_levels(on))
 
     def open_pairing(self) -> None:
         """Open the pairing window for two minutes: `PairingChanged`, and the code in the state."""

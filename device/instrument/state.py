@@ -10,12 +10,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from device.acquisition.auto_exposure import ExposureBalance
+from device.acquisition.capture import CaptureSettings
 from device.acquisition.guided_calibration import CalibrationProgress
 from device.acquisition.retake import Retake
 from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.reading import GuideReading
-from device.imaging.exposure import Brightness
+from device.imaging.exposure import Brightness, SkinLevels
 from device.imaging.focus import FocusReading
 from device.instrument.events import Event
 from device.quality.thresholds import OLD_CALIBRATION_S
@@ -23,7 +25,9 @@ from device.store.settings import Settings
 from device.surface.fields import HeightMap
 from hal.interfaces import PowerReading
 
-Activity = Literal["out of order", "ready", "capturing", "calibrating", "checking zero", "self-test", "off"]
+Activity = Literal[
+    "out of order", "ready", "capturing", "calibrating", "balancing", "checking zero", "self-test", "off"
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +137,29 @@ class CheckState:
 
 
 @dataclass(frozen=True, slots=True)
+class BalanceProgress:
+    """State of an exposure balance.
+
+    phase, instruction : what to do now, one sentence; at the end what that means
+    taken : presses so far, of one for each light
+    found : before and after; None before its end
+    """
+
+    phase: Literal["press", "done", "failed"]
+    instruction: str
+    taken: int
+    found: ExposureBalance | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NextLight:
+    """Exposure and currents of the next calibration, and whether they come from an exposure balance."""
+
+    plan: CaptureSettings
+    is_balanced: bool
+
+
+@dataclass(frozen=True, slots=True)
 class PairingState:
     """The pairing window: the code to type on the workstation and its end (ns of the instrument's clock), or how it
     ended."""
@@ -147,8 +174,8 @@ class PairingState:
 class InstrumentState:
     """Everything that a front end shows; replaced as a whole on every change.
 
-    activity : presses are accepted in "ready", and in "calibrating" for its steps; "out of order" while a part does
-        not answer: `sentence` says which, and the instrument retries by itself
+    activity : presses are accepted in "ready", and in "calibrating" and "balancing" for their steps; "out of order"
+        while a part does not answer: `sentence` says which, and the instrument retries by itself
     processing : scans in memory that are not on the disk yet
     sticky : job, part, operator and note of every scan
     settings : what the operator chose, such as how presses are taken
@@ -156,6 +183,9 @@ class InstrumentState:
     live_shown : whether a screen shows the live picture
     replaces : the scan that the next one is to replace; None: it is one more
     focus : how sharp the lens is set, while a screen asks for it
+    levels : light on the skin, while a screen asks for it
+    balance : the exposure balance, or the last one; None: there was none since the start
+    next_light : of the next calibration; None: not known yet
     alarms : battery and room for scans, most urgent first
     sentence : the last message
     """
@@ -182,6 +212,9 @@ class InstrumentState:
     pairing: PairingState | None = None
     check: CheckState = field(default_factory=CheckState)
     focus: FocusReading | None = None
+    levels: SkinLevels | None = None
+    balance: BalanceProgress | None = None
+    next_light: NextLight | None = None
     sentence: str = ""
 
 

@@ -13,12 +13,13 @@ from device.acquisition.selftest import selftest
 from device.errors import DeviceError
 from device.instrument.active_setup import ActiveSetup
 from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
+from device.instrument.balance_run import BalanceRun
 from device.instrument.button import LONG_PUSH_S, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
 from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
-from device.instrument.focus_run import FocusRun
 from device.instrument.live import LiveLoop
+from device.instrument.live_figure import focus_figure_of, skin_levels_of
 from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
@@ -36,7 +37,11 @@ HOUSEKEEPING_S: Final = 5.0
 
 RECOVERED: Final = "all parts answer again"
 
-NOT_NOW: Final = "not possible during a calibration or while a part does not answer: finish it, or check the part"
+NOT_NOW: Final = (
+    "not possible during a calibration or an exposure balance, or while a part does not answer: finish it, or check "
+    "the part"
+)
+STILL_JUDGED: Final = "the last press is still being judged: try again in a moment"
 
 Command = Callable[["InstrumentWorker"], None]
 
@@ -75,10 +80,11 @@ class InstrumentWorker:
             deleted,
         )
         self._deleted = deleted
-        self._focus = FocusRun(states, self._live, hardware.clock)
+        self._focus = focus_figure_of(states, self._live, hardware.clock)
+        self._levels = skin_levels_of(states, self._live, hardware.clock)
         calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
         self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
-        self._run: CalibrationRun | None = None
+        self._run: CalibrationRun | BalanceRun | None = None
         self._is_open = self._redirects_long = self._redirects_short = False
         self._polled_ns: int | None = None
         self._fault = ""
@@ -155,13 +161,27 @@ class InstrumentWorker:
         if by_button:
             self._pairing.close()
         self._focus.stop()
-        fitted, done = self._active.fitted(), self._end_calibration
+        fitted, done = self._active.fitted(), self._end_run
         self._run = CalibrationRun(fitted, self._store, self.states, self._executor, ball_radius_mm, done, by_button)
         self._live.begin(self._run.plan, None)
         self._run.begin()
 
-    def cancel_calibration(self) -> None:
-        """Stop the guided calibration."""
+    def start_balance(self, ball_radius_mm: float) -> None:
+        """Start the exposure balance."""
+        if self._run or not self._is_open:
+            self.states.publish(Failed(NOT_NOW))
+            return
+        if self.states.state.processing:
+            self.states.publish(Failed(STILL_JUDGED))
+            return
+        self._focus.stop()
+        fitted, in_use = self._active.fitted(), self._active.plan
+        self._run = BalanceRun(fitted, self._store, self.states, ball_radius_mm, in_use, self._end_run)
+        self._live.begin(self._run.plan, None)
+        self._run.begin()
+
+    def cancel_run(self) -> None:
+        """Stop the guided calibration or the exposure balance."""
         if self._run:
             self._run.cancel()
 
@@ -203,6 +223,13 @@ class InstrumentWorker:
         else:
             self._focus.start()
 
+    def read_levels(self, on: bool) -> None:
+        """Read the light on the skin from now on, or no longer."""
+        if on and self._is_open:
+            self._levels.start()
+        else:
+            self._levels.stop()
+
     def open_pairing(self) -> None:
         """Open the pairing window."""
         if self._pairing.open():
@@ -227,7 +254,7 @@ class InstrumentWorker:
         if self._fault:
             self._recover()
         elif self._run:
-            self._step_calibration(self._run)
+            self._step_run(self._run)
         elif self._redirects_short:
             if press := self.hardware.button.wait_for_press(self._live.wait_s()):
                 self.states.publish(ButtonPushed(press.held_s >= LONG_PUSH_S))
@@ -235,6 +262,7 @@ class InstrumentWorker:
             self._after_press()
         live = self._live.step()
         self._focus.step(live)
+        self._levels.step(live)
         if live is None or self._run or self.states.state.focus:
             return
         self._active.check_baseline(live)
@@ -259,13 +287,13 @@ class InstrumentWorker:
         self._scans.scan(source)
         self._after_press()
 
-    def _step_calibration(self, run: CalibrationRun) -> None:
+    def _step_run(self, run: CalibrationRun | BalanceRun) -> None:
         if run.watch_button(self._live.wait_s()):
             self._live.wake()
             self._live.lights_changed()
         run.step()
 
-    def _end_calibration(self) -> None:
+    def _end_run(self) -> None:
         self._run = None
         self.states.update(activity="ready")
         self._active.prepare()

@@ -18,6 +18,7 @@ from device.bundles.receipt import Receipt
 from device.bundles.record import Record
 from device.bundles.scan import ScanRecord
 from device.store.active import ActiveCalibration
+from device.store.balance import BalanceRecord
 from device.store.device_id import DeviceState
 from device.store.gels import GelRecord, MountedGel
 from device.store.marks import ScanMark
@@ -40,6 +41,7 @@ _RECORDS: Final[tuple[type[Record], ...]] = (
     StickyAnnotations,
     Presets,
     Settings,
+    BalanceRecord,
     CheckStandard,
     CheckRecord,
 )

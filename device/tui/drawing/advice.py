@@ -12,6 +12,7 @@ _ADVICE: Final = (
         "activate a calibration again (key 4, Calibrations)",
     ),
     (r"see `retroscan calibrations`", "choose another (key 4, Calibrations)"),
+    (r"run `retroscan calibrate --auto-exposure`", "balance it (key 4, Exposure)"),
     (r"run `retroscan calibrate`( first| again)?", r"calibrate\1 (key 2)"),
     (r"with `retroscan gel`", "(key 4, Change gel)"),
     (r"run `retroscan pair`", "pair (key 4)"),

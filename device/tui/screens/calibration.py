@@ -102,7 +102,7 @@ class CalibrationScreen(InstrumentScreen):
 
     def action_stop(self) -> None:
         """Stop; the previous calibration stays active."""
-        self.instrument.cancel_calibration()
+        self.instrument.cancel_run()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """The ball can be chosen before a calibration, stopping is possible during one."""

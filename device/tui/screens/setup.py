@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Final, TypeVar
+from typing import ClassVar, Final, TypeVar
 
+from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
 
@@ -13,13 +14,14 @@ from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
-from device.instrument.state import InstrumentState
+from device.instrument.state import Activity, InstrumentState
 from device.store.gels import make_gel
 from device.store.registry import RegisteredCalibration
 from device.store.stick import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.exposure_panel import exposure_panel
 from device.tui.screens.machine_actions import MachineActions
 from device.tui.screens.panels import check_panel, focus_panel, instrument_panel, pairing_panel, selftest_panel
 from device.tui.screens.setup_actions import SETUP_ACTIONS, SetupAction
@@ -42,12 +44,14 @@ class SetUpScreen(InstrumentScreen):
 
     PLACE = "set-up"
     AUTO_FOCUS = "#actions"
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("x", "stop", "stop")]
 
     def __init__(self, instrument: Instrument, _depth: ColourDepth) -> None:
         super().__init__(instrument)
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
         self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
+        self._activity: Activity | None = None
         self._machine = MachineActions(self, instrument.machine, self._read)
 
     def body(self) -> Iterable[Widget]:
@@ -60,34 +64,46 @@ class SetUpScreen(InstrumentScreen):
     def show_body(self, state: InstrumentState) -> None:
         """Update the panel of the chosen action."""
         self._panel.update(self._text(state))
+        if state.activity != self._activity:
+            self._activity = state.activity
+            self.refresh_bindings()
 
     def on_screen_resume(self) -> None:
         """Read network, Wi-Fi, clock and brightness again: cables may have been plugged meanwhile."""
         self._read(self.instrument.network, self._show_network)
         self._machine.refresh()
+        self._read_levels()
 
     def on_screen_suspend(self) -> None:
-        """Read the focus no longer: nobody sees it."""
+        """Read focus and light no longer: nobody sees them."""
         self.instrument.read_focus(False)
+        self.instrument.read_levels(False)
 
     def on_line_list_chosen(self) -> None:
         """Show the panel of the chosen action."""
         if self._chosen().name != "focus":
             self.instrument.read_focus(False)
+        self._read_levels()
         self.show_body(self.instrument.state)
+
+    def _read_levels(self) -> None:
+        """Read the light on the skin while its panel is shown."""
+        self.instrument.read_levels(self._chosen().name == "exposure")
 
     async def on_choice_list_done(self) -> None:
         """Start the chosen action."""
         match self._chosen().name:
             case "pair":
                 self.instrument.open_pairing()
-            case "test" if self.instrument.state.activity == "calibrating":
-                question = "Stop the calibration and test all parts? The previous calibration stays active."
+            case "test" if self.instrument.state.activity in {"calibrating", "balancing"}:
+                question = "Stop and test all parts? The calibration that was active before stays so."
                 self.app.push_screen(ConfirmDialog(question, "Stop and test"), self._selftest)
             case "test":
                 self._selftest(True)
             case "focus":
                 self.instrument.read_focus(self.instrument.state.focus is None)
+            case "exposure":
+                self._balance()
             case "zero":
                 self.instrument.zero_check()
             case "check":
@@ -135,6 +151,8 @@ class SetUpScreen(InstrumentScreen):
             return selftest_panel(findings, running, columns)
         if chosen.name == "check":
             return check_panel(state.check, columns)
+        if chosen.name == "exposure":
+            return exposure_panel(state, columns)
         if chosen.name == "focus" and state.focus:
             return focus_panel(state.focus, columns)
         now = self.instrument.wall_time()
@@ -160,6 +178,33 @@ class SetUpScreen(InstrumentScreen):
     def _show_network(self, network: NetworkInfo) -> None:
         self._network = network
         self.show_body(self.instrument.state)
+
+    def action_stop(self) -> None:
+        """Stop the exposure balance."""
+        self.instrument.cancel_run()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only an exposure balance can be stopped here."""
+        if action == "stop":
+            return self.instrument.state.activity == "balancing"
+        return super().check_action(action, parameters)
+
+    def _balance(self) -> None:
+        """Start the exposure balance, take its next press, or take the profile's exposure again."""
+        if self.instrument.state.activity == "balancing":
+            self.instrument.press()
+            return
+        lines = ["Balance now: three ball presses"]
+        light = self.instrument.state.next_light
+        if light and light.is_balanced:
+            lines.append("Board profile's exposure again")
+        self.app.push_screen(ChoiceDialog("Exposure of the next calibration", lines), self._start_balance)
+
+    def _start_balance(self, chosen: int | None) -> None:
+        if chosen == 0:
+            self.instrument.start_balance()
+        elif chosen == 1:
+            self.instrument.forget_balance()
 
     def _check(self) -> None:
         """Check now, or enter another check standard."""

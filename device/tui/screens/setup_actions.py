@@ -11,6 +11,7 @@ ActionName = Literal[
     "pair",
     "test",
     "focus",
+    "exposure",
     "zero",
     "check",
     "gel",
@@ -52,6 +53,7 @@ SETUP_ACTIONS: Final = (
         "Shows how sharp the lens is set while you turn its focus ring.\n"
         "Lay a coin or print on the gel. Enter starts, and ends. Calibrate afterwards: the picture has changed.",
     ),
+    SetupAction("exposure", "Exposure", ""),
     SetupAction(
         "zero",
         "Zero check",

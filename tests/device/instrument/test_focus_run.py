@@ -9,8 +9,8 @@ import pytest
 
 from device.imaging.focus import IS_SHARP, NEAR_BEST, SEARCH, TURN_BACK, FocusReading
 from device.instrument.events import Failed, Info
-from device.instrument.focus_run import MAX_FOCUS_S
 from device.instrument.instrument import Instrument
+from device.instrument.live_figure import MAX_READING_S
 from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
@@ -82,9 +82,9 @@ def test_it_ends_by_itself_and_says_so(small_twin: BoardProfile, calibrated: Bun
     with running(small_twin, calibrated) as (instrument, bench):
         instrument.read_focus(True)
         focused(instrument)
-        bench.clock.sleep(0.9 * MAX_FOCUS_S)
+        bench.clock.sleep(0.9 * MAX_READING_S)
         focused(instrument)  # the lights stay on
-        bench.clock.sleep(0.2 * MAX_FOCUS_S)
+        bench.clock.sleep(0.2 * MAX_READING_S)
         instrument.step()
         assert instrument.state.focus is None
         told = [event.sentence for event in instrument.take_events() if isinstance(event, Info)]

@@ -181,7 +181,7 @@ def test_a_calibration_guides_fills_up_and_passes_within_three_minutes(
         assert (instrument.state.calibration.version, instrument.state.calibration.slot) == (1, "user")
         instrument.start_calibration(3.0)
         events_of(instrument, 1)
-        instrument.cancel_calibration()
+        instrument.cancel_run()
         events_of(instrument, 1)
         assert instrument.state.calibration.calibration_id == last.calibration_id
 

@@ -29,7 +29,7 @@ async def checked(stage: Stage, radius_mm: float) -> None:
 
 def test_a_standard_is_entered_pressed_and_charted(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
-        await stage.press("4", *["down"] * 6)
+        await stage.press("4", *["down"] * 7)
         assert "Enter the certified ball" in stage.text()
         await stage.press("enter", "enter")
         await stage.press(*["backspace"] * 4, *"cap 7", "enter", *"three", "enter", *"0.002", "enter")

@@ -16,6 +16,7 @@ ACTIONS = (
     "pair",
     "test",
     "focus",
+    "exposure",
     "zero",
     "check",
     "gel",
@@ -48,6 +49,42 @@ def test_facts_name_device_network_key_gel_lights_and_storage(play: Callable[...
         assert [word for word in words if word not in shown] == []
 
     play(scenario, root, size=(100, 30))
+
+
+def test_the_exposure_is_shown_balanced_and_given_up(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await _choose(stage, "exposure")
+        await stage.live(10)
+        shown = _panel(stage)
+        for words in ("Light on the skin", "red ■", "saturated pixels: 0.0%", "Next calibration, board profile:"):
+            assert words in shown
+        await stage.press("enter", "enter")
+        await stage.live(2)
+        shown = _panel(stage)
+        for words in ("presses", "0 of 3", "Press the ball as close to light red as possible", "x stop"):
+            assert words in shown
+        await stage.press("enter")
+        await stage.live()
+        assert "1 of 3" in _panel(stage)
+        await stage.press("x")
+        await stage.live(2)
+        assert "Exposure balance stopped: nothing has changed." in stage.text()
+        await stage.live(60)  # the twin's operator still pushes the button for what was asked, which chooses lines
+        await stage.press("home", *["down"] * ACTIONS.index("exposure"))
+        await stage.press("enter", "enter")
+        await stage.live(2)
+        while stage.instrument.state.activity == "balancing":
+            stage.instrument.step()
+        await stage.live(3)
+        shown = _panel(stage)
+        for words in ("before after", "exposure", "ball, red", "84%", "The active calibration keeps its own light"):
+            assert words in shown
+        assert all(len(line) <= 80 for line in stage.lines())
+        await stage.press("enter", "down", "enter")
+        await stage.live(3)
+        assert "Next calibration, board profile:" in _panel(stage)
+
+    play(scenario, root)
 
 
 def test_pairing_without_an_ssh_server_says_what_to_install(play: Callable[..., None], root: Path) -> None:

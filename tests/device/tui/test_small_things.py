@@ -19,7 +19,7 @@ from tests.device.tui.conftest import Stage
 
 def test_a_gels_name_has_its_rule_beside_it_and_what_was_typed_stays(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
-        await stage.press("4", *["down"] * 7, "enter", "end", "enter")
+        await stage.press("4", *["down"] * 8, "enter", "end", "enter")
         assert "Lower-case letters, digits and hyphens" in stage.text()
         await stage.press(*"Gel", "enter", "enter")
         assert "! gel 'Gel': use lower-case letters" in stage.text()
