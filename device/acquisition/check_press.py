@@ -10,13 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from device.acquisition.calibration_balls import calibration_ball_bias
+from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CheckStandard
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.quality.verdict import Evidence
 from device.quick_look.check_measure import CheckNotMeasured, measure_standard
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
-from device.store.checks import CheckMeasure
+from device.store.checks import CORRECTED_SHARE, CheckMeasure
 from hal.frame import RawFrame
 
 NOT_SEEN = "no standard seen"
@@ -29,6 +31,7 @@ def measure_check(
     frame: RawFrame,
     model: QuickLookModel,
     levels: Levels,
+    calibration: CalibrationBundle,
 ) -> CheckMeasure:
     """The check standard as a press shows it.
 
@@ -36,6 +39,7 @@ def measure_check(
     evidence : of the press, with the lights as measured since
     frame : without ambient light
     levels : intensity of untouched skin in R, G and B, 1 as calibrated
+    calibration : whose own balls tell how much too large balls read
 
     Raises
     ------
@@ -49,16 +53,18 @@ def measure_check(
         raise CheckNotMeasured(f"{NOT_SEEN}: the press has no quick look")
     if evidence.lacks_contact:
         raise CheckNotMeasured(f"{NOT_SEEN}: press {standard.name} into the gel")
+    bias = calibration_ball_bias(calibration, model) if standard.kind == "ball" else None
+    own_share = CORRECTED_SHARE if bias else None
     try:
-        return CheckMeasure(measure_standard(standard, look))
+        return CheckMeasure(measure_standard(standard, look, bias), own_share=own_share)
     except CheckNotMeasured as error:
         if not fault:
             raise CheckNotMeasured(f"{NOT_SEEN}: {error}") from error
     try:
-        measure_standard(standard, _under_levels(frame, model, levels))
+        measure_standard(standard, _under_levels(frame, model, levels), bias)
     except CheckNotMeasured as error:
         raise CheckNotMeasured(f"{NOT_SEEN}: {error}; {fault}") from error
-    return CheckMeasure(None, fault[:200])
+    return CheckMeasure(None, fault[:200], own_share)
 
 
 def _under_levels(frame: RawFrame, model: QuickLookModel, levels: Levels) -> QuickLook:

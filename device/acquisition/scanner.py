@@ -275,7 +275,8 @@ class Scanner:
             evidence = evidence.with_light_change(self.health.light_change_since(frame.sensor_timestamp_ns))
         press = assessed.press
         levels = self._levels(evidence)
-        measured = measure_check(standard, look, evidence, press.lit, self._model, levels) if standard else None
+        seen = (look, evidence, press.lit, self._model, levels, self._calibration)
+        measured = measure_check(standard, *seen) if standard else None
         identity = self._store.next_identity("scans")
         check = self.last_check()
         if standard and measured:

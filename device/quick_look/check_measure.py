@@ -8,6 +8,7 @@ import numpy as np
 
 from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
+from device.quick_look.ball_bias import BallBias, BallReading
 from device.quick_look.measures import levelled, mean_line
 from device.quick_look.solver import QuickLook
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap
@@ -58,15 +59,17 @@ class CheckNotMeasured(DeviceError):
     """The quick look does not show the check standard."""
 
 
-def measure_standard(standard: CheckStandard, look: QuickLook) -> float:
+def measure_standard(standard: CheckStandard, look: QuickLook, bias: BallBias | None = None) -> float:
     """Value of a check standard, µm.
+
+    bias : of balls in this calibration's quick looks; None: not known
 
     Raises
     ------
     CheckNotMeasured
         It does not show; says what to do.
     """
-    found = _measured(standard.kind, look)
+    found = _measured(standard.kind, look, bias)
     factor = PLAUSIBLE[standard.kind]
     if not 1.0 / factor < found / standard.value_um < factor:
         unit, scale = UNITS[standard.kind]
@@ -78,18 +81,19 @@ def measure_standard(standard: CheckStandard, look: QuickLook) -> float:
     return found
 
 
-def _measured(kind: StandardKind, look: QuickLook) -> float:
+def _measured(kind: StandardKind, look: QuickLook, bias: BallBias | None) -> float:
     match kind:
         case "ball":
-            return ball_radius_um(look.gradients, look.height)
+            reading = read_ball(look.gradients, look.height)
+            return bias.corrected_um(reading) if bias else reading.radius_um
         case "step":
             return step_um(look.height)
         case "roughness":
             return roughness_um(look.height)
 
 
-def ball_radius_um(slopes: GradientField, height: HeightMap) -> float:
-    """Radius of the pressed ball: sine of slope grows with the distance from its top as 1 / R."""
+def read_ball(slopes: GradientField, height: HeightMap) -> BallReading:
+    """The pressed ball as the quick look shows it: sine of slope grows with the distance from its top as 1 / R."""
     steep = 1.0 / np.sqrt(1.0 + slopes.p.astype(np.float64) ** 2 + slopes.q.astype(np.float64) ** 2)
     across, down = slopes.p * steep, slopes.q * steep
     row, column = np.unravel_index(int(np.argmax(_smooth(height.z_um))), height.z_um.shape)
@@ -118,7 +122,7 @@ def ball_radius_um(slopes: GradientField, height: HeightMap) -> float:
         centre, radius_um = (float(b / k), float(a / k)), float(height.pitch_um / k)
     if explained < MIN_EXPLAINED:
         raise CheckNotMeasured(NO_BALL)
-    return radius_um
+    return BallReading(radius_um, float(np.nanmax(height.z_um) - np.nanmedian(height.z_um)))
 
 
 def step_um(height: HeightMap) -> float:
