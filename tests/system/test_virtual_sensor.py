@@ -19,7 +19,7 @@ mount -t 9p -o trans=virtio,version=9p2000.L,ro handover /mnt/handover
 mkdir /tmp/clauses
 cp /mnt/source/tests/system/virtual_sensor/clauses.py /tmp/clauses/test_virtual_sensor.py
 """
-PASSED = 4
+PASSED = 5
 RUN = """
 cd /tmp
 /opt/camera/bin/python -m pytest \

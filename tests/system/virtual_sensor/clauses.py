@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from device.acquisition.capture import CaptureSettings, capture_with_faults
+from device.bundles.raw_frame import read_raw, write_raw
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
 from hal.drivers.usb_hardware import usb_hardware
@@ -42,6 +44,17 @@ def test_its_frames_are_live_and_whole() -> None:
     stamps = [frame.sensor_timestamp_ns for frame in frames]
     assert stamps == sorted(set(stamps))
     assert view.shape == (43, 57)
+
+
+def test_a_scan_s_frame_is_confirmed_and_reads_back_from_its_raw_file(tmp_path: Path) -> None:
+    with hardware("exposure", "white balance", "focus") as sensor:
+        taken = capture_with_faults(sensor, CaptureSettings.of_board(sensor))
+    assert taken.light_faults == ()
+    write_raw(tmp_path / "frame.tif", taken.frame)
+    again = read_raw(tmp_path / "frame.tif")
+    assert np.array_equal(again.mosaic, taken.frame.mosaic)
+    assert again.granted == taken.frame.granted
+    assert again.sensor_timestamp_ns == taken.frame.sensor_timestamp_ns
 
 
 def test_a_property_without_a_control_is_refused_by_name() -> None:
