@@ -155,6 +155,15 @@ def _pipeline_per_pixel(figures: Figures) -> float | None:
     return float(large["min_ms"] / large["megapixels"] / (small["min_ms"] / small["megapixels"]))
 
 
+def _identical_lights(figures: Figures) -> bool:
+    """Whether three lights give the heights and ± of three channels, to the last bit."""
+    return bool(_at(figures, "lights", "three_lights_identical"))
+
+
+def _lights_cpu(figures: Figures, name: str, other: str) -> float:
+    return float(_at(figures, "lights", name, "cpu_ms") / _at(figures, "lights", other, "cpu_ms"))
+
+
 def _press(name: str) -> Callable[[Figures], float]:
     return lambda f: float(_at(f, "one press", name))
 
@@ -200,6 +209,10 @@ MARKS = (
     Mark("cost_gradients", 8, "the same: slopes per pixel", "at most", 1.3,
          _per_pixel(("gradients", "ours"), ("gradients", "small", "ours"))),
     Mark("cost_pipeline", 8, "the same: raw file to results on disk", "at most", 1.3, _pipeline_per_pixel),
+    Mark("three_lights_over_channels", 10, "three lights: CPU time of a frame over three channels'", "at most", 1.05,
+         lambda f: _lights_cpu(f, "three lights", "three channels"), _identical_lights),
+    Mark("six_lights_over_three", 10, "six lights: CPU time of a frame over three lights'", "at most", 2.2,
+         lambda f: _lights_cpu(f, "six lights", "three lights")),
     Mark("press_cue_ms", 9, "one press: button down to light and cue, ms", "at most", 100.0, _press("cue_ms")),
     Mark("press_lift_ms", 9, "one press: frame in memory, you may lift, ms", "at most", 500.0, _press("may_lift_ms")),
     Mark("press_disk_ms", 9, "one press: safe on disk, CPU time included, ms", "at most", 1500.0, _press("on_disk_ms")),

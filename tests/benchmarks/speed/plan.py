@@ -19,6 +19,7 @@ class Plan:
     handheld : raw frames for the quick look
     rounds : runs of each method
     frames : length of the video sequence
+    lights_enlarged : times the rows and columns of the small frames under rings of lights
     """
 
     quick: bool
@@ -31,6 +32,7 @@ class Plan:
     handheld: tuple[Shape, ...]
     rounds: int
     frames: int
+    lights_enlarged: int
 
 
 FULL = Plan(
@@ -44,6 +46,7 @@ FULL = Plan(
     handheld=((1520, 2028), (3040, 4056)),
     rounds=9,
     frames=12,
+    lights_enlarged=2,
 )
 
 QUICK = Plan(
@@ -57,6 +60,7 @@ QUICK = Plan(
     handheld=((192, 256),),
     rounds=1,
     frames=2,
+    lights_enlarged=1,
 )
 
 

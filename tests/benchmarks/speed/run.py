@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 FILE_COLUMNS = 110
 """Width of the tables where no terminal states one."""
 
-SECTIONS = ["handheld", "one press", "integration", "gradients", "video", "pipeline", "two workers", "memory"]
-WITHOUT_FRAMES = {"one press", "integration", "memory"}
+SECTIONS = ["handheld", "one press", "integration", "gradients", "video", "pipeline", "two workers", "memory", "lights"]
+WITHOUT_FRAMES = {"one press", "integration", "memory", "lights"}
 
 
 def main() -> int:
@@ -60,7 +60,17 @@ def main() -> int:
 
 def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
     """Figures of the sections by name."""
-    from tests.benchmarks.speed import gradients, handheld, integration, memory, one_press, pipeline, two_workers, video
+    from tests.benchmarks.speed import (
+        gradients,
+        handheld,
+        integration,
+        lights,
+        memory,
+        one_press,
+        pipeline,
+        two_workers,
+        video,
+    )
     from tests.benchmarks.speed.fresh import fresh
     from tests.benchmarks.speed.specimen import at_size, field_calibration, render
 
@@ -80,6 +90,7 @@ def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], Non
         "pipeline": lambda: pipeline.measure(plan, calibration, folder, tell),
         "two workers": lambda: two_workers.measure(plan, calibration, folder, tell),
         "memory": lambda: memory.measure(plan, tell),
+        "lights": lambda: lights.measure(plan, tell),
     }
     return figures | {name: sections[name]() for name in only}
 

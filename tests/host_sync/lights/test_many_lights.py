@@ -9,7 +9,6 @@ import pytest
 from near_lamps import RADIUS_PX, SHAPE, balls, press_px
 
 from device.errors import CalibrationError, CalibrationMismatch
-from device.imaging.flat_field import SATURATED, LinearFrame
 from device.surface.fields import GradientField
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
@@ -17,32 +16,17 @@ from host_sync.calibration.many_lights import calibrate_lights
 from host_sync.calibration_file.typed_members import as_members, from_members
 from host_sync.lights.light_groups import choose_groups, in_group, joined
 from host_sync.reconstruction.pipeline import reconstruct
+from tests.apparatus.light_ring import lit_by_ring
 
 SIX = 6
 PITCH_UM = 20.0
-
-
-def lit(z_px: np.ndarray, lights: int, seed: int, *, noise: float = 0.004) -> LinearFrame:
-    """Matt skin of this elevation under lights around it, each of another strength; noise as of an 8 bit camera."""
-    q, p = np.gradient(z_px)
-    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] / SHAPE[1] - 0.5
-    planes = []
-    for number in range(lights):
-        angle = 2.0 * np.pi * number / lights + 0.3
-        across = 0.7 * np.cos(angle) - 0.25 * column
-        down = 0.7 * np.sin(angle) - 0.25 * row
-        strength = 0.4 * (1.0 + 0.1 * np.cos(2.0 * angle)) * (1.0 + 0.3 * (across * column + down * row))
-        planes.append(strength * np.maximum(1.0 - across * p - down * q, 0.0) / np.sqrt(1.0 + p * p + q * q))
-    light = np.stack(planes, axis=-1) + noise * np.random.default_rng(seed).standard_normal((*SHAPE, lights))
-    rgb = np.clip(light, 0.0, 1.0).astype(np.float32)
-    return LinearFrame(rgb, np.any(rgb >= SATURATED, axis=-1))
 
 
 def presses(lights: int) -> list[PressFrame]:
     return [
         PressFrame(
             f"press-{number:02d}",
-            lit(press_px(ball, apex), lights, number),
+            lit_by_ring(press_px(ball, apex), lights, number),
             RADIUS_PX,
         )
         for number, (ball, apex) in enumerate(balls())
@@ -50,14 +34,14 @@ def presses(lights: int) -> list[PressFrame]:
 
 
 def calibrated(lights: int) -> Calibration:
-    return calibrate_lights(presses(lights), lit(np.zeros(SHAPE), lights, 99), PITCH_UM)
+    return calibrate_lights(presses(lights), lit_by_ring(np.zeros(SHAPE), lights, 99), PITCH_UM)
 
 
 def slope_error(calibration: Calibration, lights: int) -> float:
     """Mean error of a fresh ball's slopes, of the surface."""
     ball = replace(balls()[5][0], column=170.0, row=120.0)
     z_px = press_px(ball, 15.0)
-    result = reconstruct(lit(z_px, lights, 200), calibration, "fresh")
+    result = reconstruct(lit_by_ring(z_px, lights, 200), calibration, "fresh")
     q, p = np.gradient(z_px)
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     inside = np.hypot(column - ball.column, row - ball.row) < 0.85 * ball.contact_radius_px
@@ -79,12 +63,12 @@ def test_groups_hold_every_light_and_no_two_neighbours_only() -> None:
 
 def test_nine_lights_are_refused() -> None:
     with pytest.raises(CalibrationError, match="9 lights are more than 8"):
-        choose_groups([lit(np.zeros(SHAPE), 9, 0)])
+        choose_groups([lit_by_ring(np.zeros(SHAPE), 9, 0)])
 
 
 def test_frames_of_different_numbers_of_lights_are_refused() -> None:
     with pytest.raises(CalibrationError, match="different numbers of lights"):
-        calibrate_lights(presses(4)[:2], lit(np.zeros(SHAPE), 5, 0), PITCH_UM)
+        calibrate_lights(presses(4)[:2], lit_by_ring(np.zeros(SHAPE), 5, 0), PITCH_UM)
 
 
 def test_six_lights_are_nearer_the_truth_than_three(six: Calibration) -> None:
@@ -98,7 +82,7 @@ def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibratio
     assert six.lights is not None
     group = six.lights.groups[0]
     own = [replace(press, frame=in_group(press.frame, group)) for press in presses_of_six]
-    first = calibrate(own, in_group(lit(np.zeros(SHAPE), SIX, 99), group), PITCH_UM).slope_error
+    first = calibrate(own, in_group(lit_by_ring(np.zeros(SHAPE), SIX, 99), group), PITCH_UM).slope_error
     shares = np.array(six.slope_error.pixel_deg) / first.pixel_deg
     assert np.all(shares < 0.85)  # independent noise of two groups: 0.71
     assert np.all(shares > 0.55)
@@ -106,11 +90,11 @@ def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibratio
 
 
 def test_three_lights_take_the_path_of_an_rgb_frame_bit_for_bit() -> None:
-    rest = lit(np.zeros(SHAPE), 3, 99)
+    rest = lit_by_ring(np.zeros(SHAPE), 3, 99)
     by_lights, alone = calibrate_lights(presses(3), rest, PITCH_UM), calibrate(presses(3), rest, PITCH_UM)
     assert by_lights.calibration_id == alone.calibration_id
     assert by_lights.lights is None
-    frame = lit(press_px(*balls()[0]), 3, 300)
+    frame = lit_by_ring(press_px(*balls()[0]), 3, 300)
     found, wanted = (reconstruct(frame, calibration, "scan") for calibration in (by_lights, alone))
     for one, other in ((found.height.z_um, wanted.height.z_um), (found.sigma_um, wanted.sigma_um), (found.p, wanted.p)):
         assert one.tobytes() == other.tobytes()
@@ -125,24 +109,24 @@ def test_a_calibration_of_six_lights_is_read_back_as_it_was_written(six: Calibra
 
 def test_a_frame_of_other_lights_is_refused(six: Calibration) -> None:
     with pytest.raises(CalibrationMismatch, match="shows 3 lights and its calibration 6"):
-        reconstruct(lit(np.zeros(SHAPE), 3, 0), six, "scan")
+        reconstruct(lit_by_ring(np.zeros(SHAPE), 3, 0), six, "scan")
 
 
 def test_a_dim_light_is_named(six: Calibration) -> None:
-    frame = lit(press_px(*balls()[0]), SIX, 300)
+    frame = lit_by_ring(press_px(*balls()[0]), SIX, 300)
     frame.rgb[..., 3] *= 0.9
     with pytest.raises(CalibrationMismatch, match=r"light 4 is .* darker than the others foretell"):
         reconstruct(frame, six, "scan")
 
 
 def test_images_in_another_order_are_refused(six: Calibration) -> None:
-    frame = lit(press_px(*balls()[0]), SIX, 300)
+    frame = lit_by_ring(press_px(*balls()[0]), SIX, 300)
     with pytest.raises(CalibrationMismatch, match="not made as its calibration was"):
         reconstruct(replace(frame, rgb=np.ascontiguousarray(frame.rgb[..., [1, 0, 2, 3, 4, 5]])), six, "scan")
 
 
 def test_a_light_that_is_hidden_somewhere_is_left_out_there(six: Calibration) -> None:
-    frame = lit(np.zeros(SHAPE), SIX, 301)
+    frame = lit_by_ring(np.zeros(SHAPE), SIX, 301)
     hidden = (slice(100, 140), slice(150, 200))
     frame.rgb[(*hidden, 2)] *= 0.1
     masks = six.lights.left_out(frame)
