@@ -7,6 +7,9 @@ VENV ?= .venv
 SYSTEM_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-system
 # What `make image` keeps between builds: Debian for arm64 and the wheels; 1 GB, 3 while it is at work.
 IMAGE_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-image
+# Of the housing; and where `make step` keeps Open CASCADE's Python binding, 400 MB.
+EVERY_PART := body led_holder gel_frame camera_plate tray cap plate block
+STEP_TOOL ?= .step-tool
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -22,7 +25,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test image bench format board parts docs release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test image bench format board parts step docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -86,9 +89,23 @@ board: set-up ## write the wiring tables, pin maps, drawings and light tables in
 
 parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; wants openscad)
 	@mkdir -p "dist/parts/$(BOARD)"
-	for part in $(or $(PARTS),body led_holder gel_frame camera_plate tray cap plate block); do
+	for part in $(or $(PARTS),$(EVERY_PART)); do
 	    openscad -q -D "part=\"$$part\"" -D 'board="$(BOARD)"' -o "dist/parts/$(BOARD)/$$part.stl" board/enclosure/retrograph.scad
 	    echo "dist/parts/$(BOARD)/$$part.stl"
+	done
+
+step: ## STEP of every part beside its STL: exact solids for a machine shop (BOARD, PARTS as above; seconds; wants openscad)
+	@if ! cmp -s .ci/step/step.lock "$(STEP_TOOL)/made-of"; then
+	    "$(PYTHON)" -m venv --clear "$(STEP_TOOL)"
+	    "$(STEP_TOOL)/bin/python" -m pip install --quiet --require-hashes --only-binary :all: -r .ci/step/step.lock
+	    cp .ci/step/step.lock "$(STEP_TOOL)/made-of"
+	fi
+	mkdir -p "dist/parts/$(BOARD)"
+	# openscad goes into the source's folder before it writes a .csg: hence the whole path.
+	for part in $(or $(PARTS),$(EVERY_PART)); do
+	    openscad -q -D "part=\"$$part\"" -D 'board="$(BOARD)"' -o "$(CURDIR)/dist/parts/$(BOARD)/$$part.csg" board/enclosure/retrograph.scad
+	    "$(STEP_TOOL)/bin/python" .ci/step/step_write.py "dist/parts/$(BOARD)/$$part.csg"
+	    rm "dist/parts/$(BOARD)/$$part.csg"
 	done
 
 docs: set-up ## the documents as a site in docs-site/, links checked, with the API reference
