@@ -271,6 +271,11 @@ class MayLift:
     """Notice: the frame is in memory, the object may be lifted; no push of the button is wanted."""
 
 
+@dataclass(frozen=True, slots=True)
+class NeverMind:
+    """Notice: what was asked for is not wanted any more; no push of the button is wanted."""
+
+
 FaultName = Literal["dim", "break", "wobble", "dirt", "tilt", "depth", "battery", "stall"]
 
 
@@ -282,7 +287,7 @@ class SetFault:
     on: bool
 
 
-OperatorRequest = LiftOff | PressBall | PressObject | MayLift | SetFault
+OperatorRequest = LiftOff | PressBall | PressObject | MayLift | NeverMind | SetFault
 
 
 class Operator(Protocol):
@@ -290,7 +295,7 @@ class Operator(Protocol):
     and then pushes the button."""
 
     def ask(self, request: OperatorRequest) -> None:
-        """Hand over one request and return at once; the answer is a press of the button, except to `MayLift`.
+        """Hand over one request and return at once; the answer is a press of the button, except to a notice.
 
         Raises
         ------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 
 from device.acquisition.auto_exposure import ExposureSearch
 from device.acquisition.calibration_light import calibration_settings, keep_balance
@@ -15,6 +14,7 @@ from device.instrument.state import BalanceProgress, StateStore
 from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.hardware import Hardware
+from hal.interfaces import NeverMind
 
 KEPT = "The active calibration keeps its own light, so scans stay as they are; the next calibration uses the new one."
 STOPPED = "Exposure balance stopped: nothing has changed."
@@ -88,6 +88,7 @@ class BalanceRun:
 
     def cancel(self) -> None:
         """Stop; nothing has changed."""
+        self._hardware.operator.ask(NeverMind())
         self._end(BalanceProgress("failed", STOPPED, self._search.taken))
         self._states.publish(Info(STOPPED))
 
@@ -106,6 +107,4 @@ class BalanceRun:
 
     def _end(self, progress: BalanceProgress) -> None:
         self._states.update(balance=progress)
-        with suppress(HalError):
-            self._hardware.button.clear_presses()  # the last push is down still: its release is no push of its own
         self._done()

@@ -295,6 +295,8 @@ class InstrumentWorker:
 
     def _end_run(self) -> None:
         self._run = None
+        with suppress(HalError):
+            self.hardware.button.clear_presses()  # the last push may be down still: its release is no push of its own
         self.states.update(activity="ready")
         self._active.prepare()
 

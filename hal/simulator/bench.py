@@ -175,6 +175,11 @@ class SimulatedScene:
         self._button.append(press)
         self._button.sort(key=lambda p: p.began_ns)
 
+    def withdraw_button(self, press: ButtonPress) -> None:
+        """Take a scheduled push back; no effect once it was taken."""
+        if press in self._button:
+            self._button.remove(press)
+
     def next_button_press(self) -> ButtonPress | None:
         """The next scheduled push, if any."""
         return self._button[0] if self._button else None

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from hal.errors import OperatorError
-from hal.interfaces import ButtonPress, LiftOff, MayLift, OperatorRequest, PressBall, PressObject, SetFault
+from hal.interfaces import ButtonPress, LiftOff, MayLift, NeverMind, OperatorRequest, PressBall, PressObject, SetFault
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.elastomer import MAX_COMPRESSION, ball_indentation_mm
 from hal.simulator.gallery import gallery_names, specimen
@@ -39,6 +39,7 @@ class TwinOperator:
         self._bench = bench
         self._random = np.random.default_rng([bench.seed, 0x0B])
         self._shown: Press | None = None
+        self._pushes: list[ButtonPress] = []
 
     def ask(self, request: OperatorRequest) -> None:
         """Carry out the request at once and push the button a little later; lift what was pressed by name.
@@ -55,11 +56,22 @@ class TwinOperator:
         if isinstance(request, SetFault):
             self._set_fault(request)
             return
+        if isinstance(request, NeverMind):
+            self._bench.place(None)
+            for push in self._to_come():
+                self._bench.withdraw_button(push)
+            return
         press = self._press_for(request)
         self._shown = press if isinstance(request, PressObject) else None
         self._bench.place(press)
         began_ns = self._bench.clock.monotonic_ns() + round(_BUTTON_AFTER_S * 1e9)
-        self._bench.schedule_button(ButtonPress(began_ns, _BUTTON_HELD_S))
+        self._pushes = [*self._to_come(), ButtonPress(began_ns, _BUTTON_HELD_S)]
+        self._bench.schedule_button(self._pushes[-1])
+
+    def _to_come(self) -> list[ButtonPress]:
+        """Own pushes of the button that have not begun."""
+        now_ns = self._bench.clock.monotonic_ns()
+        return [push for push in self._pushes if push.began_ns > now_ns]
 
     def _press_for(self, request: LiftOff | PressBall | PressObject) -> Press | None:
         match request:

@@ -121,6 +121,8 @@ class CalibrationScreen(InstrumentScreen):
             spent_s = (self.retroscan.now_ns() - self._fitting_since_ns) * 1e-9
             return f"{state.guide.instruction} {spent_s:.0f} s, about a minute on a small board. Touch nothing."
         self._fitting_since_ns = None
+        if state.activity == "balancing":
+            return "The exposure is being balanced: finish it, or stop it there (key 4)."
         if state.guide and (self._is_running(state) or state.guide.is_over):
             again = "" if self._is_running(state) else " Push the button to calibrate again."
             complaint = f" ({state.guide.complaint})" if state.guide.complaint and not state.guide.is_over else ""

@@ -16,7 +16,7 @@ from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
-from device.instrument.state import InstrumentState, LastScan
+from device.instrument.state import Activity, InstrumentState, LastScan
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
@@ -35,6 +35,13 @@ _MODE_WORDS: Final[dict[CaptureMode, str]] = {
     "average": " · precise",
     "lights": " · precise, each light",
 }
+
+
+_ELSEWHERE: Final[dict[Activity, str]] = {
+    "calibrating": "A calibration is under way: key 2 shows it.",
+    "balancing": "The exposure is being balanced: key 4 shows it.",
+}
+"""What uses the presses while no scan is taken."""
 
 
 class ScanScreen(InstrumentScreen):
@@ -208,6 +215,8 @@ def cue_text(state: InstrumentState) -> str:
     """What to do now, in one sentence."""
     if state.activity == "out of order":
         return f"Out of order: {screen_advice(state.sentence)}"
+    if state.activity in _ELSEWHERE:
+        return _ELSEWHERE[state.activity]
     if state.activity != "ready":
         return f"{state.activity.capitalize()} ..."
     if state.scans_left == 0:

@@ -21,6 +21,23 @@ async def _calibrate(stage: Stage, most_steps: int = 400) -> None:
     raise AssertionError("the calibration has no end")
 
 
+def test_a_stopped_calibration_is_not_started_again_by_the_push_that_it_had_asked_for(
+    play: Callable[..., None], root: Path
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("2", "space")
+        await stage.live(2)
+        assert stage.instrument.state.activity == "calibrating"
+        await stage.press("1")
+        assert "A calibration is under way: key 2 shows it." in stage.text()
+        await stage.press("2", "x")
+        await stage.live(60)
+        assert stage.instrument.state.activity == "ready"
+        assert "Calibration stopped" in stage.text()
+
+    play(scenario, root)
+
+
 def test_the_first_presses_by_one_key(play: Callable[..., None], empty_root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await stage.press("2")

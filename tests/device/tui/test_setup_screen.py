@@ -69,8 +69,8 @@ def test_the_exposure_is_shown_balanced_and_given_up(play: Callable[..., None], 
         await stage.press("x")
         await stage.live(2)
         assert "Exposure balance stopped: nothing has changed." in stage.text()
-        await stage.live(60)  # the twin's operator still pushes the button for what was asked, which chooses lines
-        await stage.press("home", *["down"] * ACTIONS.index("exposure"))
+        await stage.live(20)  # the twin's operator pushes no more
+        assert "Next calibration, board profile:" in _panel(stage)
         await stage.press("enter", "enter")
         await stage.live(2)
         while stage.instrument.state.activity == "balancing":
