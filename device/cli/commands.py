@@ -51,6 +51,12 @@ COMMANDS: Final = (
         ("retroscan focus", "retroscan focus --frames 100"),
     ),
     Command(
+        "guide",
+        "device.cli.guide:guide",
+        "Guide back to the spot of an earlier scan, touch by touch.",
+        ("retroscan guide --to rg60bb5d63-000007-scan", "retroscan guide --to rg60bb5d63-000007-scan --json"),
+    ),
+    Command(
         "pair",
         "device.cli.pairing:pair",
         "Show a code for two minutes; a workstation that has it may fetch scans.",

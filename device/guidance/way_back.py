@@ -1,0 +1,36 @@
+"""A placement as what the hand is to do: "Move 8.0 mm left and 2.1 mm up, then turn 10° clockwise."."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from device.guidance.placement import Placement, Unplaced
+
+SPOT_MM: Final = 0.3
+SPOT_DEG: Final = 1.5
+"""Within both, the instrument is on the spot: what remains, the workstation registers."""
+
+
+def on_the_spot(found: Placement | Unplaced) -> bool:
+    """Whether the instrument is known to stand where the earlier press was made."""
+    return isinstance(found, Placement) and found.distance_mm <= SPOT_MM and abs(found.clockwise_deg) <= SPOT_DEG
+
+
+def sentence(found: Placement | Unplaced) -> str:
+    """What to do, for people."""
+    if isinstance(found, Unplaced):
+        return f"Place unknown: {found.reason}."
+    shift = f"±{2.0 * found.shift_sigma_mm:.1f} mm, ±{2.0 * found.turn_sigma_deg:.0f}°"
+    if on_the_spot(found):
+        return f"On the spot ({shift})."
+    ways = [
+        f"{abs(length):.1f} mm {positive if length > 0.0 else negative}"
+        for length, positive, negative in ((found.right_mm, "right", "left"), (found.down_mm, "down", "up"))
+        if abs(length) >= 2.0 * found.shift_sigma_mm
+    ]
+    steps = [f"move {' and '.join(ways)}"] if ways else []
+    if abs(found.clockwise_deg) > 2.0 * found.turn_sigma_deg:
+        turn = "clockwise" if found.clockwise_deg > 0.0 else "anticlockwise"
+        steps.append(f"turn {abs(found.clockwise_deg):.0f}° {turn}")
+    text = ", then ".join(steps)
+    return f"{text[0].upper()}{text[1:]} ({shift})."
