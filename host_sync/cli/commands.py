@@ -171,6 +171,15 @@ COMMANDS: Final = (
         ),
     ),
     Command(
+        "same-spot",
+        "host_sync.cli.same_spot:same_spot_command",
+        "Compare two presses of one spot: the second minus the first, significant changes, what is too small to see.",
+        (
+            "retrosync same-spot results/before results/after --out change",
+            "retrosync same-spot rg60bb5d63-000007 rg60bb5d63-000031 --library scans --json",
+        ),
+    ),
+    Command(
         "mosaic",
         "host_sync.cli.mosaic:mosaic_command",
         "Stitch overlapping presses of one object into one height map, which measure, view, report and export take.",

@@ -81,8 +81,13 @@ class PressPair:
     truth: Pose
 
 
-def press(surface: Surface, hand: Hand, random: np.random.Generator) -> HeightMap:
-    """The height map of one press."""
+def press(
+    surface: Surface, hand: Hand, random: np.random.Generator, noise: tuple[float, float] = (0.02, 0.01)
+) -> HeightMap:
+    """The height map of one press.
+
+    noise : standard deviations of slope errors from pixel to pixel, and in patches
+    """
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     x = (column - (SHAPE[1] - 1) / 2) * PITCH_MM - hand.x_mm
     y = ((SHAPE[0] - 1) / 2 - row) * PITCH_MM - hand.y_mm
@@ -91,8 +96,8 @@ def press(surface: Surface, hand: Hand, random: np.random.Generator) -> HeightMa
     skin = drape(thing, PITCH_MM, THICKNESS_MM).height_mm
     slopes = []
     for slope in np.gradient(skin, PITCH_MM):
-        noise = 0.02 * random.standard_normal(SHAPE) + 0.01 * _patches(random)
-        slopes.append((slope * (1.0 + 0.02 * _patches(random)) + noise).astype(np.float32))
+        error = noise[0] * random.standard_normal(SHAPE) + noise[1] * _patches(random)
+        slopes.append((slope * (1.0 + 0.02 * _patches(random)) + error).astype(np.float32))
     z_um = integrate_dct(slopes[1], slopes[0], 1e3 * PITCH_MM)
     return HeightMap((z_um - np.median(z_um[:20])).astype(np.float32), 1e3 * PITCH_MM)
 

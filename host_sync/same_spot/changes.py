@@ -1,0 +1,244 @@
+"""Significant changes in the difference of two presses of one object.
+
+The difference is looked at in bands of several widths. In each band its spread is taken from the difference itself,
+for surfaces as rough as the one at each place: what is steep differs more, by gain and by shift. Medians are used, so
+a change in a small part of the field does not hide itself. `LIMIT` is as high as it is because skin that bridges
+valleys drapes differently at another depth, in spots that look like changes (`docs/same-spot.md`).
+
+From the same spreads follows the detection limit: the height of a round change that is found in 95 % of places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import msgspec
+import numpy as np
+
+from device.surface.fields import Float32Array, HeightMap, MaskArray
+from host_sync.registration.difference import Difference
+
+SCALES_PX: Final = (1.2, 1.8, 2.7, 4.0, 6.0)
+"""Standard deviations of the Gaussians whose bands are looked at, pixels of at most `MAX_PX` along the longer side."""
+
+MAX_PX: Final = 400
+SURROUNDINGS: Final = 2.5
+"""Width of what a band's background is taken from, over its own."""
+
+LIMIT: Final = 16.0
+"""A change is significant beyond so many spreads."""
+
+MISSED: Final = 1.645
+"""So many spreads more than `LIMIT` are exceeded in 95 % of cases."""
+
+BEST_WIDTH: Final = 2.5**0.5
+"""Width of the Gaussian change that a band shows best, over the band's own, for `SURROUNDINGS` of 2.5 …"""
+
+BEST_SHARE: Final = 2.5 / 3.5 - 2.5 / 8.75
+"""… and the share of its height that is left in the band."""
+
+WIDTH_TO_DIAMETER: Final = 2.3548
+"""Full width of a Gaussian at half its height, over its standard deviation."""
+
+COVERED: Final = 0.95
+"""Share of the judged field in which a change as high as the detection limit is found."""
+
+BINS: Final = 8
+MIN_FILLED: Final = 0.7
+"""Least valid part of what a band is taken from, at a change."""
+
+MAX_CHANGES: Final = 100
+WINDOW_PX: Final = 24.0
+WIDTHS_PX: Final = (1.5, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
+"""Radius around a change in which a Gaussian is fitted to it, and the widths that are tried."""
+
+TO_SIGMA: Final = 1.4826
+
+
+class Change(msgspec.Struct, frozen=True):
+    """One significant change.
+
+    row_um, column_um : its middle on the first press, from the centre of the first pixel
+    height_um : how much higher it is in the second press than its surroundings are; a dent is negative
+    sigma_um : standard uncertainty of that, from the spread of the difference
+    diameter_um : across it at half its height
+    volume_um_mm2 : its height over its area, added up
+    score : height of its band over the spread
+    """
+
+    row_um: float
+    column_um: float
+    height_um: float
+    sigma_um: float
+    diameter_um: float
+    volume_um_mm2: float
+    score: float
+
+
+class Limit(msgspec.Struct, frozen=True):
+    """The height from which round changes of one size are found.
+
+    diameter_um : across them at half their height
+    height_um : found in 95 % of cases at 95 % of the judged places
+    """
+
+    diameter_um: float
+    height_um: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """What changed.
+
+    found : significant changes, most significant first
+    limits : detection limits, smallest diameter first; empty where nothing can be judged
+    judged_share : judged field as a fraction of the first map
+    highest : largest score in the field, significant or not
+    gain : by how much the second press reads heights larger than the first, relative; taken off
+    """
+
+    found: tuple[Change, ...]
+    limits: tuple[Limit, ...]
+    judged_share: float
+    highest: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """One band: float32 arrays of shape (h, w), of the difference and its score, NaN where it cannot be judged."""
+
+    scale_px: float
+    values: Float32Array
+    score: Float32Array
+    spread: Float32Array
+
+
+def changes(first: HeightMap, found: Difference) -> Changes:
+    """The significant changes in a difference.
+
+    first : the first press, on whose grid the difference is
+    """
+    step = max(1, -(-max(first.z_um.shape) // MAX_PX))
+    size = (first.z_um.shape[1] // step, first.z_um.shape[0] // step)
+    z_um, rest = (_small(values, step, size) for values in (first.z_um, found.z_um))
+    gain = _gain(z_um, rest)
+    background = _blurred(z_um, SCALES_PX[-1] * SURROUNDINGS)[0]
+    rest = rest - np.float32(gain) * (z_um - background)
+    bands = [_band(z_um, rest, scale) for scale in SCALES_PX]
+    highest = max(
+        (float(np.nanmax(np.abs(band.score))) for band in bands if np.isfinite(band.score).any()), default=0.0
+    )
+    taken = np.zeros(rest.shape, bool)
+    listed: list[Change] = []
+    while len(listed) < MAX_CHANGES:
+        best = max(bands, key=lambda band: float(np.nanmax(np.where(taken, 0.0, np.abs(np.nan_to_num(band.score))))))
+        open_ = np.where(taken, 0.0, np.abs(np.nan_to_num(best.score)))
+        place = tuple(int(at) for at in np.unravel_index(int(np.argmax(open_)), open_.shape))
+        if open_[place] < LIMIT:
+            break
+        change, region = _change(bands, best, rest, (place[0], place[1]), first.pitch_um * step)
+        listed.append(change)
+        taken |= region
+    judged = float(np.isfinite(bands[0].score).mean())
+    limits = tuple(_limit(band, first.pitch_um * step) for band in bands if np.isfinite(band.spread).any())
+    return Changes(tuple(listed), limits, judged, highest, gain)
+
+
+def _limit(band: _Band, pitch_um: float) -> Limit:
+    """The detection limit of the changes that a band shows best."""
+    spread = float(np.nanquantile(band.spread, COVERED))
+    diameter_um = WIDTH_TO_DIAMETER * BEST_WIDTH * band.scale_px * pitch_um
+    return Limit(diameter_um, (LIMIT + MISSED) * spread / BEST_SHARE)
+
+
+def _small(values: Float32Array, step: int, size: tuple[int, int]) -> Float32Array:
+    """Means over squares of `step` pixels."""
+    part = values[: size[1] * step, : size[0] * step]
+    return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.float32) if step > 1 else part
+
+
+def _blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float32Array]:
+    """Gaussian mean over the valid pixels, and how much of the Gaussian is valid: arrays of shape (h, w)."""
+    known = np.isfinite(values)
+    border = cv2.BORDER_CONSTANT
+    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), scale_px, borderType=border)
+    total = cv2.GaussianBlur(np.where(known, values, np.float32(0.0)), (0, 0), scale_px, borderType=border)
+    mean = np.where(known, total / np.maximum(share, np.float32(1e-6)), np.float32(np.nan))
+    return np.asarray(mean, np.float32), np.asarray(share, np.float32)
+
+
+def _within(values: Float32Array, scale_px: float) -> Float32Array:
+    """The band of a field, NaN where too little is valid around: float32 array of shape (h, w)."""
+    fine, _ = _blurred(values, scale_px)
+    wide, share = _blurred(values, scale_px * SURROUNDINGS)
+    return np.asarray(np.where(share > MIN_FILLED, fine - wide, np.float32(np.nan)), np.float32)
+
+
+def _gain(z_um: Float32Array, rest: Float32Array) -> float:
+    """By how much the second reads heights larger: median of ratios where the surface is high in its band."""
+    relief, off = (_within(values, SCALES_PX[1]) for values in (z_um, rest))
+    known = np.isfinite(relief) & np.isfinite(off)
+    if not known.any():
+        return 0.0
+    size = np.abs(relief[known])
+    high = size > np.quantile(size, 0.7)
+    ratio = off[known][high] / relief[known][high]
+    return float(np.median(ratio)) if ratio.size else 0.0
+
+
+def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
+    """The band of the difference with its spread on surfaces as rough as at each place."""
+    values = _within(rest, scale_px)
+    q, p = np.gradient(_blurred(z_um, 0.5 * scale_px)[0])
+    steep, _ = _blurred(np.asarray(p * p + q * q, np.float32), scale_px)
+    known = np.isfinite(values) & np.isfinite(steep)
+    spread = np.full(values.shape, np.nan, np.float32)
+    if known.any():
+        edges = np.quantile(steep[known], np.linspace(0.0, 1.0, BINS + 1))
+        of_bins = []
+        for number in range(BINS):
+            inside = values[known & (steep >= edges[number]) & (steep <= edges[number + 1])]
+            of_bins.append(TO_SIGMA * float(np.median(np.abs(inside))) if inside.size else 0.0)
+        rising = np.maximum.accumulate(of_bins)
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        # Beyond the steepest bin the spread grows with the slope, as a shift makes it.
+        steeper = np.sqrt(np.maximum(steep / max(float(middles[-1]), 1e-12), 1.0))
+        spread = np.asarray(np.interp(steep, middles, rising) * steeper, np.float32)
+    spread = np.where(known, np.maximum(spread, np.float32(1e-6)), np.float32(np.nan))
+    return _Band(scale_px, values, np.asarray(values / spread, np.float32), spread)
+
+
+def _change(
+    bands: list[_Band], best: _Band, rest: Float32Array, place: tuple[int, int], pitch_um: float
+) -> tuple[Change, MaskArray]:
+    """The change at the peak of a band, as a round one of Gaussian profile on a plane, and the pixels that it takes."""
+    row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
+    down, right = np.broadcast_arrays(row - place[0], column - place[1])
+    away = np.hypot(down, right)
+    inside = np.isfinite(rest) & (away <= WINDOW_PX)
+    target = rest[inside].astype(np.float64)
+    least, width_px, height_um = np.inf, best.scale_px, 0.0
+    for width in WIDTHS_PX:
+        profile = np.exp(-0.5 * (away[inside] / width) ** 2)
+        design = np.stack([profile, np.ones(profile.size), down[inside], right[inside]], axis=-1)
+        solved, *_ = np.linalg.lstsq(design, target, rcond=None)
+        left = float(np.sum((target - design @ solved) ** 2))
+        if left < least:
+            least, width_px, height_um = left, width, float(solved[0])
+    # Its uncertainty is that of the band which shows such a width best.
+    judged = [band for band in bands if np.isfinite(band.spread[place])]
+    fitting = min(judged, key=lambda band: abs(np.log(BEST_WIDTH * band.scale_px / width_px)))
+    cell_mm2 = (pitch_um * 1e-3) ** 2
+    change = Change(
+        row_um=place[0] * pitch_um,
+        column_um=place[1] * pitch_um,
+        height_um=height_um,
+        sigma_um=float(fitting.spread[place]) / BEST_SHARE,
+        diameter_um=WIDTH_TO_DIAMETER * width_px * pitch_um,
+        volume_um_mm2=2.0 * float(np.pi) * width_px**2 * height_um * cell_mm2,
+        score=abs(float(best.score[place])),
+    )
+    return change, np.asarray(away <= max(4.0 * best.scale_px, 5.0 * width_px))

@@ -1,0 +1,98 @@
+"""The same spot again: a dent is found where it is, nothing is found where nothing changed, strangers are refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic_presses import press_of_map, pressed, rough_target, write_press
+
+from device.surface.fields import Float32Array, HeightMap
+from host_sync.cli.main import main
+from host_sync.mosaic.motion import Motion
+from host_sync.registration.difference import difference
+from host_sync.same_spot.changes import changes
+
+SHAPE = (160, 200)
+PITCH_UM = 48.0
+DENT = (70, 110)
+"""Row and column of the dent on the first press."""
+
+
+def two_presses(dent_um: float, seed: int = 4, target_seed: int = 3) -> tuple[Float32Array, Float32Array]:
+    """Two presses of one target, the second shifted and turned; dented in between."""
+    random = np.random.default_rng(seed)
+    target = rough_target((400, 400))
+    first = pressed(target, Motion(0.0, 0.0, 0.0), SHAPE, random, 0.3)
+    if target_seed != 3:
+        target = rough_target((400, 400), target_seed)
+    row, column = np.mgrid[:400, :400] - np.float32(0.5 * 399)
+    away = np.hypot(row - (DENT[0] - 79.5), column - (DENT[1] - 99.5))
+    target.z_um[...] -= np.float32(dent_um) * np.exp(-0.5 * (away / 5.0) ** 2).astype(np.float32)
+    return first, pressed(target, Motion(6.0, -9.0, 0.03), SHAPE, random, 0.3)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> tuple[str, str]:
+    before, after = (
+        write_press(press_of_map(name, z_um), tmp_path)
+        for name, z_um in zip(("before", "after"), two_presses(12.0), strict=True)
+    )
+    return str(before), str(after)
+
+
+def test_a_dent_is_found_where_it_is_with_its_height() -> None:
+    first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(12.0))
+    found = changes(first, difference(first, second))
+    assert len(found.found) == 1
+    dent = found.found[0]
+    assert np.hypot(dent.row_um / PITCH_UM - DENT[0], dent.column_um / PITCH_UM - DENT[1]) < 2.0
+    assert -15.0 < dent.height_um < -9.0
+
+
+def test_nothing_is_found_where_nothing_changed_and_the_limit_is_stated() -> None:
+    first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(0.0))
+    found = changes(first, difference(first, second))
+    assert found.found == ()
+    assert found.judged_share > 0.5
+    diameters = [limit.diameter_um for limit in found.limits]
+    assert diameters == sorted(diameters)
+    assert all(0.1 < limit.height_um < 12.0 for limit in found.limits)
+
+
+def test_the_command_writes_difference_sigma_picture_and_record(
+    results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "change"
+    assert main(["same-spot", *results, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "changed: -1" in said
+    assert "no other change at this spot beyond" in said
+    names = {"difference_um.tif", "difference_sigma_um.tif", "difference.png", "same_spot.json"}
+    assert {path.name for path in out.iterdir()} == names
+    record = json.loads((out / "same_spot.json").read_text())
+    assert record["height_sigma_median_um"] == pytest.approx(2.0**0.5, rel=0.01)
+    assert len(record["changes"]) == 1
+    assert main(["same-spot", *results, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == record
+
+
+def test_another_object_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folders = [
+        str(write_press(press_of_map(name, z_um), tmp_path))
+        for name, z_um in zip(("before", "after"), two_presses(0.0, target_seed=8), strict=True)
+    ]
+    assert main(["same-spot", *folders]) != 0
+    said = capsys.readouterr()
+    assert said.err.startswith("retrosync: not registered: ")
+    assert not said.out
+
+
+def test_a_folder_with_something_else_is_not_replaced(
+    results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["same-spot", *results, "--out", results[0]]) != 0
+    assert (Path(results[0]) / "result.json").is_file()
+    assert capsys.readouterr().err
