@@ -65,7 +65,7 @@ class ScanScreen(InstrumentScreen):
         super().__init__(instrument)
         self._live = LiveView(depth, below=4)
         self._gauges = Words(id="gauges", markup=False)
-        self._relief = HeightView(depth, below=3)
+        self._relief = HeightView(depth, below=4)
         self._verdict = Words(id="verdict", markup=False)
         self._cue = Words(id="cue", markup=False)
         self._sticky = Words(id="sticky", markup=False)

@@ -53,6 +53,23 @@ def test_a_stalled_camera_is_said_on_every_screen_until_it_delivers_again(
     play(scenario, root, is_demo=True)
 
 
+def test_sentences_of_a_broken_light_wrap_instead_of_being_cut(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.live(24)
+        await stage.press("f", "down", "enter")
+        await stage.live(2)
+        await stage.object_pressed()
+        await stage.live(3)
+        cells, left = stage.lines(), stage.app.screen.query_one("#verdict").region.x
+        beside = " ".join(" ".join(line[left:] for line in cells).split())
+        assert "RETAKE #1 light blue is at" in beside
+        assert "run the self-test (key 4)" in beside
+        below = " ".join(" ".join(cells[-7:]).split())
+        assert "wires, and run the self-test (key 4)" in below
+
+    play(scenario, root, is_demo=True)
+
+
 def test_an_instrument_has_no_fault_menu(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         before = stage.text()
