@@ -25,7 +25,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test image bench format board parts step docs release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test system-image image-test image bench format board parts step docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -59,8 +59,20 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
 	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
 
-system-test: system-cache ## the whole handheld on a virtual board: install, scan, pull, hang, update, power cuts (QEMU)
-	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
+system-test: system-cache system-image ## the whole handheld on a virtual board, and the card's image: install, scan, pull, update, power cuts (QEMU)
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
+
+image-test: system-image ## the card's image alone, in QEMU's arm64 board: boot, scan with the twin, pull, update of the system
+	@RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest -m system -rs --basetemp "$(SYSTEM_CACHE)/run-image" tests/system/test_image.py
+
+# The image that is tested is the twin's, with a key that only the tests have.
+system-image: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1735689600)
+system-image: release
+	@mkdir -p "$(SYSTEM_CACHE)/image"
+	[ -e "$(SYSTEM_CACHE)/image/key" ] || ssh-keygen -q -t ed25519 -N '' -C image-test -f "$(SYSTEM_CACHE)/image/key"
+	"$(VENV)/bin/python" .ci/image/image_build.py --board twin --cache "$(IMAGE_CACHE)" --output "$(SYSTEM_CACHE)/image/twin.img" \
+	    --ssh-key "$(SYSTEM_CACHE)/image/key.pub" --update "$(SYSTEM_CACHE)/image/twin.update"
+	bash .ci/seal "$(SYSTEM_CACHE)/image/twin.update"
 
 system-cache: set-up
 	@bash tests/system/build "$(SYSTEM_CACHE)" "$(VENV)/bin/python"

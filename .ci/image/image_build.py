@@ -173,8 +173,11 @@ def furnish(root: Path, options: argparse.Namespace, release: Path, wheels: Path
         (boot / "config.txt").write_text(CONFIG_OF_RASPBERRY_PI, encoding="utf-8")
     (boot / "cmdline.txt").write_text(command_line(options.name, "a"), encoding="utf-8")
     (root / "etc" / "fstab").write_text(FSTAB, encoding="utf-8")
-    (root / "etc" / "hostname").write_text("retrograph\n", encoding="utf-8")
+    # A name that install.sh takes for none: each device makes one of its own at its first boot.
+    (root / "etc" / "hostname").write_text("localhost\n", encoding="utf-8")
     (root / "etc" / "machine-id").write_text("", encoding="utf-8")
+    for folder in ("etc", "var"):
+        (root / folder / ".updated").touch()  # else each boot of a read-only root rebuilds what packages have built
     for key in (root / "etc" / "ssh").glob("ssh_host_*"):
         key.unlink()
     installer = release / "board" / "install.sh"
