@@ -15,6 +15,7 @@ from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity
 from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.fourier_features import RandomFourierFeatures
+from device.inverse_map.gentle_skin import GentleSkin
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.leverage import Leverage
 from device.inverse_map.near_light import NearLightModel
@@ -22,7 +23,7 @@ from device.inverse_map.polynomial_features import colour_exponents, field_posit
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.rest_reading import flat_at_rest, seen_at_rest
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from device.surface.stereographic import slope_from_stereographic
+from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 PENALTY_STRIDE: Final = 3
@@ -35,7 +36,8 @@ class RegressorForm:
     colour_degree, position_degree : its degrees
     place_penalty : how many times as dear a term is for every power of position
     waves : its waves of colour, none of them for a polynomial
-    anchored : whether a curve of near lights' slopes takes gentle ones as they are
+    anchored : whether gentle slopes anywhere are learned too: as they are by a curve of near lights' slopes, as
+        `GentleSkin` foretells them by others
     """
 
     colour_degree: int
@@ -78,6 +80,13 @@ ANCHOR_GAIN: Final = 0.8
 """Share of an anchored curve's gain error below which one without anchors is taken too: where the directions of the
 lights are off, anchors hold gentle slopes at a wrong gain, and all that lies between balls with them."""
 
+ANCHOR_WORTH: Final = 0.8
+"""Share of its held-out error that a curve of other colours must reach by anchors to have them.
+
+It is 0.74 and 0.77 on rendered sensors with strongly coloured light, whose heights come from 3.5 to 2.8 and from 5.9 to
+2.9 µm, 0.84 to 1.3 on the other rendered ones.
+"""
+
 GENTLE_SLOPE: Final = 0.27
 """Slopes up to 15 degrees tell the gain error."""
 
@@ -103,6 +112,7 @@ class RegressorFit:
     penalty : of the ridge
     ridge : its features, less those of untouched skin where it is `flat`, at the pixels of balls
     flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
+    skin : foretells the gentle slopes that it is anchored at; None of one that is not, or takes them as they are
     """
 
     colours: FeatureScaler
@@ -111,6 +121,7 @@ class RegressorFit:
     penalty: float
     ridge: GroupedRidgeCV
     flat: bool = True
+    skin: GentleSkin | None = None
 
     def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
         """The leverage of its features among those of the living balls, 0 for untouched skin; arguments as for the
@@ -127,8 +138,8 @@ class RegressorFit:
 
     def of_samples(self, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> RegressorFit:
         """The same form and penalty for other samples of the same balls, whose true slopes are given."""
-        reading = NearLightModel.of(samples, slope, shape) if isinstance(self.reading, NearLightModel) else self.reading
-        return fit_regressor(samples, shape, self.form, self.penalty, reading, flat=self.flat)
+        reading, skin = _of_samples(self, samples, slope, shape)
+        return fit_regressor(samples, shape, self.form, self.penalty, reading, flat=self.flat, skin=skin)
 
     def curve(self, solution: Float64Array) -> FeatureRegressor:
         """The curve with the coefficients that `ridge` found, array of shape (F, 2)."""
@@ -155,40 +166,54 @@ def fit_regressor(
     *,
     flat: bool = True,
     kept: MutableMapping[bytes, Float64Array] | None = None,
+    skin: GentleSkin | None = None,
 ) -> RegressorFit:
     """The learner of this form and penalty, for a full-size field of `shape` (H, W).
 
     kept : as of `ProductFeatures`
+    skin : foretells the gentle slopes that it is anchored at, where it does not read near lights' slopes and is flat
     """
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
     seen = _seen(samples.intensity, place, reading)
     colours = FeatureScaler.observed(seen, linear=reading is not None)
-    everywhere = place if isinstance(reading, IlluminationMap) else place[:1]
 
     def features(colour: Float32Array, where: Float64Array) -> ProductFeatures:
+        everywhere = where if isinstance(reading, IlluminationMap) else where[:1]
         rest = colours.variables(seen_at_rest(everywhere, reading))[0].astype(np.float64) if flat else None
         variables = colours.variables(colour)[0].astype(np.float64)
         degrees = form.colour_degree, form.position_degree
         return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest, kept)
 
-    own = features(seen, place)
-    if not isinstance(reading, NearLightModel):
-        return RegressorFit(colours, form, reading, penalty, GroupedRidgeCV(own, samples.ball), flat)
-    anchor = None
-    if flat and form.anchored:
-        gentle = features(*_gentle_skin(ANCHORS))
-        known, _ = gentle.normal_equations(np.arange(ANCHORS), np.ones(ANCHORS), np.zeros((ANCHORS, 0)))
-        anchor = known * (ANCHOR_SHARE * len(place) / ANCHORS)
-    ridge = GroupedRidgeCV(own, samples.ball, _matt_prior(colours, form), anchor)
-    return RegressorFit(colours, form, reading, penalty, ridge, flat)
+    near = isinstance(reading, NearLightModel)
+    anchor, share = None, ANCHOR_SHARE * len(place) / ANCHORS
+    if flat and form.anchored and near:
+        gentle = features(*_gentle_slopes_as_seen())
+        known, moment = gentle.normal_equations(np.arange(ANCHORS), np.ones(ANCHORS), np.zeros((ANCHORS, 2)))
+        anchor = share * known, moment
+    elif skin is not None:
+        slope, where, noise = _gentle_skin()
+        shown, noisy = skin.shown(slope, where), (noise * skin.noise).astype(np.float32)
+        # Noise of both signs: curves bend, so that noisy pixels read otherwise in the mean.
+        above, below = (features(_seen(shown + sign * noisy, where, reading), where).table() for sign in (1, -1))
+        read = 0.5 * (above + below)
+        anchor = share * read.T @ read, share * read.T @ stereographic_from_slope(*slope.T)
+    prior = _matt_prior(colours, form) if near else None
+    ridge = GroupedRidgeCV(features(seen, place), samples.ball, prior, anchor)
+    return RegressorFit(colours, form, reading, penalty, ridge, flat, skin)
 
 
-def _gentle_skin(count: int) -> tuple[Float32Array, Float64Array]:
-    """Colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2) anywhere."""
+def _gentle_skin() -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Gentle slopes and position variables (`ANCHORS`, 2) all over the field, and noise (`ANCHORS`, 3), deviation 1."""
     rng = np.random.default_rng(0)
-    slope = rng.uniform(-ANCHOR_SLOPE, ANCHOR_SLOPE, (count, 2))
+    slope, place = rng.uniform(-ANCHOR_SLOPE, ANCHOR_SLOPE, (ANCHORS, 2)), rng.uniform(-1.0, 1.0, (ANCHORS, 2))
+    return slope, place, rng.standard_normal((ANCHORS, 3))
+
+
+def _gentle_slopes_as_seen() -> tuple[Float32Array, Float64Array]:
+    """Colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2) anywhere."""
+    slope, place, _ = _gentle_skin()
     brightness = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True))
-    return np.concatenate([slope, brightness], axis=1).astype(np.float32), rng.uniform(-1.0, 1.0, (count, 2))
+    return np.concatenate([slope, brightness], axis=1).astype(np.float32), place
 
 
 def _matt_prior(colours: FeatureScaler, form: RegressorForm) -> Float64Array:
@@ -214,6 +239,7 @@ class Lesson:
     shape : (H, W) of the full-size field
     flat : as `RegressorFit` has it
     kept : as of `ProductFeatures`
+    skin : foretells gentle slopes; None where that is not known
     """
 
     samples: BallSamples
@@ -222,6 +248,11 @@ class Lesson:
     shape: tuple[int, int]
     flat: bool = True
     kept: MutableMapping[bytes, Float64Array] = field(default_factory=dict)
+    skin: GentleSkin | None = None
+
+    def under(self, light: IlluminationMap) -> Lesson:
+        """The same with what its gentle slopes foretell of others under `light` of untouched skin."""
+        return replace(self, skin=GentleSkin.best(self.samples, self.slope, self.shape, light))
 
     def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:
         """The learner with the form and the penalty of least held-out error, and that error, in slope.
@@ -236,7 +267,7 @@ class Lesson:
         if many:
             wavy = self._trial(fourier_form(), light)
             best = wavy if wavy.error < WAVY_GAIN * best.error else best
-        return best.at_best_penalty()
+        return self._anchored_where_worth(best)
 
     def fit_near_light(self) -> tuple[RegressorFit, float]:
         """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
@@ -248,13 +279,20 @@ class Lesson:
 
     def root_learner(self) -> tuple[RegressorFit, float]:
         """The learner that reads the root of intensity, and its held-out error."""
-        return self._trial(ROOT_FORM, RootIntensity()).at_best_penalty()
+        return self._anchored_where_worth(self._trial(ROOT_FORM, RootIntensity()))
 
     def relearned(self, learner: RegressorFit) -> tuple[RegressorFit, float]:
         """The learner of the same form that reads the same, at its best penalty here, and its held-out error."""
-        near = isinstance(learner.reading, NearLightModel)
-        reading = NearLightModel.of(self.samples, self.slope, self.shape) if near else learner.reading
-        return self._trial(learner.form, reading).at_best_penalty()
+        reading, skin = _of_samples(learner, self.samples, self.slope, self.shape)
+        return replace(self, skin=skin)._trial(learner.form, reading).at_best_penalty()
+
+    def _anchored_where_worth(self, trial: _Trial) -> tuple[RegressorFit, float]:
+        """The learner of a trial at its best penalty, and its held-out error; anchored where that is clearly less."""
+        free = trial.at_best_penalty()
+        if self.skin is None or not self.flat:
+            return free
+        anchored = self._trial(replace(free[0].form, anchored=True), free[0].reading).at_best_penalty()
+        return anchored if anchored[1] < ANCHOR_WORTH * free[1] else free
 
     def _gain_error(self, learner: RegressorFit) -> float:
         """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
@@ -270,7 +308,8 @@ class Lesson:
 
     def _trial(self, form: RegressorForm, reading: Reading | None) -> _Trial:
         """A form with every third penalty tried."""
-        learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat, kept=self.kept)
+        skin = self.skin if form.anchored and not isinstance(reading, NearLightModel) else None
+        learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat, kept=self.kept, skin=skin)
         folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
         trial = _Trial(self, learner, folds, {})
         trial.attempt(range(1, len(PENALTIES), PENALTY_STRIDE))
@@ -313,6 +352,15 @@ class _Trial:
 
     def _least(self) -> int:
         return min(self.errors, key=lambda number: self.errors[number])
+
+
+def _of_samples(
+    learner: RegressorFit, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]
+) -> tuple[Reading | None, GentleSkin | None]:
+    """What a learner reads and is anchored at, as other samples of the same balls tell it."""
+    near, skin = isinstance(learner.reading, NearLightModel), learner.skin
+    reading = NearLightModel.of(samples, slope, shape) if near else learner.reading
+    return reading, None if skin is None else GentleSkin.of(samples, slope, shape, skin.light)
 
 
 def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:

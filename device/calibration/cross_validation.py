@@ -24,14 +24,14 @@ class GroupedRidgeCV:
     features : of N pixels, F of them
     ball : int array of shape (N,), the ball that each pixel belongs to
     prior : float64 array of shape (F, 2), coefficients that the penalty draws towards; None for 0
-    anchor : float64 array of shape (F, F), Gram matrix of pixels, as much as all samples, that show what the prior
-        says; None for none
+    anchor : Gram matrix (F, F) and moments (F, 2), less those of the prior, of pixels that are learned beside all
+        samples; None for none
     """
 
     features: ProductFeatures
     ball: NDArray[np.intp]
     prior: Float64Array | None = None
-    anchor: Float64Array | None = None
+    anchor: tuple[Float64Array, Float64Array] | None = None
 
     def solve(self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Float64Array:
         """Coefficients of shape (F, 2) learned from the living balls.
@@ -90,7 +90,10 @@ class GroupedRidgeCV:
         gram, moment = self.features.normal_equations(np.flatnonzero(rows), weight, wanted)
         if self.prior is not None:
             moment -= gram @ self.prior
-        return gram if self.anchor is None else gram + rows.mean() * self.anchor, moment
+        if self.anchor is None:
+            return gram, moment
+        share = rows.mean()
+        return gram + share * self.anchor[0], moment + share * self.anchor[1]
 
     def solution(self, gram: Float64Array, moment: Float64Array, penalty: float) -> Float64Array:
         """Ridge solution of shape (F, 2).

@@ -270,6 +270,8 @@ def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) 
     """The learner of intensity; and the map's: it or near lights', the root's and light's where worth their cost."""
     many = lesson.count >= MIN_FOR_MANY_TERMS
     choices: dict[str, Callable[[Lesson], tuple[RegressorFit, float]]] = {"plain": Lesson.select_best}
+    if light is not None and many:
+        lesson = lesson.under(light)
     if thorough and many:
         choices["root"] = Lesson.root_learner
     if light is not None:

@@ -80,6 +80,10 @@ class ProductFeatures:
             found[at] = ((self._plain(rows[at]) @ scaled) ** 2).sum(axis=1)
         return found
 
+    def table(self) -> Float64Array:
+        """All features of all pixels, float64 array of shape (N, F)."""
+        return self.scale * self._plain(np.arange(len(self.place)))
+
     def _plain(self, rows: NDArray[np.intp]) -> Float64Array:
         """Features before they are scaled, float64 array of shape (n, F)."""
         place = np.ascontiguousarray(monomial_rows(self.place[rows].T, self.position_degree).T)
