@@ -19,7 +19,7 @@ def checkout(tmp_path: Path) -> Path:
     (folder / ".ci").mkdir(parents=True)
     for name in ("Makefile", "pyproject.toml", "requirements.lock", "requirements-bench.lock"):
         shutil.copy(ROOT / name, folder / name)
-    for path in (ROOT / ".ci").iterdir():
+    for path in filter(Path.is_file, (ROOT / ".ci").iterdir()):
         shutil.copy(path, folder / ".ci")
     return folder
 
