@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
@@ -41,14 +42,15 @@ def write_pictures(chapter: Chapter, folder: Path) -> None:
     figure.savefig(folder / "story.png", dpi=110)
 
 
-def write_summary(chapters: list[Chapter], path: Path) -> None:
-    """Write the summary picture: one row per scan."""
-    figure = Figure(figsize=(22.0, 3.7 * len(chapters) + 0.4), layout="constrained")
-    rows = figure.subplots(len(chapters), 5, squeeze=False)
-    for number, (chapter, axes) in enumerate(zip(chapters, rows, strict=True)):
-        _draw(chapter, list(axes), titles=number == 0)
-        axes[0].set_ylabel(chapter.title, fontsize=13)
-    figure.savefig(path, dpi=90)
+def summary_row(chapter: Chapter, *, titles: bool) -> NDArray[np.uint8]:
+    """A scan's row of the summary picture: uint8 array of shape (H, W, 3), taller when it has the columns' titles."""
+    figure = Figure(figsize=(22.0, 4.0 if titles else 3.7), dpi=90, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = list(figure.subplots(1, 5))
+    _draw(chapter, axes, titles=titles)
+    axes[0].set_ylabel(chapter.title, fontsize=13)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[:, :, :3].copy()
 
 
 def _draw(chapter: Chapter, axes: list[Axes], *, titles: bool) -> None:
