@@ -37,7 +37,7 @@ class RegressorForm:
     place_penalty : how many times as dear a term is for every power of position
     waves : its waves of colour, none of them for a polynomial
     anchored : whether gentle slopes anywhere are learned too: as they are by a curve of near lights' slopes, as
-        `GentleSkin` foretells them by others
+        `GentleSkin` foretells them by a curve of light
     """
 
     colour_degree: int
@@ -81,7 +81,7 @@ ANCHOR_GAIN: Final = 0.8
 lights are off, anchors hold gentle slopes at a wrong gain, and all that lies between balls with them."""
 
 ANCHOR_WORTH: Final = 0.8
-"""Share of its held-out error that a curve of other colours must reach by anchors to have them.
+"""Share of its held-out error that a curve of light must reach by anchors to have them.
 
 It is 0.74 and 0.77 on rendered sensors with strongly coloured light, whose heights come from 3.5 to 2.8 and from 5.9 to
 2.9 µm, 0.84 to 1.3 on the other rendered ones.
@@ -267,7 +267,7 @@ class Lesson:
         if many:
             wavy = self._trial(fourier_form(), light)
             best = wavy if wavy.error < WAVY_GAIN * best.error else best
-        return self._anchored_where_worth(best)
+        return best.at_best_penalty() if light is None else self._anchored_where_worth(best)
 
     def fit_near_light(self) -> tuple[RegressorFit, float]:
         """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
@@ -279,7 +279,7 @@ class Lesson:
 
     def root_learner(self) -> tuple[RegressorFit, float]:
         """The learner that reads the root of intensity, and its held-out error."""
-        return self._anchored_where_worth(self._trial(ROOT_FORM, RootIntensity()))
+        return self._trial(ROOT_FORM, RootIntensity()).at_best_penalty()
 
     def relearned(self, learner: RegressorFit) -> tuple[RegressorFit, float]:
         """The learner of the same form that reads the same, at its best penalty here, and its held-out error."""
@@ -291,8 +291,8 @@ class Lesson:
         free = trial.at_best_penalty()
         if self.skin is None or not self.flat:
             return free
-        anchored = self._trial(replace(free[0].form, anchored=True), free[0].reading).at_best_penalty()
-        return anchored if anchored[1] < ANCHOR_WORTH * free[1] else free
+        anchored = self._trial(replace(free[0].form, anchored=True), free[0].reading)
+        return anchored.at_best_penalty() if anchored.error < ANCHOR_WORTH * free[1] else free
 
     def _gain_error(self, learner: RegressorFit) -> float:
         """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
