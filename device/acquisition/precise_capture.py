@@ -21,11 +21,14 @@ from device.acquisition.capture import (
     check_frame,
     retry_with_restart,
 )
+from device.acquisition.movie import Movie, Watch, record_movie
+from device.bundles.movie import MAX_MOVIE_FRAMES
 from device.bundles.scan import CaptureMode, ExposuresRecord
 from device.errors import CaptureModeRefused
 from device.guidance.downsample import downsample_step
-from device.guidance.guide import box_smoothed, change
+from device.guidance.guide import PressMeasure, box_smoothed, change
 from device.imaging.flat_field import SATURATED, bin_bayer
+from device.imaging.mosaic_binning import can_bin
 from device.surface.fields import Float32Array
 from hal.frame import RawFrame
 from hal.hardware import Hardware
@@ -52,6 +55,7 @@ class PreciseCapture:
     dark : the frame under no light; None if not taken
     alone : the frame under each light alone, by its name; empty where the object moved meanwhile
     alone_moved : frames that were left out for that
+    movie : frames of the whole press; None if not taken
     """
 
     capture: Capture
@@ -60,6 +64,7 @@ class PreciseCapture:
     dark: RawFrame | None = None
     alone: dict[str, RawFrame] = field(default_factory=dict)
     alone_moved: int = 0
+    movie: Movie | None = None
 
 
 def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
@@ -74,7 +79,9 @@ def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
 
 
 def frames_stored(mode: CaptureMode, lights: int) -> int:
-    """Raw frames that a scan stores."""
+    """Raw frames that a scan stores at most; frames of a movie count for a quarter."""
+    if mode == "movie":
+        return 1 + MAX_MOVIE_FRAMES // 4
     return 2 + lights if mode == "lights" else 1
 
 
@@ -82,11 +89,17 @@ def mode_fault(mode: CaptureMode, hardware: Hardware) -> str:
     """Why presses cannot be taken in this mode with this hardware; empty if they can."""
     if mode == "lights" and hardware.profile.lights_always_on:
         return "the lights of this sensor are always on, so that no light can be seen alone: use single or average"
+    if mode == "movie" and not can_bin(hardware.camera.shape):
+        return "a movie needs a frame of 4x4 blocks: use single or average"
     return ""
 
 
-def capture_precisely(hardware: Hardware, plan: CaptureSettings, mode: CaptureMode) -> PreciseCapture:
+def capture_precisely(
+    hardware: Hardware, plan: CaptureSettings, mode: CaptureMode, watch: Watch | None = None
+) -> PreciseCapture:
     """One press by this mode; the lights are off again afterwards. Errors as for `capture_with_faults`.
+
+    watch : what the guide measures in a frame of a movie; None: nothing
 
     Raises
     ------
@@ -97,6 +110,9 @@ def capture_precisely(hardware: Hardware, plan: CaptureSettings, mode: CaptureMo
         raise CaptureModeRefused(sentence)
     if mode == "single":
         return PreciseCapture(capture_with_faults(hardware, plan))
+    if mode == "movie":
+        best, movie = record_movie(hardware, plan, watch or _nothing)
+        return PreciseCapture(best, movie=movie)
     found = retry_with_restart(hardware.camera, lambda: _averaged(hardware, plan))
     if mode == "average":
         return found
@@ -106,6 +122,10 @@ def capture_precisely(hardware: Hardware, plan: CaptureSettings, mode: CaptureMo
     if _together(alone, dark, found.capture.frame) > MAX_CHANGE:
         return replace(found, dark=dark, alone_moved=len(alone))
     return replace(found, dark=dark, alone=alone)
+
+
+def _nothing(_frame: RawFrame) -> PressMeasure:
+    return PressMeasure()
 
 
 def _together(alone: dict[str, RawFrame], dark: RawFrame, lit: RawFrame) -> float:

@@ -146,12 +146,16 @@ class ScanHealth:
         red, green, blue = (level - 1.0 for level in region.levels)
         return ZeroCheck(flat_um, (red, green, blue), region.pattern, float(defects.mean()))
 
+    def measure_press(self, frame: RawFrame) -> PressMeasure:
+        """Contact and depth in a frame, as the guide measures them."""
+        return measure_frame(frame, self.guide_model, self.channel_levels)
+
     def context_of_scan(
         self, frame: RawFrame, intensity: NormalizedImage | None, motion: float | None
     ) -> InstrumentContext:
         """Context for the verdict on a scan; also measures the lights in its frame and counts the gel's press."""
         region = self._reference.detect(intensity, self._shares) if intensity else None
-        press = PressMeasure() if intensity is None else measure_frame(frame, self.guide_model, self.channel_levels)
+        press = PressMeasure() if intensity is None else self.measure_press(frame)
         lights = self._lights_of_scan(intensity, region)
         self._drift.update_from_scan(lights)
         return InstrumentContext(

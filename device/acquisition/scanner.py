@@ -227,7 +227,7 @@ class Scanner:
             No frame could be taken.
         """
         self.check_room(mode)
-        captured = capture_precisely(self._hardware, self._plan, mode)
+        captured = capture_precisely(self._hardware, self._plan, mode, self.health.measure_press)
         may_lift()
         return RawCapture(captured, self._hardware.power.read())
 
@@ -300,6 +300,9 @@ class Scanner:
                 write_raw(directory / exposures.dark_file, beside.dark)
             for light, name in exposures.alone_files.items():
                 write_raw(directory / name, beside.alone[light])
+            if record.movie and beside.movie:
+                for name, one in zip(record.movie.files, beside.movie.frames, strict=True):
+                    write_raw(directory / name, one)
             if look:
                 write_quick_look(directory, look.height)
 
@@ -358,6 +361,7 @@ class Scanner:
             calibration_id=self._calibration.calibration_id,
             verdict=_with_ambient(verdict, press.precise),
             exposures=exposures_record(press.precise),
+            movie=press.precise.movie.record() if press.precise.movie else None,
             annotations=annotations,
             # Read again after the quick look, the heaviest work of a scan, during which a weak supply sags.
             power=PowerRecord.of(self._hardware.power.read().with_earlier(press.power)),

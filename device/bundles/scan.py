@@ -11,6 +11,8 @@ import msgspec
 from device.bundles.bundle import Bundle, check_files, read_record
 from device.bundles.check import CheckRecord
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
+from device.bundles.movie import MovieRecord
+from device.bundles.raw_frame import read_bundle_frame
 from device.bundles.record import (
     BundleId,
     Figure,
@@ -36,8 +38,9 @@ SCAN_MANIFEST: Final = "scan.json"
 
 VerdictLevel = Literal["good", "doubtful", "retake"]
 
-CaptureMode = Literal["single", "average", "lights"]
-"""One frame; the average of several; that, and one frame under no light and under each light alone."""
+CaptureMode = Literal["single", "average", "lights", "movie"]
+"""One frame; the average of several; that, and one frame under no light and under each light alone; frames for some
+seconds, of which the best is the scan."""
 
 
 class VerdictRecord(Record, frozen=True):
@@ -119,6 +122,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     calibration_id : the calibration that was active, or None
     light_faults : reported by the light driver while the lights were on; None when it cannot report
     exposures : what the raw frame is made of, and the frames under other lights
+    movie : frames of the whole press, of half the size; None if not taken
     check : the last check of the check standard with this calibration; this scan itself if it has its id
     replaces : the scan of the same place that was taken again and that this one replaces; None: it is one more
     files : hash and size of every file beside the manifest; filled in by the store
@@ -141,6 +145,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     light_faults: Annotated[tuple[LightFaultRecord, ...], msgspec.Meta(max_length=100)] | None = None
     raw_file: FileName = "raw.tif"
     exposures: ExposuresRecord = ExposuresRecord()
+    movie: MovieRecord | None = None
     check: CheckRecord | None = None
     replaces: BundleId | None = None
     files: Files = msgspec.field(default_factory=dict)
@@ -153,7 +158,7 @@ class ScanRecord(Record, frozen=True, tag_field="schema", tag=SCAN_SCHEMA):
     @property
     def raw_files(self) -> tuple[str, ...]:
         """Names of the raw frames."""
-        return (self.raw_file, *self.exposures.files)
+        return (self.raw_file, *self.exposures.files, *(self.movie.files if self.movie else ()))
 
     @property
     def named_files(self) -> tuple[str, ...]:
@@ -177,6 +182,20 @@ class ScanBundle(Bundle[ScanRecord]):
     def named_frame(self, name: str) -> RawFrame:
         """A raw frame by its name, such as one under a light alone. Errors as for `raw_frame`."""
         return self._frame(name)
+
+    def movie_frame(self, name: str) -> RawFrame:
+        """A frame of the movie by its file's name, of the size that it is stored in.
+
+        Raises
+        ------
+        RecordError
+            There is no movie, or the file is missing, damaged or of another size than the record states.
+        """
+        if self.record.movie is None:
+            raise RecordError(f"{self.directory}: holds no movie")
+        rows, columns = self.record.shape
+        binning = self.record.movie.binning
+        return read_bundle_frame(self.path(name), (rows // binning, columns // binning))
 
     def dark_frame(self) -> RawFrame | None:
         """The raw frame under no light; None if not taken. Errors as for `raw_frame`."""

@@ -15,6 +15,7 @@ from device.acquisition.calibrate import calibrate
 from device.acquisition.calibration_light import calibration_settings, keep_balance
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
+from device.acquisition.movie import MOVIE_S, frames_that_fit
 from device.acquisition.precise_capture import mode_fault
 from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.sd_notify import SdNotify
@@ -119,7 +120,8 @@ def scan_once(
     pressed
         What the twin's operator presses (ignored on a real board).
     capture
-        One frame; the average of several; or that, and a frame under no light and under each light alone.
+        One frame; the average of several; that, and a frame under no light and under each light alone; or a movie:
+        frames of half the size for some seconds, of which the best is the scan.
     json
         Print one JSON document instead of sentences.
     """
@@ -133,7 +135,11 @@ def scan_once(
         scanner.measure_lights()
         hardware.operator.ask(PressObject(pressed))
         say = print_note if json else print_line
-        say("Press the object into the gel, then push the button.")
+        if capture == "movie":
+            most = frames_that_fit(hardware.camera.shape)
+            say(f"A movie of {MOVIE_S:g} s or {most} frames: push the button, then press the object slowly.")
+        else:
+            say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
         _report(scanner.scan(_annotations(labels), lambda: _cue_lift(hardware, say), capture), json)
     return 0

@@ -161,6 +161,10 @@ class SimulatedScene:
         """Press something on the gel from now on, or nothing."""
         self._pressed.change(self.clock.monotonic_ns(), press)
 
+    def place_at(self, at_ns: int, press: Press | None) -> None:
+        """The same from a later time on: presses that deepen are placed one after the other."""
+        self._pressed.change(at_ns, press)
+
     def drive(self, currents_ma: Mapping[str, float]) -> None:
         """Drive the lights with these currents (mA) from now on; lights not named are off."""
         self._driven.change(self.clock.monotonic_ns(), dict(currents_ma))

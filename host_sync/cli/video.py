@@ -15,8 +15,10 @@ from host_sync.cli.calibrator import obtain_calibration
 from host_sync.cli.console import print_error, print_line, tell_of_compiling
 from host_sync.cli.reconstruct import MethodName
 from host_sync.errors import FrameSetError
+from host_sync.frames.bundle_movie import BundleMovie
 from host_sync.frames.frame_set_file import Encoding
-from host_sync.frames.sequence import open_sequence
+from host_sync.frames.sequence import FrameSequence, open_sequence
+from host_sync.library.library import Library
 from host_sync.text import printable
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ Tell = Callable[[str, int | None, int | None], None]
 def video(
     sequence: Path,
     *,
-    calibration: str,
+    calibration: str | None = None,
     out: Path,
     library: Path | None = None,
     encoding: Encoding | None = None,
@@ -46,10 +48,11 @@ def video(
     Parameters
     ----------
     sequence
-        A folder of RGB images or raw frames in natural order, a TIFF of many pages, or an AVI, MP4 or MKV movie.
+        A folder of RGB images or raw frames in natural order, a TIFF of many pages, or an AVI, MP4 or MKV movie; with
+        --library also a scan with a movie of its press, by id, label's name or part.
     calibration
         A file of `retrosync calibrate`, a FRAMESET.toml or a calibration's folder; with --library, a calibration's id
-        or its beginning or end.
+        or its beginning or end. A scan's movie has its own by default.
     out
         Folder for heights_um.tif, relief.mp4, relief.gif and result.json. With the extra `movies` the MP4 plays in
         browsers; without it relief.webp does.
@@ -72,7 +75,10 @@ def video(
     """
     if rate_hz is not None and not 1e-6 <= rate_hz <= 1e6:
         raise FrameSetError(f"--rate-hz {rate_hz:g} is not a rate: give frames per second, such as 25")
-    frames = open_sequence(sequence)
+    frames, own = _opened(sequence, library)
+    calibration = calibration or own
+    if calibration is None:
+        raise FrameSetError("--calibration is missing: only a scan's movie names its own")
     with _telling() as tell:
         tell_of_compiling()
         tell("loading compiled code", None, None)
@@ -88,6 +94,14 @@ def video(
         order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, *names)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)
+
+
+def _opened(sequence: Path, library: Path | None) -> tuple[FrameSequence, str | None]:
+    """The frames, and the id of their own calibration where they are a scan's of the library."""
+    if library is None or sequence.exists():
+        return open_sequence(sequence), None
+    bundle = Library(library).named(str(sequence))
+    return BundleMovie(bundle), bundle.record.calibration_id
 
 
 def _tell_report(report: SequenceReport, out: Path) -> int:

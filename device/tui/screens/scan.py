@@ -29,11 +29,12 @@ from device.tui.widgets.words import Words
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
 
-_MODES: Final[tuple[CaptureMode, ...]] = ("single", "average", "lights")
+_MODES: Final[tuple[CaptureMode, ...]] = ("single", "average", "lights", "movie")
 _MODE_WORDS: Final[dict[CaptureMode, str]] = {
     "single": "",
     "average": " · precise",
     "lights": " · precise, each light",
+    "movie": " · movie",
 }
 
 
@@ -56,7 +57,7 @@ class ScanScreen(InstrumentScreen):
         Binding("r", "retake", "retake"),
         Binding("b", "code", "part's name by QR code or barcode", show=False),
         Binding("a", "auto", "auto"),
-        Binding("m", "mode", "one frame, precise, or each light", show=False),
+        Binding("m", "mode", "one frame, precise, each light, or a movie", show=False),
         Binding("z", "zero", "zero"),
         Binding("d", "demonstrate", "press"),
     ]

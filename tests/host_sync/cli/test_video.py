@@ -13,16 +13,23 @@ import numpy as np
 import pytest
 import tifffile
 
+from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.raw_frame import write_raw
+from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic, make_flat_field
 from device.inverse_map.npz import MODEL_FILE, read_model
 from device.store.active import read_active
+from device.store.store import BundleStore
+from hal.hardware import Hardware
+from hal.interfaces import PressObject
+from hal.simulator.bench import SimulatedScene
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.render.relief_movie import plays_in_browser
 from host_sync.viewer.entry import result_entry
+from tests.apparatus.deepening_press import press_deeper
 
 
 @pytest.fixture
@@ -95,6 +102,36 @@ def test_a_folder_of_raw_frames_under_a_librarys_calibration(
     assert record["frames"][2]["time_s"] == pytest.approx(0.2)
     (stated,) = result_entry(out).doubts
     assert stated == doubt.removeprefix("doubt: ")
+
+
+def test_a_scans_movie_shows_the_press_deepen(
+    calibrated: BundleStore, bench: SimulatedScene, hardware: Hardware, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Calibrator, "of_bundle", lambda _, bundle: as_the_device_fitted_it(bundle))
+    with hardware:
+        scanner = Scanner(hardware, calibrated)
+        press_deeper(bench, hardware)
+        bundle = scanner.scan(Annotations(part="bolt"), mode="movie").bundle
+    out = tmp_path / "out"
+    assert main(["video", "bolt", "--library", str(calibrated.root), "--out", str(out), "--no-mp4", "--no-gif"]) == 0
+    frames = json.loads((out / "result.json").read_text())["frames"]
+    assert bundle.record.movie is not None
+    assert len(frames) == len(bundle.record.movie.frames)
+    peaks_um = [frame["peak_um"] for frame in frames]
+    assert peaks_um[-1] > 2.0 * peaks_um[len(frames) // 4] > 0.0
+    assert frames[-1]["contact_share"] > frames[0]["contact_share"]
+    assert frames[-1]["time_s"] == pytest.approx(bundle.record.movie.frames[-1].at_ms / 1e3, rel=0.02)
+
+
+def test_a_scan_without_a_movie_is_refused(
+    calibrated: BundleStore, hardware: Hardware, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with hardware:
+        hardware.operator.ask(PressObject("coin"))
+        hardware.button.wait_for_press(None)
+        Scanner(hardware, calibrated).scan(Annotations(part="bolt"))
+    assert main(["video", "bolt", "--library", str(calibrated.root), "--out", str(tmp_path / "out")]) == 2
+    assert "holds no movie" in capsys.readouterr().err
 
 
 def test_bad_input_is_refused_in_one_sentence(

@@ -1,0 +1,108 @@
+"""A press as a movie: raw frames of half the size from touch to depth, and the best of them at full size."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from device.acquisition.capture import (
+    FRAME_TIMEOUT_S,
+    Capture,
+    CaptureSettings,
+    capture_with_faults,
+    check_frame,
+)
+from device.bundles.movie import MAX_MOVIE_FRAMES, MovieFrameRecord, MovieRecord
+from device.guidance.downsample import downsample_bayer
+from device.guidance.guide import PressMeasure, box_smoothed, change
+from device.imaging.mosaic_binning import MOVIE_BINNING, bin_mosaic
+from device.surface.fields import Float32Array
+from hal.frame import RawFrame
+from hal.hardware import Hardware
+
+MOVIE_S: Final = 5.0
+"""A movie is so long where memory and disk have room."""
+
+MEMORY_FRACTION: Final = 0.25
+"""Of the free memory that a movie may fill before it is written."""
+
+STILL: Final = 0.008
+"""Change of smoothed light from one frame to the next at which a frame counts half: an edge that moves by a pixel."""
+
+Watch = Callable[[RawFrame], PressMeasure]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movie:
+    """Frames of half the size, and what was seen in each.
+
+    frames : in order of time
+    measures : contact and depth in each
+    best : number of the one that is stored at full size too
+    """
+
+    frames: tuple[RawFrame, ...]
+    measures: tuple[PressMeasure, ...]
+    best: int
+
+    def record(self) -> MovieRecord:
+        """What the bundle says of it."""
+        began_ns = self.frames[0].sensor_timestamp_ns
+        return MovieRecord(
+            binning=MOVIE_BINNING,
+            best=self.best,
+            frames=tuple(
+                MovieFrameRecord(
+                    file=f"movie-{number:04d}.tif",
+                    at_ms=max((frame.sensor_timestamp_ns - began_ns) / 1e6, 0.0),
+                    contact_fraction=seen.contact_fraction,
+                    depth_um=seen.depth_um,
+                )
+                for number, (frame, seen) in enumerate(zip(self.frames, self.measures, strict=True))
+            ),
+        )
+
+
+def frames_that_fit(shape: tuple[int, int]) -> int:
+    """Frames of a movie of full-size frames (H, W) that memory has room for, one at least."""
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    each = 2 * shape[0] * shape[1] // MOVIE_BINNING**2
+    return max(1, min(MAX_MOVIE_FRAMES, int(MEMORY_FRACTION * free) // each))
+
+
+def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tuple[Capture, Movie]:
+    """Frames for `MOVIE_S`, or as many as fit in memory; the lights are off again afterwards.
+
+    The best frame is the one with most contact, less the more it differs from the one before it. Errors as for
+    `capture_with_faults`.
+
+    watch : what the guide measures in a frame
+    """
+    first = capture_with_faults(hardware, plan, keep_lit=True)
+    camera, step_us = hardware.camera, hardware.profile.sensor.exposure_step_us
+    until_ns = first.frame.sensor_timestamp_ns + round(MOVIE_S * 1e9)
+    most = frames_that_fit(first.frame.shape)
+    frames, measures = [bin_mosaic(first.frame)], [watch(first.frame)]
+    best, best_score, full, before = 0, 0.0, first.frame, _small(first.frame)
+    try:
+        while len(frames) < most:
+            frame = camera.next_frame(FRAME_TIMEOUT_S)
+            check_frame(frame, hardware.profile.sensor, camera.camera_id, plan.bayer_order)
+            if hardware.clock.monotonic_ns() > until_ns or not plan.matches(frame.granted, step_us):
+                break
+            seen, now = watch(frame), _small(frame)
+            score = (seen.contact_fraction or 0.0) / (1.0 + change(before, now) / STILL)
+            if score > best_score:
+                best, best_score, full = len(frames), score, frame
+            frames.append(bin_mosaic(frame))
+            measures.append(seen)
+            before = now
+    finally:
+        hardware.lights.off()
+    return Capture(full, first.light_faults), Movie(tuple(frames), tuple(measures), best)
+
+
+def _small(frame: RawFrame) -> Float32Array:
+    return box_smoothed(downsample_bayer(frame).rgb)
