@@ -16,7 +16,7 @@ import numpy as np
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
-from host_sync.integration.zero_level import Datum
+from host_sync.integration.zero_level import Datum, block_heights_um
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
@@ -45,6 +45,9 @@ CONTRADICTION_PX: Final = 8.0
 
 CONTRADICTION_CELL_PX: Final = 4
 """The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
+
+HALF: Final = 0.5
+"""A pixel of the reduced field is untouched skin where more than this share of it is."""
 
 PLACES: Final = 48
 """Places along each side of the field at which the map is asked for untouched skin, where it changes slowly."""
@@ -154,8 +157,8 @@ def height_uncertainty(
     # Skin at another elevation than the balls' may be read too steep, and so may what is as steep as their rims.
     higher, rim = error.elevation.steeper(z_small / np.float32(height.pitch_um), square), _rim(square, error)
     bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
-    zero = _shrunk(datum.skin, size)
-    zero /= max(float(zero.sum()), 1e-6)
+    skin = _shrunk(datum.skin, size)
+    zero = skin / max(float(skin.sum()), 1e-6)
     share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
@@ -173,11 +176,25 @@ def height_uncertainty(
             dark = np.float32(rng.standard_normal())
             p, q = p + dark * shadow[0], q + dark * shadow[1]
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
-        # Untouched skin is flat: by how much its heights differ, their zero is unknown.
-        sample_um += np.float32(datum.zero_sigma_um * rng.standard_normal()) - np.float32((sample_um * zero).sum())
+        sample_um -= np.float32((sample_um * zero).sum())
+    zero_um = _unexplained_zero_um(datum, samples_um, skin)
+    samples_um += np.float32(zero_um) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32)
     sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     samples_um += np.float32(share) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32) * z_small
     return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), samples_um)
+
+
+def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Array) -> float:
+    """Standard uncertainty of the zero that the drawn errors leave unexplained, µm.
+
+    Untouched skin is flat: by how much its heights differ, their zero is unknown. Drawn errors of slopes let it differ
+    too, and move the object with it: what they account for would count twice.
+    """
+    if datum.is_relative:
+        return datum.zero_sigma_um
+    drawn_um = np.concatenate([block_heights_um(sample_um, skin > HALF) for sample_um in samples_um])
+    known = float(np.square(drawn_um).mean()) if drawn_um.size else 0.0
+    return float(np.sqrt(max(datum.zero_sigma_um**2 - known, 0.0)))
 
 
 def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:

@@ -149,6 +149,21 @@ def test_the_zero_is_not_known_better_than_resting_skin_is_flat() -> None:
     assert 2.0 < known.sigma_um.min() <= known.sigma_um.max() < 4.0
 
 
+def test_uneven_skin_that_errors_of_slopes_account_for_counts_once() -> None:
+    gradients, error = gradients_of(bump(), 0.0), error_of(0.0, 0.5, 8.0)
+    height, flat, at_rest = HeightMap(bump().astype(np.float32), PITCH_UM), np.zeros(SHAPE, np.float32), bump() < 1e-6
+
+    def sigma(spread_um: float) -> np.ndarray:
+        datum = Datum(at_rest, 0.0, spread_um, 0.5)
+        return height_uncertainty(height, gradients, flat, error, LEVEL, datum).sigma_um
+
+    drawn = height_uncertainty(height, gradients, flat, error, LEVEL, Datum(at_rest, 0.0, 0.0, 0.5)).samples_um
+    drawn_um = float(np.sqrt(np.mean([np.square(block_heights_um(sample, at_rest)).mean() for sample in drawn])))
+    assert drawn_um > 0.1
+    np.testing.assert_allclose(sigma(0.95 * drawn_um), sigma(0.0), rtol=1e-6)
+    assert sigma(3.0 * drawn_um).min() > 2.0 * sigma(0.0).min()
+
+
 def test_what_the_map_reads_on_untouched_skin_is_not_known_better_than_that() -> None:
     across = (np.arange(8, dtype=np.float32) - 3.5) / 3.5
     bowl = 1e-3 * np.broadcast_to(across, (8, 8)).astype(np.float32)
