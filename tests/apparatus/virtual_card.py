@@ -23,6 +23,17 @@ MEMORY_MIB = 1536
 UNITS = ("retroscan", "retrograph-first-boot", "retrograph-root", "retrograph-pairing")
 PATIENCE = "[Service]\nTimeoutStartSec=900\nTimeoutStopSec=300\nWatchdogSec=0\n"
 """For units that allow a board's processor a minute; given by the command line, so that the card is as it was built."""
+DEVICES_S = 900
+"""Until a disk has to be there: emulated, it took longer than the 45 s that a board's units allow."""
+
+
+def patient(command_line: str) -> str:
+    """A slot's cmdline.txt for the emulated board: its console, and more time than a board's processor needs."""
+    dropin = base64.b64encode(PATIENCE.encode()).decode()
+    told = [f"systemd.set_credential_binary=systemd.unit-dropin.{unit}.service:{dropin}" for unit in UNITS]
+    line = command_line.strip().replace("console=serial0,115200 ", "")
+    patience = f"systemd.default_device_timeout_sec={DEVICES_S}"
+    return " ".join([line, "console=ttyAMA0", "systemd.show_status=yes", patience, *told])
 
 
 @dataclass
@@ -89,18 +100,14 @@ class VirtualCard:
         )
         for name in ("kernel", "initramfs"):
             (self.folder / name).write_bytes(self.read(boot, config[name]))
-        command_line = self.read(boot, "cmdline.txt").decode().strip().replace("console=serial0,115200", "")
-        patience = base64.b64encode(PATIENCE.encode()).decode()
-        told = " ".join(
-            f"systemd.set_credential_binary=systemd.unit-dropin.{unit}.service:{patience}" for unit in UNITS
-        )
+        command_line = patient(self.read(boot, "cmdline.txt").decode())
         forwards = ",".join(f"hostfwd=tcp:127.0.0.1:{here}-:{there}" for there, here in self.ports.items())
         command = [
             "nice", "-n", "5", QEMU, "-M", "virt", "-cpu", "max,pauth-impdef=on", "-accel", "tcg,thread=multi",
             "-smp", "2", "-m", str(MEMORY_MIB), "-display", "none", "-monitor", "none", "-no-reboot",
             "-serial", f"file:{self.console}", "-kernel", str(self.folder / "kernel"),
             "-initrd", str(self.folder / "initramfs"),
-            "-append", f"{command_line} console=ttyAMA0 systemd.show_status=yes {told}",
+            "-append", command_line,
             "-drive", f"file={self.card},format=raw,if=virtio,cache=unsafe",
             "-netdev", f"user,id=net,restrict=on,{forwards}", "-device", "virtio-net-pci,netdev=net,romfile=",
             "-device", "virtio-rng-pci",

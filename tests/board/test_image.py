@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import re
 import shutil
 import subprocess
 import tomllib
@@ -25,6 +26,7 @@ from image_layout import (
     partitions,
     sfdisk_script,
 )
+from virtual_card import DEVICES_S, patient
 
 ROOT = Path(__file__).parents[2]
 MOST_AUTOBOOT_BYTES = 512
@@ -34,6 +36,8 @@ TOOLS = ("sfdisk", "mkfs.ext4", "mkfs.vfat", "mcopy", "debugfs", "zstd")
 SMALL = Sizes(select_mib=16, boot_mib=34, root_mib=24, data_mib=16)
 NAME = "retrograph-test"
 CARD_MIB = 512
+LONGEST_LINE_BYTES = 2048
+"""COMMAND_LINE_SIZE of an arm64 kernel, which cuts what is longer."""
 
 needs_sfdisk = pytest.mark.skipif(shutil.which("sfdisk", path=PATH) is None, reason="sfdisk is not installed")
 needs_tools = pytest.mark.skipif(
@@ -106,6 +110,18 @@ def test_a_slot_knows_its_own_root_and_boot_partition(slot: str) -> None:
     assert f"systemd.mount-extra=PARTUUID={identifier}-0{BOOT_NUMBERS[slot]}:/boot/firmware:vfat:ro" in line
     assert f"retrograph.slot={slot} " in line
     assert line.endswith(" overlayroot=tmpfs:recurse=0\n")
+
+
+def test_the_emulated_board_waits_longer_for_its_card_than_the_image_does() -> None:
+    """The image keeps a board's 45 s; what gives an emulated disk more time is in the kernel's command line, whole."""
+    line = patient(command_line(NAME, "a"))
+    assert len(line.encode()) < LONGEST_LINE_BYTES
+    assert set(command_line(NAME, "a").split()) - set(line.split()) == {"console=serial0,115200"}
+    assert [word for word in line.split() if word.startswith("console=")][-1] == "console=ttyAMA0"
+    given = re.search(r"^DefaultDeviceTimeoutSec=(\d+)s$", (ROOT / "systemd/system-retrograph.conf").read_text(), re.M)
+    assert given
+    assert f" systemd.default_device_timeout_sec={DEVICES_S} " in line
+    assert int(given[1]) < DEVICES_S
 
 
 @needs_sfdisk
