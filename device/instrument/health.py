@@ -10,7 +10,7 @@ from device.acquisition.scan_health import ScanHealth, ZeroCheck
 from device.instrument.live import LiveFrame
 from device.instrument.state import GelState, HealthState
 from device.quality.thresholds import FLAT_RESIDUAL_UM, GEL_PRESSES, MAX_DEFECTS, MOVING, STALE_EVIDENCE_SCANS
-from device.quality.verdict import drift_complaints
+from device.quality.verdict import dirt_sentence, drift_complaints
 
 CALM_FRAMES: Final = 5
 
@@ -52,7 +52,7 @@ def _complaints(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> It
     for _, reason in drift_complaints(health.light_change, health.reference_change):
         yield reason
     if health.defect_fraction > MAX_DEFECTS:
-        yield f"{health.defect_fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
+        yield dirt_sentence(health.defect_fraction)
     if zero and zero.flat_residual_um > FLAT_RESIDUAL_UM:
         yield zero_sentence(zero)
     if health.unseen_scans > STALE_EVIDENCE_SCANS:

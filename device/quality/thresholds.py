@@ -65,6 +65,9 @@ DEFECT_CONTRAST: Final = 0.04
 MAX_DEFECTS: Final = 0.02
 """Maximum fraction of the field with defects before the gel should be wiped or changed."""
 
+MAX_DARK_SPOTS: Final = 0.002
+"""Maximum fraction of a press with dark spots that the calibration's reference does not show."""
+
 GEL_PRESSES: Final = 5000
 """Presses after which a gel's coat should be inspected."""
 

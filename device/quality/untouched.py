@@ -207,19 +207,32 @@ class LightDriftMonitor:
 
 def gel_defects(untouched: LinearFrame) -> MaskArray:
     """Scratches, dust and stains in a frame of untouched skin: bool array of shape (H, W)."""
-    margin = round(3.0 * SURROUNDINGS_PX)
-    # Odd reflection continues a gradient of the light beyond the border, where plain reflection would bend it.
-    padded = np.pad(untouched.rgb, ((margin, margin), (margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    spot = cv2.GaussianBlur(padded, (0, 0), NOISE_BLUR_PX)
-    around = cv2.GaussianBlur(padded, (0, 0), SURROUNDINGS_PX)
-    contrast: Float32Array = np.abs(spot / np.maximum(around, np.float32(1e-3)) - np.float32(1.0))
-    inside = contrast[margin:-margin, margin:-margin].max(axis=-1)
-    return np.asarray(inside > DEFECT_CONTRAST, np.bool_)
+    return np.asarray(np.abs(_contrast(untouched.rgb)).max(axis=-1) > DEFECT_CONTRAST, np.bool_)
+
+
+def dark_spots(intensity: NormalizedImage) -> MaskArray:
+    """Dust, scratches and stains since the calibration, in a frame with or without a press: bool array of shape (H, W).
+
+    They are darker than their surroundings under every light alike; a slope turns away from one light and towards
+    another, and what the reference shows too cancels.
+    """
+    return np.asarray(_contrast(intensity.values).max(axis=-1) < -DEFECT_CONTRAST, np.bool_)
 
 
 def block_means(values: Float32Array) -> Float32Array:
     """Mean of each block of an image (H, W, 3): float32 array of shape (rows, columns of blocks, 3)."""
     return _blocks(values)[0]
+
+
+def _contrast(values: Float32Array) -> Float32Array:
+    """Contrast of each spot to its surroundings by channel: float32 array of shape (H, W, 3), 0 where there is none."""
+    margin = round(3.0 * SURROUNDINGS_PX)
+    # Odd reflection continues a gradient of the light beyond the border, where plain reflection would bend it.
+    padded = np.pad(values, ((margin, margin), (margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    spot = cv2.GaussianBlur(padded, (0, 0), NOISE_BLUR_PX)
+    around = cv2.GaussianBlur(padded, (0, 0), SURROUNDINGS_PX)
+    contrast = spot / np.maximum(around, np.float32(1e-3)) - np.float32(1.0)
+    return np.asarray(contrast[margin:-margin, margin:-margin], np.float32)
 
 
 def _side(values: Float32Array) -> int:

@@ -19,11 +19,13 @@ from device.quality.thresholds import (
     DRIFTED,
     DRIFTED_FAR,
     LIGHT_DRIFTED,
+    MAX_DARK_SPOTS,
     MAX_DEFECTS,
     MIN_CONTACT,
     MOTION_DOUBTFUL,
     SHARP,
 )
+from device.quality.untouched import dark_spots
 
 LIGHTS_UNKNOWN: Final = "the lights could not be checked: lift off for a moment after each press"
 
@@ -73,12 +75,16 @@ class InstrumentContext:
 
 @dataclass(frozen=True, slots=True)
 class FrameMetrics:
-    """Figures of the frame itself, as fractions of full scale or of the field; None without an intensity image."""
+    """Figures of the frame itself, as fractions of full scale or of the field; None without an intensity image.
+
+    dark_spots : fraction of the field with dust, scratches or stains since the calibration
+    """
 
     exposure: float
     clipped: float
     contact: float | None
     sharp: float | None
+    dark_spots: float | None
 
     @classmethod
     def of(cls, frame: LinearFrame, intensity: NormalizedImage | None) -> FrameMetrics:
@@ -88,6 +94,7 @@ class FrameMetrics:
             clipped=float(frame.clipped.mean()),
             contact=None if intensity is None else shaded_fraction(intensity),
             sharp=None if intensity is None else sharpness(intensity),
+            dark_spots=None if intensity is None else float(dark_spots(intensity).mean()),
         )
 
     @property
@@ -98,6 +105,7 @@ class FrameMetrics:
             "clipped_share": self.clipped,
             "contact_share": self.contact,
             "sharpness": self.sharp,
+            "dark_spot_share": self.dark_spots,
         }
 
 
@@ -213,6 +221,8 @@ def _frame_complaints(metrics: FrameMetrics) -> Iterator[tuple[VerdictLevel, str
             "doubtful",
             f"no sharp edge ({metrics.sharp:.2f}, {SHARP:g} expected): hold still, check the lens",
         )
+    if metrics.dark_spots is not None and metrics.dark_spots > MAX_DARK_SPOTS:
+        yield "doubtful", dirt_sentence(metrics.dark_spots)
 
 
 def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
@@ -223,7 +233,12 @@ def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
     if known.failed_check:
         yield "doubtful", known.failed_check
     if known.defect_fraction is not None and known.defect_fraction > MAX_DEFECTS:
-        yield "doubtful", f"{known.defect_fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
+        yield "doubtful", dirt_sentence(known.defect_fraction)
+
+
+def dirt_sentence(fraction: float) -> str:
+    """What to do about a skin with defects over this fraction."""
+    return f"{fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
 
 
 def _unknown_lights(known: InstrumentContext, lights: Sequence[str]) -> Iterator[tuple[VerdictLevel, str]]:

@@ -136,6 +136,23 @@ def judge_press(instrument: Instrument, bench: SimulatedScene, press: RandomPres
     return _scan(instrument, bench, press.press(), press.levels).verdict
 
 
+def judge_dusty_press(
+    instrument: Instrument, bench: SimulatedScene, press: RandomPress, dust_seed: int, *, under_object: bool
+) -> VerdictRecord:
+    """The verdict on a press onto dust that fell 1 s before it, after the skin was seen clean, or with the object."""
+    bench.faults.dirty = False
+    bench.place(None)
+    _step(instrument, 16)
+    bench.seed = dust_seed
+    if not under_object:
+        bench.faults.dirty = True
+        until_ns = bench.clock.monotonic_ns() + 1_000_000_000
+        while bench.clock.monotonic_ns() < until_ns:
+            instrument.step()
+    bench.faults.dirty = True
+    return _scan(instrument, bench, press.press()).verdict
+
+
 def _scan(
     instrument: Instrument, bench: SimulatedScene, press: Press | None, levels: Mapping[str, float] | None = None
 ) -> ScanFinished:
