@@ -38,8 +38,8 @@ class ProductFeatures:
     scale : float64 array of shape (F,), by which features are multiplied
     rest : variables of colour of untouched skin, whose features are taken off: float64 array of shape (1, 3) where they
         are alike everywhere, else (N, 3); None where nothing is taken off
-    kept : sums over pixels, by a digest of what they are of, for forms that differ in scale or rest alone; None where
-        nothing is kept
+    kept : sums over pixels, by a digest of what they are of, for forms that differ in scale alone, or in a rest that is
+        alike everywhere; None where nothing is kept
     """
 
     colours: Float64Array
@@ -55,10 +55,12 @@ class ProductFeatures:
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         """Gram matrix (F, F) and moments (F, C) of pixels `rows`, with weights (N,) and what is wanted (N, C)."""
-        if self.waves.count or (self.rest is not None and len(self.rest) > 1):
+        if not self.waves.count and (self.rest is None or len(self.rest) == 1):
+            gram, moment = self._of_sums(rows, weight, wanted)
+        elif self.kept is None or self.waves.count:  # no other form has the same waves
             gram, moment = self._summed(rows, weight, wanted)
         else:
-            gram, moment = self._of_sums(rows, weight, wanted)
+            gram, moment = self._kept_summed(self.kept, rows, weight, wanted)
         gram *= self.scale
         gram *= self.scale[:, None]
         return gram, moment * self.scale[:, None]
@@ -114,6 +116,23 @@ class ProductFeatures:
             gram += features.T @ features
             moment += features.T @ (root * wanted[rows[at]])
         return gram, moment
+
+    def _kept_summed(
+        self,
+        kept: MutableMapping[bytes, Float64Array],
+        rows: NDArray[np.intp],
+        weight: Float64Array,
+        wanted: Float64Array,
+    ) -> tuple[Float64Array, Float64Array]:
+        """Normal equations of a form whose untouched skin changes with place, not scaled."""
+        degrees = np.array([self.colour_degree, self.position_degree])
+        at_rest = np.zeros(0) if self.rest is None else self.rest[rows]
+        parts = self.colours[rows], self.place[rows], weight[rows], wanted[rows], at_rest
+        key = _digest(degrees, *parts)
+        if key not in kept:
+            kept[key] = np.concatenate(self._summed(rows, weight, wanted), axis=1)
+        count = len(self.scale)
+        return kept[key][:, :count].copy(), kept[key][:, count:].copy()
 
     def _of_sums(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array

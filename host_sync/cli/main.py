@@ -5,12 +5,10 @@ Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connectio
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final
 
 from cyclopts import CycloptsError
 
@@ -19,6 +17,7 @@ from device.errors import DeviceError
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
+from host_sync.cli.unreachable_cycles import search_seldom
 from host_sync.errors import HostError, SourceError
 
 app = make_app(
@@ -28,16 +27,11 @@ app = make_app(
 )
 add_commands(app, COMMANDS)
 
-COLLECT_EVERY: Final = 200_000
-"""Objects between two searches for unreachable cycles: about as many as loading the libraries makes. By Python's own
-number, 700, a second `retrosync reconstruct` searches 380 times, 0.13 of its 1.9 processor seconds.
-"""
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
     keep_types_at_exit()
-    gc.set_threshold(COLLECT_EVERY)
+    search_seldom()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value"))

@@ -57,9 +57,10 @@ def test_normal_equations_and_values(degrees: tuple[int, int], waves: RandomFour
     assert of.powers(rows, coefficients) == pytest.approx(((table @ coefficients) ** 2).sum(axis=1))
 
 
-def test_forms_that_differ_in_scale_and_rest_share_their_sums() -> None:
-    alone = features((3, 2), RandomFourierFeatures.none(), 1)
-    other = replace(alone, scale=2.0 * alone.scale, rest=None)
+@pytest.mark.parametrize("rest", [1, PIXELS], ids=["alike at rest", "rest by place"])
+def test_forms_that_differ_in_scale_or_in_an_even_rest_share_their_sums(rest: int) -> None:
+    alone = features((3, 2), RandomFourierFeatures.none(), rest)
+    other = replace(alone, scale=2.0 * alone.scale, rest=None if rest == 1 else alone.rest)
     rows, rng, kept = np.arange(100, 4000), np.random.default_rng(7), dict[bytes, Float64Array]()
     weight, wanted = rng.uniform(0.5, 2.0, PIXELS), rng.standard_normal((PIXELS, 2))
     for form in (alone, other):
@@ -74,6 +75,17 @@ def test_forms_that_differ_in_scale_and_rest_share_their_sums() -> None:
         shared = replace(alone, kept=kept).normal_equations(**asked)
         assert all(np.array_equal(*pair) for pair in zip(shared, alone.normal_equations(**asked), strict=True))
     assert len(kept) == 4
+
+
+def test_forms_with_other_light_of_untouched_skin_share_nothing() -> None:
+    form, kept = features((3, 1), RandomFourierFeatures.none(), PIXELS), dict[bytes, Float64Array]()
+    rows, weight, wanted = np.arange(50, 3000), np.ones(PIXELS), np.zeros((PIXELS, 2))
+    assert form.rest is not None
+    for one in (form, replace(form, rest=form.rest + 0.1)):
+        shared = replace(one, kept=kept).normal_equations(rows, weight, wanted)
+        alone = one.normal_equations(rows, weight, wanted)
+        assert all(np.array_equal(*pair) for pair in zip(shared, alone, strict=True))
+    assert len(kept) == 2
 
 
 def test_monomials_in_rows_are_those_in_columns() -> None:
