@@ -13,6 +13,7 @@ import numpy as np
 from device.acquisition.calibration_balls import calibration_ball_bias
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CheckStandard
+from device.errors import DeviceError
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.quality.verdict import Evidence
@@ -24,6 +25,10 @@ from hal.frame import RawFrame
 NOT_SEEN = "no standard seen"
 
 
+class BallInDoubt(DeviceError):
+    """The press shows another common ball than the standard: the operator is asked which one lies on the gel."""
+
+
 def measure_check(
     standard: CheckStandard,
     look: QuickLook | None,
@@ -32,6 +37,8 @@ def measure_check(
     model: QuickLookModel,
     levels: Levels,
     calibration: CalibrationBundle,
+    *,
+    asks: bool = False,
 ) -> CheckMeasure:
     """The check standard as a press shows it.
 
@@ -40,11 +47,14 @@ def measure_check(
     frame : without ambient light
     levels : intensity of untouched skin in R, G and B, 1 as calibrated
     calibration : whose own balls tell how much too large balls read
+    asks : whether an operator can be asked about a look-alike
 
     Raises
     ------
     CheckNotMeasured
         The press does not show the standard, or cannot be used at all.
+    BallInDoubt
+        It shows a look-alike under right light; says what to ask.
     """
     verdict, fault = evidence.verdict(), evidence.light_fault
     if verdict.level == "retake":
@@ -56,10 +66,14 @@ def measure_check(
     bias = calibration_ball_bias(calibration, model) if standard.kind == "ball" else None
     own_share = CORRECTED_SHARE if bias else None
     try:
-        return CheckMeasure(measure_standard(standard, look, bias), own_share=own_share)
+        measured = CheckMeasure(measure_standard(standard, look, bias), own_share=own_share)
     except CheckNotMeasured as error:
         if not fault:
             raise CheckNotMeasured(f"{NOT_SEEN}: {error}") from error
+    else:
+        if asks and not fault and (question := measured.question(standard)):
+            raise BallInDoubt(question)
+        return measured
     try:
         measure_standard(standard, _under_levels(frame, model, levels), bias)
     except CheckNotMeasured as error:

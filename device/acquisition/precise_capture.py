@@ -23,10 +23,11 @@ from device.acquisition.capture import (
 )
 from device.acquisition.movie import Movie, Watch, record_movie
 from device.bundles.movie import MAX_MOVIE_FRAMES
-from device.bundles.scan import CaptureMode, ExposuresRecord
+from device.bundles.scan import CaptureMode, ExposuresRecord, VerdictRecord
 from device.errors import CaptureModeRefused
 from device.guidance.downsample import downsample_step
 from device.guidance.guide import PressMeasure, box_smoothed, change
+from device.imaging.ambient import ambient_fraction
 from device.imaging.flat_field import SATURATED, bin_bayer
 from device.imaging.mosaic_binning import can_bin
 from device.surface.fields import Float32Array
@@ -214,3 +215,11 @@ def _small(frame: RawFrame) -> Float32Array:
 
 def _brightest(smooth: Float32Array) -> np.float32:
     return np.float32(max(float(np.percentile(smooth, 99)), 1e-6))
+
+
+def with_ambient_share(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:
+    """The verdict with the measured ambient light among its figures."""
+    if precise.dark is None:
+        return verdict
+    figures = verdict.figures | {"ambient_share": ambient_fraction(precise.dark)}
+    return VerdictRecord(level=verdict.level, reason=verdict.reason, figures=figures)

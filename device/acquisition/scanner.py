@@ -9,7 +9,13 @@ from typing import Final
 
 from device.acquisition.capture import CaptureSettings, capture_with_faults
 from device.acquisition.check_press import measure_check
-from device.acquisition.precise_capture import PreciseCapture, capture_precisely, exposures_record, frames_stored
+from device.acquisition.precise_capture import (
+    PreciseCapture,
+    capture_precisely,
+    exposures_record,
+    frames_stored,
+    with_ambient_share,
+)
 from device.acquisition.retake import Retake
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
@@ -27,7 +33,7 @@ from device.bundles.scan import (
     VerdictRecord,
 )
 from device.errors import CalibrationMismatch, DeviceError, StoreError
-from device.imaging.ambient import ambient_fraction, without_ambient
+from device.imaging.ambient import without_ambient
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
@@ -257,18 +263,21 @@ class Scanner:
         annotations: Annotations,
         standard: CheckStandard | None = None,
         retake: Retake | None = None,
+        *,
+        asks: bool = False,
     ) -> ScanOutcome:
         """Judge an assessed press, with the lights as measured since where its frame did not show them, and publish it.
 
         standard : the check standard that was pressed, if one was
         retake : the scan that was taken again, if one was; the record names it if this one replaces it
+        asks : whether an operator can be asked about a ball that looks like another standard
 
         Raises
         ------
         StoreError
             The disk is full; nothing is left behind.
-        CheckNotMeasured
-            The press does not show the check standard; nothing is stored.
+        CheckNotMeasured, BallInDoubt
+            The press does not show the check standard, or a look-alike to ask about; nothing is stored.
         """
         frame, evidence, look = assessed.press.frame, assessed.evidence, assessed.quick_look
         if assessed.awaits_lift:
@@ -276,7 +285,7 @@ class Scanner:
         press = assessed.press
         levels = self._levels(evidence)
         seen = (look, evidence, press.lit, self._model, levels, self._calibration)
-        measured = measure_check(standard, *seen) if standard else None
+        measured = measure_check(standard, *seen, asks=asks) if standard else None
         identity = self._store.next_identity("scans")
         check = self.last_check()
         if standard and measured:
@@ -359,7 +368,7 @@ class Scanner:
             currents_ma=currents_ma,
             fingerprint=Fingerprint.of(profile, frame.granted, currents_ma),
             calibration_id=self._calibration.calibration_id,
-            verdict=_with_ambient(verdict, press.precise),
+            verdict=with_ambient_share(verdict, press.precise),
             exposures=exposures_record(press.precise),
             movie=press.precise.movie.record() if press.precise.movie else None,
             annotations=annotations,
@@ -369,14 +378,6 @@ class Scanner:
             if faults is None
             else tuple(LightFaultRecord(light=f.light, kind=f.kind) for f in faults),
         )
-
-
-def _with_ambient(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:
-    """The verdict with the measured ambient light among its figures."""
-    if precise.dark is None:
-        return verdict
-    figures = verdict.figures | {"ambient_share": ambient_fraction(precise.dark)}
-    return VerdictRecord(level=verdict.level, reason=verdict.reason, figures=figures)
 
 
 def _check_matches(calibration: CalibrationBundle, hardware: Hardware, plan: CaptureSettings) -> None:

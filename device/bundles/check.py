@@ -19,6 +19,19 @@ UNITS: Final[dict[StandardKind, tuple[str, float]]] = {
 }
 """Unit in which a kind's value is typed, and µm in it."""
 
+COMMON_RADII_UM: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0)
+"""Radii of commercially available balls."""
+
+
+def look_alike_um(value_um: float, limit_um: float, measured_um: float) -> float | None:
+    """Radius of the common ball that a reading shows instead of the certified one, µm; None where that is not clear.
+
+    limit_um : allowed deviation from the certified radius `value_um`
+    """
+    nearest = min(COMMON_RADII_UM, key=lambda radius_um: abs(measured_um - radius_um))
+    is_other = min(abs(measured_um - value_um), abs(nearest - value_um)) > limit_um
+    return nearest if is_other and abs(measured_um - nearest) <= limit_um * nearest / value_um else None
+
 
 class CheckStandard(Record, frozen=True, tag_field="schema", tag=STANDARD_SCHEMA):
     """A certified specimen: radius of a ball, height of a step or Ra of a roughness specimen, µm, and its ±."""
@@ -85,13 +98,21 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
         value, limit = self.value_um / factor, self.limit_um / factor
         measured = f"{self.measured_um / factor:.4g} {unit}" if self.measured_um is not None else self._unmeasured
         verdict = "passed" if self.passed else "FAILED"
-        first = ""
+        first = self._other
         if self.has_drifted and self.first_um is not None and self.drift_limit_um is not None:
-            first = f", {self.first_um / factor:.4g} ± {self.drift_limit_um / factor:.2g} {unit} after calibration"
+            first += f", {self.first_um / factor:.4g} ± {self.drift_limit_um / factor:.2g} {unit} after calibration"
         return (
             f"check of {self.name} {verdict}: {measured}, {value:.4g} ± {limit:.2g} {unit} expected{first} "
             f"(scan #{self.counter}, {self.checked:%Y-%m-%d})"
         )
+
+    @property
+    def _other(self) -> str:
+        """Which other ball it reads as, in words; empty if none."""
+        if self.kind != "ball" or self.measured_um is None:
+            return ""
+        other_um = look_alike_um(self.value_um, self.limit_um, self.measured_um)
+        return f", it reads as a ball of {other_um / UNITS[self.kind][1]:g} mm" if other_um else ""
 
     @property
     def _unmeasured(self) -> str:

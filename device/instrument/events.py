@@ -101,6 +101,13 @@ class Checked:
 
 
 @dataclass(frozen=True, slots=True)
+class CheckAsked:
+    """A press of the check standard waits for an answer: whether the right ball lies on the gel."""
+
+    question: str
+
+
+@dataclass(frozen=True, slots=True)
 class SelfTested:
     """A finding of the self-test; the last one has `ended`."""
 
@@ -138,6 +145,7 @@ Event = (
     | CalibrationStep
     | ZeroChecked
     | Checked
+    | CheckAsked
     | SelfTested
     | PairingChanged
     | ButtonPushed

@@ -207,6 +207,14 @@ class Instrument:
         """The next press is of the check standard, and is judged; once more: it is not."""
         self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.begin_check))
 
+    def ask_about_checks(self) -> None:
+        """Report a check standard that reads as another common ball as `CheckAsked`, to be answered, from now on."""
+        self._worker.enqueue(InstrumentWorker.ask_about_checks)
+
+    def answer_check(self, *, is_standard: bool) -> None:
+        """Answer `CheckAsked`: the ball is the standard, and the check failed; or it is not, and is pressed again."""
+        self._worker.enqueue(lambda worker: worker.answer_check(is_standard))
+
     def zero_check(self) -> None:
         """Take a frame of untouched skin; `ZeroChecked` says how flat it reads."""
         self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.check_zero))

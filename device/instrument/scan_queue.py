@@ -16,6 +16,7 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeVar
 
+from device.acquisition.check_press import BallInDoubt
 from device.acquisition.retake import Retake
 from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
 from device.bundles.check import CheckStandard
@@ -26,6 +27,7 @@ from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import (
     REFUSALS,
     CaptureDone,
+    CheckAsked,
     Checked,
     Failed,
     Info,
@@ -79,6 +81,8 @@ class Pending:
 
     assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
         skin, until `until_ns`
+    is_asked : the operator was asked about the check's ball; it waits for the answer
+    is_certain : nothing is asked about it any more
     """
 
     press: Taken
@@ -87,6 +91,8 @@ class Pending:
     assessing: Future[tuple[Assessment, float]]
     publishing: Future[tuple[ScanOutcome, float]] | None = None
     is_announced: bool = False
+    is_asked: bool = False
+    is_certain: bool = False
 
 
 class ScanQueue:
@@ -99,6 +105,8 @@ class ScanQueue:
     on_long_press : called after a long push
     is_asleep : whether the next push only wakes the instrument
     labels, deleted : annotations of scans, and where a replaced one goes
+
+    `asks` says whether a front end can ask the operator about a check; otherwise a look-alike is a failed check.
     """
 
     def __init__(
@@ -126,6 +134,7 @@ class ScanQueue:
         self._held: Taken | None = None
         self._button = ButtonWatch(hardware)
         self._busy_until_ns = 0
+        self.asks = False
 
     def watch_button(self, wait_s: float) -> bool:
         """Wait for the button up to `wait_s`, handle its events, and return whether it was pushed.
@@ -219,6 +228,19 @@ class ScanQueue:
                 finished.append(outcome[0])
         return finished
 
+    def answer_check(self, *, is_standard: bool) -> None:
+        """Go on with the check that was asked about: failed if it is the standard, otherwise to be pressed again."""
+        pending = next((one for one in self._works if one.is_asked), None)
+        if pending is None:
+            return
+        pending.is_asked, pending.is_certain = False, True
+        if is_standard or pending.press.standard is None:
+            return
+        self._works.remove(pending)
+        self._states.update(processing=len(self._works))
+        self._give_back(pending)
+        self._states.publish(Info(f"Press {pending.press.standard.name}, then push."))
+
     def _give_back(self, pending: Pending) -> None:
         """After a press that was not stored: the check, the retake or the part's number is still to come."""
         if pending.press.standard is not None:
@@ -260,15 +282,23 @@ class ScanQueue:
             return None
         assessed, spent_ms = pending.assessing.result()
         if pending.publishing is None:
-            if waits and self._must_wait(pending, assessed):
+            if waits and (pending.is_asked or self._must_wait(pending, assessed)):
                 return None
             press, annotations = pending.press, pending.annotations
+            asks = waits and self.asks and not pending.is_certain
+            pending.is_asked = False
             pending.publishing = self._timed(
-                lambda: press.scanner.publish(assessed, annotations, press.standard, press.replaces)
+                lambda: press.scanner.publish(assessed, annotations, press.standard, press.replaces, asks=asks)
             )
         if not pending.publishing.done():
             return None
-        outcome, more_ms = pending.publishing.result()
+        try:
+            outcome, more_ms = pending.publishing.result()
+        except BallInDoubt as doubt:
+            pending.publishing, pending.is_asked = None, True
+            self._states.update(sentence=str(doubt))
+            self._states.publish(CheckAsked(str(doubt)))
+            return None
         return outcome, spent_ms + more_ms
 
     def _must_wait(self, pending: Pending, assessed: Assessment) -> bool:

@@ -214,6 +214,15 @@ class InstrumentWorker:
         work(self._active)
         self._live.lights_changed()
 
+    def ask_about_checks(self) -> None:
+        """A front end can ask the operator from now on."""
+        self._scans.asks = True
+
+    def answer_check(self, is_standard: bool) -> None:
+        """Go on with the check that was asked about."""
+        self._live.wake()
+        self._scans.answer_check(is_standard=is_standard)
+
     def read_focus(self, on: bool) -> None:
         """Read how sharp the lens is set from now on, or no longer."""
         if not on:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from device.bundles.check import CheckRecord, CheckStandard, StandardKind
+from device.bundles.check import CheckRecord, CheckStandard, StandardKind, look_alike_um
 from device.bundles.record import Identity, decode_record, encode_record, read_small
 from device.errors import RecordError, StoreError
 from device.io.atomic import replace_file
@@ -39,6 +39,23 @@ class CheckMeasure:
     value_um: float | None
     light_fault: str = ""
     own_share: float | None = None
+
+    def share_of(self, kind: StandardKind) -> float:
+        """Relative error of the reading itself."""
+        return OWN_SHARE[kind] if self.own_share is None else self.own_share
+
+    def question(self, standard: CheckStandard) -> str:
+        """What to ask the operator about a ball that reads as another common one; empty where there is no doubt."""
+        if standard.kind != "ball" or self.value_um is None:
+            return ""
+        share = self.share_of(standard.kind)
+        if look_alike_um(standard.value_um, standard.tolerance_um + share * standard.value_um, self.value_um) is None:
+            return ""
+        read, error, stated = (value / 1e3 for value in (self.value_um, share * self.value_um, standard.value_um))
+        return (
+            f"The ball reads radius {read:.2f} ± {error:.2f} mm; the check standard is {stated:.2f} mm. "
+            "Is the right ball on the gel?"
+        )
 
 
 def read_standard(root: Path) -> CheckStandard | None:
@@ -98,7 +115,6 @@ def judged_check(
         ),
         None,
     )
-    own_share = OWN_SHARE[standard.kind] if measured.own_share is None else measured.own_share
     return CheckRecord(
         scan_id=identity.id,
         counter=identity.counter,
@@ -107,7 +123,7 @@ def judged_check(
         name=standard.name,
         kind=standard.kind,
         value_um=standard.value_um,
-        limit_um=standard.tolerance_um + own_share * standard.value_um,
+        limit_um=standard.tolerance_um + measured.share_of(standard.kind) * standard.value_um,
         measured_um=measured.value_um,
         light_fault=measured.light_fault,
         first_um=first.measured_um if first else None,

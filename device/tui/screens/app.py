@@ -18,6 +18,7 @@ from device.instrument.events import (
     ButtonPushed,
     CalibrationStep,
     CaptureDone,
+    CheckAsked,
     Checked,
     Event,
     Failed,
@@ -82,6 +83,9 @@ FRAMEWORK_ACTIONS: Final = frozenset(
     }
 )
 """Of Textual, on every screen or list: not listed among its keys."""
+
+CHECK_ANSWERS: Final = ("Repeat with the right ball", "It is the standard: FAILED")
+"""Answers to `CheckAsked`; without one the press is repeated."""
 
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16
@@ -157,6 +161,7 @@ class RetroscanApp(App[str]):
         for kind in (ScanScreen, CalibrationScreen, ScansScreen, SetUpScreen):
             self.add_mode(kind.PLACE, lambda kind=kind: kind(self.instrument, self._depth))  # type: ignore[misc]
         await self.go("scan")
+        self.instrument.ask_about_checks()
         if self._updates_per_s:
             self.set_interval(1.0 / self._updates_per_s, self._tick)
 
@@ -285,10 +290,22 @@ class RetroscanApp(App[str]):
                 self.notice = None
             case ButtonPushed(held_long=held_long):
                 await self._pushed(held_long)
+            case CheckAsked(question=question):
+                self._ask_about_check(question)
             case SelfTested(finding=finding):
                 self.findings.append(finding)
             case PowerOffRequested():
                 self.exit("off")
+
+    def _ask_about_check(self, question: str) -> None:
+        """Ask whether the right ball lies on the gel; the instrument's button answers too."""
+        self.instrument.redirect_button(short_too=True)
+        self.push_screen(ChoiceDialog(question, CHECK_ANSWERS), self._answer_check)
+
+    def _answer_check(self, chosen: int | None) -> None:
+        self.instrument.answer_check(is_standard=chosen == 1)
+        screen = self._current()
+        self.instrument.redirect_button(short_too=screen is None or screen.PLACE != "scan")
 
     async def _pushed(self, held_long: bool) -> None:
         """Handle the instrument's button: a short push chooses the next item, a long one starts it or goes on."""

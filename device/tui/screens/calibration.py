@@ -10,6 +10,7 @@ from textual.containers import Horizontal, Vertical
 from textual.widget import Widget
 
 from device.acquisition.guided_calibration import CalibrationProgress
+from device.bundles.check import COMMON_RADII_UM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.instrument.state import LiveView as LivePicture
@@ -21,8 +22,8 @@ from device.tui.screens.base import InstrumentScreen
 from device.tui.widgets.live_view import LiveView
 from device.tui.widgets.words import Words
 
-RADII_MM: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
-"""Radii of commercially available balls; chosen, never typed."""
+RADII_MM: Final = tuple(radius_um * 1e-3 for radius_um in COMMON_RADII_UM)
+"""Radii to choose from; never typed."""
 
 LAST_PRESSES: Final = 3
 """What is uncovered is said from so many presses before the end: planned places cover the rest."""
