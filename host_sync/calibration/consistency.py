@@ -51,18 +51,17 @@ def check_agreement(names: Sequence[str], images: Sequence[NormalizedImage], ref
     apart = check_consistency([_blocks(image) for image in images], reference)
     if len(apart) < 2:
         return
-    # These take a while to load, and whoever only reads a kept calibration loads this module too.
-    from scipy.cluster.hierarchy import fcluster, linkage
-    from scipy.spatial.distance import squareform
-
-    steps = linkage(squareform(apart), "single")
-    gap, within = float(steps[-1, 2]), float(steps[:-1, 2].max(initial=0.0))
+    *others, gap = _steps_between_nearest(apart)
+    within = others[-1] if others else 0.0
     limit = MAX_DISAGREEMENT
     if len(apart) >= ENOUGH_FRAMES:
         limit = min(limit, max(CLEAR_DISAGREEMENT, 2.0 * within))
     if gap <= limit:
         return
-    group = fcluster(steps, 0.5 * (gap + within), "distance")
+    from scipy.cluster.hierarchy import fcluster, linkage  # here, because it takes 0.1 s to load
+    from scipy.spatial.distance import squareform
+
+    group = fcluster(linkage(squareform(apart), "single"), 0.5 * (gap + within), "distance")
     usual = np.argmax(np.bincount(group, np.append(np.ones(len(group) - 1), 1.5 if reference else 1.0)))
     odd = [names[i] for i in range(len(names)) if group[i] != usual]
     if reference and (group[-1] != usual or not odd):
@@ -87,6 +86,19 @@ def check_consistency(blocks: Sequence[Float64Array], reference: bool) -> Float6
         for j in range(i):
             apart[i, j] = apart[j, i] = float(np.median(np.abs(one - everyone[j]), axis=(0, 1)).max())
     return apart
+
+
+def _steps_between_nearest(apart: Float64Array) -> list[float]:
+    """The steps, shortest first, by which all frames are reached from any of them when each is to the nearest."""
+    nearest, steps = apart[0].copy(), []
+    reached = np.zeros(len(apart), np.bool_)
+    reached[0] = True
+    while not reached.all():
+        following = int(np.argmin(np.where(reached, np.inf, nearest)))
+        steps.append(float(nearest[following]))
+        reached[following] = True
+        nearest = np.minimum(nearest, apart[following])
+    return sorted(steps)
 
 
 def _blocks(image: NormalizedImage) -> Float64Array:

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, HeightMap
+from host_sync.render.figure_png import figure_pixels, figure_png
 from host_sync.render.figures import draw_relief
 from tests.demo.truth_judge import Judgement
 
@@ -39,18 +39,16 @@ def write_pictures(chapter: Chapter, folder: Path) -> None:
     axes = figure.subplots(2, 3).ravel()
     _draw(chapter, list(axes[:5]), titles=True)
     _draw_errors(axes[5], chapter.judgement)
-    figure.savefig(folder / "story.png", dpi=110)
+    (folder / "story.png").write_bytes(figure_png(figure, 110))
 
 
 def summary_row(chapter: Chapter, *, titles: bool) -> NDArray[np.uint8]:
     """A scan's row of the summary picture: uint8 array of shape (H, W, 3), taller when it has the columns' titles."""
-    figure = Figure(figsize=(22.0, 4.0 if titles else 3.7), dpi=90, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = Figure(figsize=(22.0, 4.0 if titles else 3.7), layout="constrained")
     axes = list(figure.subplots(1, 5))
     _draw(chapter, axes, titles=titles)
     axes[0].set_ylabel(chapter.title, fontsize=13)
-    canvas.draw()
-    return np.array(canvas.buffer_rgba())[:, :, :3].copy()
+    return figure_pixels(figure, 90).copy()
 
 
 def _draw(chapter: Chapter, axes: list[Axes], *, titles: bool) -> None:
