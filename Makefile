@@ -96,8 +96,9 @@ format: set-up ## put the code into the house's form
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
 
-board: set-up ## write the wiring tables, pin maps, drawings and light tables in board/ again
+board: set-up ## write the tables and drawings in board/ again, and what a board house wants into build/board
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
+	"$(VENV)/bin/python" -m tests.drawings.pcb.make
 
 parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; wants openscad)
 	@mkdir -p "dist/parts/$(BOARD)"

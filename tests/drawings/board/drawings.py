@@ -14,6 +14,8 @@ from tests.drawings.board.totals import with_total
 from tests.drawings.board.wiring import wired_boards, wiring
 from tests.drawings.board.wiring_drawing import drawing
 from tests.drawings.board.wiring_table import wiring_page
+from tests.drawings.pcb.designs import carrier, light
+from tests.drawings.pcb.picture import picture
 
 FOLDER = Path(__file__).parents[3] / "board"
 
@@ -27,6 +29,8 @@ def pages() -> dict[Path, str]:
         made[Path("wiring") / f"{board}.md"] = wiring_page(facts)
         made[Path("wiring") / f"{board}.nets.csv"] = netlist_page(facts)
     made[Path("enclosure") / "block.svg"] = block_drawing()
+    for design in (carrier(), light()):
+        made[Path("pcb") / f"{design.name}.svg"] = picture(design)
     lights = Path("light-geometry.md")
     made[lights] = with_tables((FOLDER / lights).read_text(encoding="utf-8"))
     bill = Path("bill-of-materials.md")
