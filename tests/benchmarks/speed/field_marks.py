@@ -1,4 +1,4 @@
-"""The handheld's start, processor time at rest and memory on the twin in real time, without the twin's own part.
+"""The handheld's start, answers, processor time at rest and memory on the twin in real time, without the twin's part.
 
 usage: python -m tests.benchmarks.speed.field_marks STORE
 
@@ -14,6 +14,8 @@ BEGAN_S = time.monotonic()
 
 import asyncio  # noqa: E402
 import os  # noqa: E402
+import statistics  # noqa: E402
+import subprocess  # noqa: E402
 import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
@@ -25,6 +27,7 @@ from hal.simulator.hardware import twin_hardware  # noqa: E402
 
 SETTLE_S = 5.0
 MEASURED_S = 10.0
+ANSWERS = 5
 
 
 class TimedScene(SimulatedScene):
@@ -49,6 +52,23 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def answered_s(argument: str) -> tuple[float, float]:
+    """Median time and mean processor time (s) of a new process that answers `retroscan` with this argument."""
+    program = f"import sys; from device.cli.main import main; sys.exit(main([{argument!r}]))"
+    spent_s, before_s = [], children_cpu_s()
+    for _ in range(ANSWERS):
+        began_s = time.monotonic()
+        subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+        spent_s.append(time.monotonic() - began_s)
+    return statistics.median(spent_s), (children_cpu_s() - before_s) / ANSWERS
+
+
+def children_cpu_s() -> float:
+    """Processor time of ended child processes, s."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
 async def load_of(bench: TimedScene) -> float:
     """Fraction of a core that the instrument and its screens take, without the scene's."""
     began_s, cpu_s, twin_s = time.monotonic(), time.process_time(), bench.cpu_s
@@ -57,7 +77,9 @@ async def load_of(bench: TimedScene) -> float:
     return used_s / (time.monotonic() - began_s)
 
 
-async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float) -> str:
+async def measure(
+    bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float, rendered_cpu_s: float
+) -> str:
     """Start the screens over the instrument, and print every mark; returns why it cannot, or an empty text."""
     from device.acquisition.sd_notify import SdNotify
     from device.cli.screens import InstrumentThread
@@ -81,7 +103,8 @@ async def measure(bench: TimedScene, store_folder: Path, scene_mb: float, render
             await shown
             return f"{store_folder}: no calibration to measure with: {fault}"
         started_s = time.monotonic() - BEGAN_S - rendered_s - bench.spent_s
-        sys.stdout.write(f"start to live picture: {started_s:.2f} s (mark 2.5)\n")
+        cpu_s = time.process_time() - rendered_cpu_s - bench.cpu_s
+        sys.stdout.write(f"start to live picture: {started_s:.2f} s, {cpu_s:.2f} s of processor time (mark 2.5)\n")
         await asyncio.sleep(SETTLE_S)
         app.simulate_key("4")
         await asyncio.sleep(1.0)
@@ -101,19 +124,24 @@ def main() -> int:
     if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
         sys.stderr.write("name a folder that holds a calibration of the twin: field_marks STORE\n")
         return 2
-    before_s = time.monotonic()
+    before_s, before_cpu_s = time.monotonic(), time.process_time()
     profile = load_board_profile("twin")
     before_mb = resident_mb()
     bench = TimedScene(profile, SystemClock(), 1)
     bench.drive(profile.currents_ma)
     bench.expose(0, bench.clock.monotonic_ns(), profile.camera.settings)
     scene_mb = resident_mb() - before_mb
-    rendered_s = time.monotonic() - before_s
+    rendered_s, rendered_cpu_s = time.monotonic() - before_s, time.process_time() - before_cpu_s
     bench.spent_s = bench.cpu_s = 0.0
-    fault = asyncio.run(measure(bench, Path(sys.argv[1]), scene_mb, rendered_s))
+    fault = asyncio.run(measure(bench, Path(sys.argv[1]), scene_mb, rendered_s, rendered_cpu_s))
     if fault:
         sys.stderr.write(f"{fault}\n")
-    return 2 if fault else 0
+        return 2
+    for argument in ("--version", "--help"):
+        spent_s, cpu_s = answered_s(argument)
+        sys.stdout.write(f"{argument}: {spent_s:.2f} s, {cpu_s:.2f} s of processor time (mark 0.3)\n")
+    sys.stdout.write(f"load of the machine over the last minute: {os.getloadavg()[0]:.1f}\n")
+    return 0
 
 
 if __name__ == "__main__":
