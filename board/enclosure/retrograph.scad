@@ -3,7 +3,7 @@
 //   openscad -D 'part="body"' -D 'board="pi5-imx296"' -o body.stl board/enclosure/retrograph.scad
 //
 // board: pi5-imx296, pi4-imx477 (for pi4-imx477-binned too). Another magnification is another height: print its own body.
-// part: body, led_holder (print 3), gel_frame, camera_plate, tray, cap, plate (machine it, do not print it), block (cast
+// part: body, led_holder (print 3), gel_frame, camera_plate, tray, saddle, cap, plate (machine it, do not print it), block (cast
 // or machine it of acrylic and polish it), assembly (to look at, cut open).
 part = "assembly";
 board = "pi5-imx296";
@@ -48,6 +48,14 @@ m25 = 2.9;                  // a screw's way through the part that it holds
 m3 = 3.3;
 m25_tapped = 2.1;           // the part into which a screw cuts its thread
 m3_tapped = 2.5;
+m2_tapped = 1.7;
+light_board_holes = 9.4;    // between the two screws of a light's circuit board, at the back of its sleeve
+
+/* [Saddle: battery or UPS and its switch, strapped on opposite the tray] */
+strap = [25, 3];            // hook-and-loop tape: width, and thickness where it lies double
+strap_at = 72;              // above the skin: between button and the tray's upper lug
+saddle_size = [76, 64];     // along the body, across
+switch_hole = [9, 4.6];     // for the body of a slide switch, which is glued in; tune to yours
 
 /* [Calibration cap] */
 ball_r = 1.0;               // 2.000 mm bearing balls, grade 10 or better
@@ -101,6 +109,9 @@ assert(by_the_lens >= 0, "the rings are longer than the lens's extension: take f
 assert(by_the_lens <= focal * focal / (nearest - focal), "the lens does not focus this near: put more rings below it");
 assert(lens.x / 2 < inner_r, "the lens does not fit the body");
 assert(seat_z - lens.y > button_z + button_bore / 2 + 2, "the lens comes down upon the button");
+assert(strap_at - strap.x / 2 > button_z + button_bore / 2 + 1, "the strap lies on the button");
+assert(strap_at + strap.x / 2 < tray_at[1] - 7, "the strap lies on the tray's upper lug");
+assert(light_board_holes / 2 + m2_tapped / 2 + 1 < holder_r, "the light board's screws break out of the sleeve");
 assert(tray_at[1] + 7 < body_top - 6, "the tray's upper lug stands in the rim: lower tray_at");
 assert(cos(elevation) * n_gel / n_block < 1, "no ray of this elevation reaches the gel out of this block");
 assert(clear_top > half_diagonal, "the block's top hides corners of the field: lower block_top or move the facets out");
@@ -138,13 +149,14 @@ module for_all_facets() {
 // A sleeve for the LEDs of one light, glued into the body when the light is set: its front end lies on the facet, the LEDs,
 // side by side and level, come from outside up to the lip and so stand as near to the facet as the light's distance allows.
 module led_holder() {
-    length = (outer_r + 3) / cos(block_elevation) - facet_at;
+    length = (outer_r + 3) / cos(block_elevation) - facet_at + 1;       // the circuit board clears the body's boss
     difference() {
         cylinder(r = holder_r, h = length);
         for (i = [0:leds - 1]) translate([0, (i - (leds - 1) / 2) * led_pitch, 0]) {
             translate([0, 0, -1]) cylinder(r = led / 2 - led_lip, h = length + 2);
             translate([0, 0, distance - facet_at]) cylinder(r = led / 2, h = length);
         }
+        for (x = [-1, 1]) translate([x * light_board_holes / 2, 0, length - 6]) cylinder(r = m2_tapped / 2, h = 7);
     }
 }
 
@@ -216,6 +228,27 @@ module tray() {
     }
 }
 
+// Lies on the body opposite the tray, held by one strap around both; a second strap, along it, holds a flat battery or UPS
+// on its plain side. Printed as it stands here, plain side down.
+module saddle() {
+    plate = 3;
+    difference() {
+        union() {
+            translate([-saddle_size.x / 2, -saddle_size.y / 2, 0]) cube([saddle_size.x, saddle_size.y, plate]);
+            translate([-saddle_size.x / 2 + 10, -20, 0]) cube([saddle_size.x - 20, 40, plate + 11]);
+        }
+        translate([-saddle_size.x, 0, plate + 5 + outer_r]) rotate([0, 90, 0])
+            cylinder(r = outer_r + gap, h = 2 * saddle_size.x);
+        for (side = [-1, 1]) {
+            translate([-strap.x / 2 - 1, side * (saddle_size.y / 2 - 5) - strap.y / 2 - 0.5, -1])
+                cube([strap.x + 2, strap.y + 1, plate + 2]);
+            translate([side * (saddle_size.x / 2 - 5) - strap.y / 2 - 0.5, -strap.x / 2 - 1, -1])
+                cube([strap.y + 1, strap.x + 2, plate + 2]);
+        }
+        translate([saddle_size.x / 2 - 5 - switch_hole.x, saddle_size.y / 2 - 9, -1]) cube([switch_hole.x, switch_hole.y, 9]);
+    }
+}
+
 // What the camera's seat and the lens may fill, to look at.
 module camera() {
     translate([0, 0, seat_z - lens.y]) cylinder(d = lens.x, h = lens.y);
@@ -267,6 +300,7 @@ module assembly() {
     color("silver") translate([-gel_side / 2, -gel_side / 2, 0]) cube([gel_side, gel_side, gel_thickness]);
     for (i = [0:2]) color(["red", "green", "blue"][i]) along_ray(azimuths[i]) translate([0, 0, facet_at]) led_holder();
     color("darkgreen") translate([outer_r + 8, -33, tray_from]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
+    color("olive") translate([-outer_r - 8, 0, strap_at]) rotate([0, 90, 0]) saddle();
     color("tan") camera();
 }
 
@@ -275,6 +309,7 @@ else if (part == "led_holder") led_holder();
 else if (part == "gel_frame") gel_frame();
 else if (part == "camera_plate") camera_plate();
 else if (part == "tray") tray();
+else if (part == "saddle") saddle();
 else if (part == "cap") cap();
 else if (part == "plate") plate();
 else if (part == "block") block();

@@ -12,8 +12,8 @@ import pytest
 from hal.board_profile import load_board_profile
 
 SOURCE = Path(__file__).parents[2] / "board" / "enclosure" / "retrograph.scad"
-PARTS = ("body", "led_holder", "gel_frame", "camera_plate", "tray", "cap", "plate", "block", "assembly")
-QUICK = ("led_holder", "gel_frame", "cap", "block")
+PARTS = ("body", "led_holder", "gel_frame", "camera_plate", "tray", "saddle", "cap", "plate", "block", "assembly")
+QUICK = ("led_holder", "gel_frame", "saddle", "cap", "block")
 
 PIXEL_UM = {"IMX296": 3.45, "IMX477": 1.55}
 """Makers' data of the sensors, unbinned."""
@@ -189,6 +189,9 @@ def test_large_parts_are_one_closed_body(part: str, tmp_path: Path) -> None:
         ("block_top=28", "hides corners of the field"),
         ("block_top=15", "the LEDs stand over the block's edge"),
         ("distance=15", "the lights stand inside the block"),
+        ("strap_at=60", "the strap lies on the button"),
+        ("strap_at=85", "the strap lies on the tray's upper lug"),
+        ("light_board_holes=12", "break out of the sleeve"),
         ("ball_pitch=1.5", "the balls stand too near"),
         ("ball_stands_out=1.2", "they fall out"),
         ('part="lid"', "there is no part lid"),

@@ -2,12 +2,14 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hal.board_profile import load_board_profile
@@ -139,6 +141,46 @@ def test_holes_fit_the_housing() -> None:
     assert f"{CARRIER.size[0]:g} × {CARRIER.size[1]:g} mm" in BILL
 
 
+def test_a_light_board_is_screwed_to_its_sleeve() -> None:
+    housing = (BOARD / "enclosure" / "retrograph.scad").read_text(encoding="utf-8")
+    apart, tapped = (
+        re.search(rf"^{name} = ([\d.]+);", housing, re.MULTILINE) for name in ("light_board_holes", "m2_tapped")
+    )
+    assert apart
+    assert tapped
+    left, right = LIGHT.holes
+    assert right.at[0] - left.at[0] == pytest.approx(float(apart[1]))
+    assert float(tapped[1]) < 2.0 < left.drill == right.drill
+    # Midway between the LEDs, as in the sleeve.
+    assert left.at[1] == right.at[1] == pytest.approx(sum(part.at[1] for part in LIGHT.parts[:2]) / 2)
+
+
+def test_light_boards_with_their_plugs_clear_tray_and_lugs() -> None:
+    """Every corner of board (with solder, 3.6 mm thick) and plug (11 mm high), set with the plug away from the tray."""
+    housing = (BOARD / "enclosure" / "retrograph.scad").read_text(encoding="utf-8")
+
+    def length(name: str) -> float:
+        found = re.search(rf"^{name} = ([\d.]+);", housing, re.MULTILINE)
+        assert found, name
+        return float(found[1])
+
+    outer_r = length("inner_r") + length("wall")
+    cosine = math.cos(math.radians(length("elevation"))) * length("n_gel") / length("n_block")
+    sine = math.sqrt(1.0 - cosine**2)
+    back = (outer_r + 3) / cosine + 1
+    middle = (LIGHT.holes[0].at[0] + LIGHT.holes[1].at[0]) / 2, LIGHT.holes[0].at[1]
+    for one in load_board_profile("pi5-imx296").lights:
+        azimuth = math.atan2(one.position_mm[1], one.position_mm[0])
+        for across in np.linspace(-middle[0], LIGHT.size[0] - middle[0], 15):
+            for along in np.linspace(-middle[1], LIGHT.size[1] - middle[1], 23):
+                for out in (back, back + (11.0 if along > 8.0 else 3.6)):
+                    radial, z = out * cosine + across * sine, out * sine - across * cosine
+                    x = radial * math.cos(azimuth) - along * math.sin(azimuth)
+                    y = radial * math.sin(azimuth) + along * math.cos(azimuth)
+                    assert x < outer_r + 8, f"{one.name}: the tray is in the way"
+                    assert not (abs(y) < 7 and x > 0 and 31 < z < 45), f"{one.name}: a lug is in the way"
+
+
 def test_the_leds_of_a_light_board_stand_as_the_profiles_have_them() -> None:
     beam = load_board_profile("pi5-imx296").beam
     assert beam is not None
@@ -172,7 +214,7 @@ def _part(number: int, **change: Any) -> Callable[[Board], Board]:
         (_without_a_track, "are not joined to"),
         (_tracks(width=0.1), "thinner than 0.2 mm"),
         (_tracks(net="channel 1"), "mm from"),
-        (_tracks(end=(13.9, 5.62)), "to the board's edge"),
+        (_tracks(end=(13.9, 4.62)), "to the board's edge"),
         (_part(0, courtyard=(4.0, 3.0, 10.0, 12.0)), "take the same room"),
         (_part(0, pads=tuple(replace(pad, drill=1.5) for pad in LIGHT.parts[0].pads)), "ring around its hole"),
         (lambda board: replace(board, holes=(Hole((7.0, 14.0), 2.2),)), "to the hole at"),

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "board" / "enclosure" / "retrograph.scad"
 WRITER = ROOT / ".ci" / "step" / "step_write.py"
 TOOL = Path(os.environ.get("STEP_TOOL", ROOT / ".step-tool")) / "bin" / "python"
-QUICK = ("led_holder", "gel_frame", "cap", "block")
+QUICK = ("led_holder", "gel_frame", "saddle", "cap", "block")
 SLOW = ("camera_plate", "tray", "body")
 MANY_BORES = "plate"
 """Its STL takes minutes."""

@@ -21,15 +21,16 @@ CARRIED_G: Final[dict[str, dict[str, float]]] = {
     "lens": {"pi4-imx477": 65, "pi5-imx296": 65},
     "extension rings": {"pi4-imx477": 20, "pi5-imx296": 15},
     "UPS": {"pi4-imx477": 150, "pi5-imx296": 150},
-    "housing": {"pi4-imx477": 190, "pi5-imx296": 200},
+    "housing": {"pi4-imx477": 226, "pi5-imx296": 236},
+    "straps (2)": {"pi4-imx477": 15, "pi5-imx296": 15},
     "carrier": {"pi4-imx477": 20, "pi5-imx296": 20},
     "wire": {"pi4-imx477": 20, "pi5-imx296": 20},
     "screws (15)": {"pi4-imx477": 9, "pi5-imx296": 9},
     "screws (6)": {"pi4-imx477": 6, "pi5-imx296": 6},
     "button": {"pi4-imx477": 12, "pi5-imx296": 12},
 }
-"""By row of the bill and board: housing without cap, carrier with what it carries, wire with LEDs and plugs,
-the UPS with two cells."""
+"""By row of the bill and board: housing with saddle (36 g by its volume) and without cap, carrier with what it carries,
+wire with LEDs and plugs, the UPS with two cells."""
 
 
 def block_g(block: Block | None = None) -> float:
