@@ -72,11 +72,13 @@ def test_it_scans_with_the_twin_by_name_and_is_pulled_from(
     with stage("image: calibration, 12 balls on the twin"):
         assert re.search(r"Calibration \S+ is active\.", card.run(f"{TWIN} calibrate </dev/null", 3000.0))
     with stage("image: scan"):
-        said = card.run(f"{TWIN} scan </dev/null")
+        said = card.run(f"{TWIN} scan </dev/null", 3000.0)
     taken = re.search(r"^good: .* \(([\w-]+)\)$", said, re.MULTILINE)
     assert taken, said
-    card.run("systemctl restart retrograph-pairing")
-    shown = "journalctl -b -u retrograph-pairing -o cat --no-pager | grep -oE 'Code [0-9]{4} [0-9]{4}' | tail -n 1"
+    opened = card.run("systemctl stop retrograph-pairing; date +%s; systemctl start retrograph-pairing").strip()
+    shown = (
+        f"journalctl -u retrograph-pairing --since @{opened} -o cat --no-pager | grep -oE 'Code [0-9]{{4}} [0-9]{{4}}'"
+    )
     code = re.sub(r"\D", "", card.wait_for(shown))
     paired = retrosync("pair", "127.0.0.1", "--port", str(card.ports[PAIRING]), "--code", code)
     device = re.search(r"Paired with (\S+) at", paired)
