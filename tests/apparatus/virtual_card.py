@@ -119,15 +119,23 @@ class VirtualCard:
 
     def ask(self, script: str, timeout_s: float = LONG_S) -> Answer:
         """Exit code and output of a script, run as root over SSH; code 255 where SSH does not answer."""
-        options = ("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "BatchMode=yes", "LogLevel=ERROR")
         ran = subprocess.run(
-            [
-                "ssh", "-i", self.key, "-p", str(self.ports[SSH]), *(part for one in options for part in ("-o", one)),
-                "-o", "ConnectTimeout=60", "root@127.0.0.1", "bash -euo pipefail",
-            ],
+            [*self._ssh(), "bash -euo pipefail"],
             input=script, capture_output=True, text=True, timeout=timeout_s, check=False,
         )  # fmt: skip
         return Answer(ran.returncode, ran.stdout + ran.stderr)
+
+    def _ssh(self) -> list[str | Path]:
+        options = ("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "BatchMode=yes", "LogLevel=ERROR")
+        return [
+            "ssh", "-i", self.key, "-p", str(self.ports[SSH]), *(part for one in options for part in ("-o", one)),
+            "-o", "ConnectTimeout=60", "root@127.0.0.1",
+        ]  # fmt: skip
+
+    def put(self, folder: Path, into: str) -> None:
+        """Copy a folder into a new one of the guest."""
+        packed = subprocess.run(["tar", "-C", folder.parent, "-c", folder.name], stdout=subprocess.PIPE, check=True)
+        subprocess.run([*self._ssh(), f"mkdir {into} && tar -C {into} -x"], input=packed.stdout, check=True)
 
     def run(self, script: str, timeout_s: float = LONG_S) -> str:
         """Output of a script.

@@ -27,6 +27,7 @@ TREE = Path(__file__).parents[2]
 CARD_MIB = 7600
 """A card that is sold as 8 GB."""
 
+HANDOVER = "/data/handover"
 TWIN = "runuser -u retroscan -- retroscan --board twin --store /var/lib/retroscan"
 
 
@@ -68,9 +69,16 @@ def test_it_scans_with_the_twin_by_name_and_is_pulled_from(
     card: VirtualCard, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    made = tmp_path / "workstation"
+    retroscan(made, "calibrate")
+    (calibration,) = (made / "calibrations").iterdir()
     card.run("systemctl stop retroscan")
-    with stage("image: calibration, 12 balls on the twin"):
-        assert re.search(r"Calibration \S+ is active\.", card.run(f"{TWIN} calibrate </dev/null", 3000.0))
+    with stage("image: a calibration of the twin, made here, is imported"):
+        card.put(calibration, HANDOVER)
+        card.run(
+            f"chown -R retroscan: {HANDOVER}; {TWIN} calibrations import {HANDOVER}/{calibration.name} --adopt --use; "
+            f"rm -r {HANDOVER}"
+        )
     with stage("image: scan"):
         said = card.run(f"{TWIN} scan </dev/null", 3000.0)
     taken = re.search(r"^good: .* \(([\w-]+)\)$", said, re.MULTILINE)
@@ -107,8 +115,17 @@ def test_an_update_boots_from_the_other_slot_and_is_kept(card: VirtualCard, stag
 
 
 def retrosync(*arguments: str) -> str:
+    return run_here("host_sync", *arguments)
+
+
+def retroscan(store: Path, *arguments: str) -> str:
+    return run_here("device", "--board", "twin", "--store", str(store), *arguments)
+
+
+def run_here(module: str, *arguments: str) -> str:
     ran = subprocess.run(
-        [sys.executable, "-m", "host_sync", *arguments], cwd=TREE, capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-m", module, *arguments],
+        cwd=TREE, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert ran.returncode == 0, ran.stdout + ran.stderr
     return ran.stdout
