@@ -1,9 +1,10 @@
 """Significant changes in the difference of two presses of one object.
 
-The difference is looked at in bands of several widths. In each band its spread is taken from the difference itself,
-for surfaces as rough as the one at each place: what is steep differs more, by gain and by shift. Medians are used, so
-a change in a small part of the field does not hide itself. `LIMIT` is as high as it is because skin that bridges
-valleys drapes differently at another depth, in spots that look like changes (`docs/same-spot.md`).
+The difference is looked at for round changes of several widths (`bands`). The spread of each band is taken from the
+difference itself, more where it is steep: what is steep differs more, by gain and by shift. Medians are used, so a
+change in a small part of the field does not hide itself. `LIMIT` is what the largest of a field without a change stays
+below on the twin (`docs/same-spot.md`); it is more than that of normal noise, because gains differ in patches and skin
+that bridges valleys drapes differently at another depth.
 
 From the same spreads follows the detection limit: the height of a round change that is found in 95 % of places.
 """
@@ -19,25 +20,21 @@ import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
 from host_sync.registration.difference import Difference
+from host_sync.same_spot.bands import blurred, heights
 
-SCALES_PX: Final = (1.2, 1.8, 2.7, 4.0, 6.0)
-"""Standard deviations of the Gaussians whose bands are looked at, pixels of at most `MAX_PX` along the longer side."""
+SCALES_PX: Final = (2.6, 3.7, 5.2, 7.4)
+"""Standard deviations of the round changes that are looked for, pixels of at most `MAX_PX` along the longer side."""
 
 MAX_PX: Final = 400
-SURROUNDINGS: Final = 2.5
-"""Width of what a band's background is taken from, over its own."""
+BACKGROUND_PX: Final = 15.0
+GAIN_PX: Final = (1.8, 4.5)
+"""The gain is taken from relief between Gaussian means of these two standard deviations."""
 
-LIMIT: Final = 16.0
+LIMIT: Final = 12.5
 """A change is significant beyond so many spreads."""
 
 MISSED: Final = 1.645
 """So many spreads more than `LIMIT` are exceeded in 95 % of cases."""
-
-BEST_WIDTH: Final = 2.5**0.5
-"""Width of the Gaussian change that a band shows best, over the band's own, for `SURROUNDINGS` of 2.5 …"""
-
-BEST_SHARE: Final = 2.5 / 3.5 - 2.5 / 8.75
-"""… and the share of its height that is left in the band."""
 
 WIDTH_TO_DIAMETER: Final = 2.3548
 """Full width of a Gaussian at half its height, over its standard deviation."""
@@ -45,9 +42,14 @@ WIDTH_TO_DIAMETER: Final = 2.3548
 COVERED: Final = 0.95
 """Share of the judged field in which a change as high as the detection limit is found."""
 
-BINS: Final = 8
+USUAL: Final = 0.5
+"""Squared slopes beyond this fraction of the least and the largest together are steep."""
+
+FIT_SIGMAS: Final = 2.5
+"""σ of a fitted height over the spread of its band: the width is fitted too, and what surrounds it is not flat."""
+
 MIN_FILLED: Final = 0.7
-"""Least valid part of what a band is taken from, at a change."""
+"""Least valid part of what the gain is taken from."""
 
 MAX_CHANGES: Final = 100
 WINDOW_PX: Final = 24.0
@@ -65,7 +67,7 @@ class Change(msgspec.Struct, frozen=True):
     sigma_um : standard uncertainty of that, from the spread of the difference
     diameter_um : across it at half its height
     volume_um_mm2 : its height over its area, added up
-    score : height of its band over the spread
+    score : height in its band over the spread
     """
 
     row_um: float
@@ -125,7 +127,7 @@ def changes(first: HeightMap, found: Difference) -> Changes:
     size = (first.z_um.shape[1] // step, first.z_um.shape[0] // step)
     z_um, rest = (_small(values, step, size) for values in (first.z_um, found.z_um))
     gain = _gain(z_um, rest)
-    background = _blurred(z_um, SCALES_PX[-1] * SURROUNDINGS)[0]
+    background = blurred(z_um, BACKGROUND_PX)[0]
     rest = rest - np.float32(gain) * (z_um - background)
     bands = [_band(z_um, rest, scale) for scale in SCALES_PX]
     highest = max(
@@ -150,8 +152,8 @@ def changes(first: HeightMap, found: Difference) -> Changes:
 def _limit(band: _Band, pitch_um: float) -> Limit:
     """The detection limit of the changes that a band shows best."""
     spread = float(np.nanquantile(band.spread, COVERED))
-    diameter_um = WIDTH_TO_DIAMETER * BEST_WIDTH * band.scale_px * pitch_um
-    return Limit(diameter_um, (LIMIT + MISSED) * spread / BEST_SHARE)
+    diameter_um = WIDTH_TO_DIAMETER * band.scale_px * pitch_um
+    return Limit(diameter_um, (LIMIT + MISSED) * spread)
 
 
 def _small(values: Float32Array, step: int, size: tuple[int, int]) -> Float32Array:
@@ -160,26 +162,16 @@ def _small(values: Float32Array, step: int, size: tuple[int, int]) -> Float32Arr
     return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.float32) if step > 1 else part
 
 
-def _blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float32Array]:
-    """Gaussian mean over the valid pixels, and how much of the Gaussian is valid: arrays of shape (h, w)."""
-    known = np.isfinite(values)
-    border = cv2.BORDER_CONSTANT
-    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), scale_px, borderType=border)
-    total = cv2.GaussianBlur(np.where(known, values, np.float32(0.0)), (0, 0), scale_px, borderType=border)
-    mean = np.where(known, total / np.maximum(share, np.float32(1e-6)), np.float32(np.nan))
-    return np.asarray(mean, np.float32), np.asarray(share, np.float32)
-
-
-def _within(values: Float32Array, scale_px: float) -> Float32Array:
-    """The band of a field, NaN where too little is valid around: float32 array of shape (h, w)."""
-    fine, _ = _blurred(values, scale_px)
-    wide, share = _blurred(values, scale_px * SURROUNDINGS)
+def _within(values: Float32Array) -> Float32Array:
+    """The relief that the gain is taken from, NaN where too little is valid around: float32 array of shape (h, w)."""
+    fine, _ = blurred(values, GAIN_PX[0])
+    wide, share = blurred(values, GAIN_PX[1])
     return np.asarray(np.where(share > MIN_FILLED, fine - wide, np.float32(np.nan)), np.float32)
 
 
 def _gain(z_um: Float32Array, rest: Float32Array) -> float:
     """By how much the second reads heights larger: median of ratios where the surface is high in its band."""
-    relief, off = (_within(values, SCALES_PX[1]) for values in (z_um, rest))
+    relief, off = (_within(values) for values in (z_um, rest))
     known = np.isfinite(relief) & np.isfinite(off)
     if not known.any():
         return 0.0
@@ -191,22 +183,15 @@ def _gain(z_um: Float32Array, rest: Float32Array) -> float:
 
 def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
     """The band of the difference with its spread on surfaces as rough as at each place."""
-    values = _within(rest, scale_px)
-    q, p = np.gradient(_blurred(z_um, 0.5 * scale_px)[0])
-    steep, _ = _blurred(np.asarray(p * p + q * q, np.float32), scale_px)
+    values = heights(rest, scale_px)
+    q, p = np.gradient(blurred(z_um, 0.3 * scale_px)[0])
+    steep, _ = blurred(np.asarray(p * p + q * q, np.float32), scale_px)
     known = np.isfinite(values) & np.isfinite(steep)
     spread = np.full(values.shape, np.nan, np.float32)
     if known.any():
-        edges = np.quantile(steep[known], np.linspace(0.0, 1.0, BINS + 1))
-        of_bins = []
-        for number in range(BINS):
-            inside = values[known & (steep >= edges[number]) & (steep <= edges[number + 1])]
-            of_bins.append(TO_SIGMA * float(np.median(np.abs(inside))) if inside.size else 0.0)
-        rising = np.maximum.accumulate(of_bins)
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        # Beyond the steepest bin the spread grows with the slope, as a shift makes it.
-        steeper = np.sqrt(np.maximum(steep / max(float(middles[-1]), 1e-12), 1.0))
-        spread = np.asarray(np.interp(steep, middles, rising) * steeper, np.float32)
+        # Where it is steeper than usual the spread grows with the slope, as a shift makes it.
+        steeper = np.sqrt(np.maximum(steep / max(USUAL * float(steep[known].min() + steep[known].max()), 1e-12), 1.0))
+        spread = np.asarray(TO_SIGMA * float(np.median(np.abs(values[known]))) * steeper, np.float32)
     spread = np.where(known, np.maximum(spread, np.float32(1e-6)), np.float32(np.nan))
     return _Band(scale_px, values, np.asarray(values / spread, np.float32), spread)
 
@@ -230,13 +215,13 @@ def _change(
             least, width_px, height_um = left, width, float(solved[0])
     # Its uncertainty is that of the band which shows such a width best.
     judged = [band for band in bands if np.isfinite(band.spread[place])]
-    fitting = min(judged, key=lambda band: abs(np.log(BEST_WIDTH * band.scale_px / width_px)))
+    fitting = min(judged, key=lambda band: abs(np.log(band.scale_px / width_px)))
     cell_mm2 = (pitch_um * 1e-3) ** 2
     change = Change(
         row_um=place[0] * pitch_um,
         column_um=place[1] * pitch_um,
         height_um=height_um,
-        sigma_um=float(fitting.spread[place]) / BEST_SHARE,
+        sigma_um=FIT_SIGMAS * float(fitting.spread[place]),
         diameter_um=WIDTH_TO_DIAMETER * width_px * pitch_um,
         volume_um_mm2=2.0 * float(np.pi) * width_px**2 * height_um * cell_mm2,
         score=abs(float(best.score[place])),

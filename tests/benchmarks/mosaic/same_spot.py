@@ -28,7 +28,7 @@ from host_sync.same_spot.changes import LIMIT, changes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "apparatus"))
 
-from press_pairs import PITCH_MM, SHAPE, Hand, displacement, press
+from press_pairs import PITCH_MM, SHAPE, Hand, press
 
 from tests.benchmarks.mosaic.ruler import GRAIN_MM, ReliefMap
 
@@ -44,16 +44,17 @@ NOISE: Final = (0.004, 0.003)
 
 @dataclass(frozen=True, slots=True)
 class Dented:
-    """A surface with one dent."""
+    """A surface with one dent, a Gaussian of standard deviation `width_mm`."""
 
     surface: Surface
     x_mm: float
     y_mm: float
     depth_mm: float
+    width_mm: float = WIDTH_MM
 
     def height_mm(self, x_mm: Float64Array, y_mm: Float64Array) -> Float64Array:
         """Height (mm)."""
-        square = ((x_mm - self.x_mm) ** 2 + (y_mm - self.y_mm) ** 2) / WIDTH_MM**2
+        square = ((x_mm - self.x_mm) ** 2 + (y_mm - self.y_mm) ** 2) / self.width_mm**2
         return np.asarray(self.surface.height_mm(x_mm, y_mm) - self.depth_mm * np.exp(-0.5 * square))
 
 
@@ -66,7 +67,6 @@ class Outcome:
     hit: bool = False
     height_um: float = float("nan")
     sigma_um: float = float("nan")
-    off_px: float = 0.0
     refused: bool = False
 
 
@@ -94,25 +94,52 @@ def outcome(metal: ReliefMap, seed: int, depth_um: float) -> Outcome:
     first = press(metal, hands[0], random, NOISE)
     second = press(Dented(metal, at[0], at[1], 1e-3 * depth_um) if depth_um else metal, hands[1], random, NOISE)
     second = HeightMap(second.z_um * np.float32(1.0 + random.normal(0.0, GAIN)), second.pitch_um)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    on_x, on_y = cosine * at[0] - sine * at[1] + x, sine * at[0] + cosine * at[1] + y
+    place = ((0.5 * (SHAPE[0] - 1) - on_y / PITCH_MM) * PITCH_MM, (0.5 * (SHAPE[1] - 1) + on_x / PITCH_MM) * PITCH_MM)
+    return judged(first, second, place)
+
+
+def judged(first: HeightMap, second: HeightMap, place_mm: tuple[float, float]) -> Outcome:
+    """What is found in one pair.
+
+    place_mm : row and column (mm) of the dent on the first press, if there is one
+    """
     try:
         rest = difference(first, second)
     except RegistrationRefused:
         return Outcome(refused=True)
     found = changes(first, rest)
-    cosine, sine = np.cos(turn), np.sin(turn)
-    on_x, on_y = cosine * at[0] - sine * at[1] + x, sine * at[0] + cosine * at[1] + y
-    place = ((0.5 * (SHAPE[0] - 1) - on_y / PITCH_MM) * PITCH_MM, (0.5 * (SHAPE[1] - 1) + on_x / PITCH_MM) * PITCH_MM)
-    off_px = rest.registration.pose.distance_px(displacement(*hands), (0, 0))
     for one in found.found:
-        if np.hypot(one.row_um * 1e-3 - place[0], one.column_um * 1e-3 - place[1]) < FOUND_MM and one.height_um < 0.0:
-            return Outcome(found.highest, len(found.found), True, one.height_um, one.sigma_um, off_px)
-    return Outcome(found.highest, len(found.found), off_px=off_px)
+        away_mm = np.hypot(one.row_um * 1e-3 - place_mm[0], one.column_um * 1e-3 - place_mm[1])
+        if away_mm < FOUND_MM and one.height_um < 0.0:
+            return Outcome(found.highest, len(found.found), True, one.height_um, one.sigma_um)
+    return Outcome(found.highest, len(found.found))
 
 
 def write(line: str) -> None:
     """Write one line."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
+
+
+def tell(every: list[Outcome], depth_um: float) -> None:
+    """Write the figures of all pairs with a dent, or without one if its depth is zero."""
+    seen = [one for one in every if not one.refused]
+    write(f"{'with' if depth_um else 'without'} a dent: {len(every)} pairs, {len(every) - len(seen)} not registered")
+    scores = np.sort([one.highest for one in seen])
+    if not depth_um:
+        alarms = sum(one.count > 0 for one in seen)
+        write(f"false alarms: {alarms} of {len(seen)} (limit {LIMIT:g}); highest scores {np.round(scores[-8:], 1)}")
+        return
+    hits = [one for one in seen if one.hit]
+    write(f"found: {len(hits)} of {len(every)}; scores {np.round(scores[:8], 1)} …")
+    if hits:
+        heights = np.array([one.height_um for one in hits])
+        pulls = (heights + depth_um) / np.array([one.sigma_um for one in hits])
+        write(f"height {heights.mean():.2f} ± {heights.std():.2f} µm of {-depth_um:g}")
+        write(f"its error over its σ: {np.sqrt(np.mean(pulls**2)):.2f}")
+    write(f"more than the dent in {sum(one.count > one.hit for one in seen)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -127,26 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
     metal = metal_map()
     for depth_um, count in ((options.depth_um, options.dents), (0.0, options.pairs)):
         every = [outcome(metal, seed, depth_um) for seed in range(options.first, options.first + count)]
-        judged = [one for one in every if not one.refused]
-        scores = np.sort([one.highest for one in judged])
-        if not judged:
-            continue
-        write(f"{'with' if depth_um else 'without'} a dent: {count} pairs, {count - len(judged)} not registered")
-        if depth_um:
-            hits = [one for one in judged if one.hit]
-            write(f"found: {len(hits)} of {count}; scores {np.round(scores[:8], 1)} …")
-            if not hits:
-                continue
-            heights = np.array([one.height_um for one in hits])
-            pulls = (heights + depth_um) / np.array([one.sigma_um for one in hits])
-            write(f"height {heights.mean():.2f} ± {heights.std():.2f} µm of {-depth_um:g}")
-            write(f"its error over its σ: {np.sqrt(np.mean(pulls**2)):.2f}")
-            write(f"more than the dent in {sum(one.count > one.hit for one in judged)}")
-        else:
-            alarms = sum(one.count > 0 for one in judged)
-            write(
-                f"false alarms: {alarms} of {len(judged)} (limit {LIMIT:g}); highest scores {np.round(scores[-8:], 1)}"
-            )
+        tell(every, depth_um)
     write(f"{time.perf_counter() - started:.0f} s")
     return 0
 
