@@ -189,7 +189,8 @@ def calibrate(
     located = _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
     begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
-    elevated = _elevated(located, begun.fit, flat_field) if reference else None
+    lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
+    elevated = _elevated(located, begun.fit, flat_field, lamps) if reference else None
     followed = _followed(located, begun.fit, elevated) if elevated else None
     if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
@@ -235,7 +236,7 @@ def calibrate(
             measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training) if shrinkage else None
         ),
         shading=fit_shading_model(training, kept),
-        lamps=KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None,
+        lamps=lamps,
     )
 
 
@@ -326,10 +327,12 @@ def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: B
     )
 
 
-def _elevated(located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array) -> ElevatedBalls | None:
+def _elevated(
+    located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array, lamps: KnownLamps | None
+) -> ElevatedBalls | None:
     """The balls of presses with what elevation does to them; None where they cannot tell."""
     used = apply_fit(located, inverse)
-    return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field)
+    return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field, lamps)
 
 
 def _followed(located: Sequence[UsedPress], inverse: InverseFit, elevated: ElevatedBalls) -> ElevatedBalls | None:

@@ -29,7 +29,9 @@ from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import field_position
 from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.elevation_response import MIN_BALLS, ElevationResponse, measure_elevation_response
+from host_sync.calibration.lamp_centres import centres_under_lamps
 from host_sync.integration.zero_level import elevation_over_datum_px
+from host_sync.lights.known_lamps import KnownLamps
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 GRID_STEP_PX: Final = 4
@@ -96,12 +98,13 @@ class ElevatedBalls:
 
 
 def find_elevated_balls(
-    presses: Sequence[Press], inverse: InverseMap, flat_field: Float32Array
+    presses: Sequence[Press], inverse: InverseMap, flat_field: Float32Array, lamps: KnownLamps | None = None
 ) -> ElevatedBalls | None:
     """The balls of presses as symmetry and heights show them; None where they are too few to tell what elevation does.
 
     inverse : a map trained on the balls as they are; its heights are good to some per cent
     flat_field : float32 array of shape (H, W, 3), the reference's light
+    lamps : take their bias out of the balls' own centres; None where nobody knows them
     """
     every = [ball for _, of_press in presses for ball in of_press]
     if len(every) < MIN_BALLS:
@@ -113,6 +116,10 @@ def find_elevated_balls(
     def own(_skins: Sequence[_Skin], _response: ElevationResponse | None) -> Centred:
         return tuple(tuple(of_press) for _, of_press in presses)
 
+    def lit(skins: Sequence[_Skin], _response: ElevationResponse | None) -> Centred:
+        apexes_px = [[skin.apex_px(ball) for ball in balls] for skin, (_, balls) in zip(skins, presses, strict=True)]
+        return own(skins, None) if lamps is None else centres_under_lamps(presses, apexes_px, lamps)
+
     def symmetric(skins: Sequence[_Skin], response: ElevationResponse | None) -> Centred:
         lit = _Lit.of(response, skins[0]) if response else None
         return tuple(
@@ -121,6 +128,8 @@ def find_elevated_balls(
         )
 
     as_they_are, as_symmetry_says = (_elevated(presses, reliefs, flat_field, centres) for centres in (own, symmetric))
+    if as_they_are is not None and as_they_are.response.is_certain and lamps is not None:
+        as_they_are = _elevated(presses, reliefs, flat_field, lit)
     if as_they_are is None or as_symmetry_says is None:
         return as_they_are or as_symmetry_says
     agree_better = as_they_are.response.relative_sigma < OWN_AGREE * as_symmetry_says.response.relative_sigma

@@ -39,3 +39,30 @@ class KnownLamps:
         away = np.stack([x, y], axis=-1)[..., None, :] - self.position_px[:, :2]
         up = np.maximum(self.position_px[:, 2] - z_px[..., None], 1.0)
         return np.asarray(away / up[..., None])
+
+    def level_skin_raised(
+        self, place_px: Float64Array, z_px: Float64Array, shape: tuple[int, int]
+    ) -> tuple[Float64Array, Float64Array]:
+        """How level matt skin at an elevation looks to what expects it untouched.
+
+        place_px : columns and rows in a field of `shape` (H, W), shape (N, 2)
+        z_px : elevation over untouched skin, shape (N,)
+
+        Returns
+        -------
+        float64 array of shape (N, 2), the slope towards which it seems to rise; of shape (N,), the brightening that all
+        channels share, relative
+        """
+        middle = 0.5 * (np.array(shape[::-1], np.float64) - 1.0)
+        across = self.position_px[None, :, :2] - (place_px - middle)[:, None, :]
+        height = self.position_px[None, :, 2]
+        above = np.maximum(height - z_px[:, None], 1.0)
+        change = _irradiance(across, above) / _irradiance(across, height) - 1.0
+        shading = np.concatenate([-across / above[..., None], np.ones((*above.shape, 1))], axis=-1)
+        found = np.linalg.solve(shading, change[..., None])[..., 0]
+        return found[:, :2], found[:, 2]
+
+
+def _irradiance(across_px: Float64Array, above_px: Float64Array) -> Float64Array:
+    """Of level skin by a lamp that shines alike in all directions, shapes (..., 2) and (...)."""
+    return np.asarray(above_px / ((across_px**2).sum(axis=-1) + above_px**2) ** 1.5)
