@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated, Final
 
+from cyclopts import Parameter
+from cyclopts.validators import Number
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -28,11 +31,21 @@ from host_sync.offload.paired_devices import this_host
 from host_sync.offload.pull import PullProgress, pull, sync, sync_one, utc_now
 from host_sync.offload.pull_log import PullReport
 from host_sync.offload.resolve import Address, is_folder, open_device, open_source
+from host_sync.offload.source import PATIENCE_S
 
 Show = Callable[[str, PullProgress], None]
 
+MAX_PATIENCE_S: Final = 3600.0
 
-def pull_command(source: str, *, library: Folder | None = None, at: str | None = None, verify: bool = False) -> int:
+
+def pull_command(
+    source: str,
+    *,
+    library: Folder | None = None,
+    at: str | None = None,
+    verify: bool = False,
+    patience_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_PATIENCE_S))] = PATIENCE_S,
+) -> int:
     """Copy every scan and calibration that the library lacks, read each one back, and leave receipts.
 
     Parameters
@@ -45,6 +58,8 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
         The device's present address, HOST or HOST:PORT, if it has changed since pairing.
     verify
         Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
+    patience_s
+        Seconds without any data after which the device is given up; more for a slow or busy device.
     """
     target = Library(library or default_library())
     devices = known_devices()
@@ -66,7 +81,7 @@ def pull_command(source: str, *, library: Folder | None = None, at: str | None =
                     device,
                     target,
                     devices,
-                    lambda device: open_device(device, devices, address),
+                    lambda device: open_device(device, devices, address, patience_s),
                     lambda state: show(device.device_id, state),
                     verify=verify,
                 )

@@ -14,7 +14,7 @@ import msgspec
 from host_sync.errors import HostError, NoSource
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
-from host_sync.offload.source import Source
+from host_sync.offload.source import PATIENCE_S, Source
 
 MAX_PORT: Final = 65535
 
@@ -73,13 +73,16 @@ def open_source(name: str, devices: PairedDevices, at: Address | None = None) ->
 
 
 @contextmanager
-def open_device(device: PairedDevice, devices: PairedDevices, at: Address | None = None) -> Iterator[Source]:
-    """A paired device as a source. Errors as for `open_source`."""
+def open_device(
+    device: PairedDevice, devices: PairedDevices, at: Address | None = None, patience_s: float = PATIENCE_S
+) -> Iterator[Source]:
+    """A paired device as a source; without data it is given up after `patience_s`. Errors as for `open_source`."""
     from host_sync.offload.pairing import new_private_key
     from host_sync.offload.sftp import SftpSource
     from host_sync.offload.sftp_link import ReconnectingSftp, Timeouts
 
     if at is not None:
         device = msgspec.structs.replace(device, host=at.host, port=at.port or device.port)
-    with ReconnectingSftp(device, devices.private_key(new_private_key), Timeouts()) as link:
+    timeouts = Timeouts.of_patience(patience_s)
+    with ReconnectingSftp(device, devices.private_key(new_private_key), timeouts) as link:
         yield SftpSource(link)

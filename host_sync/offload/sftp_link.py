@@ -20,11 +20,15 @@ import asyncssh
 
 from host_sync.errors import SourceLost, SourceRefused
 from host_sync.offload.paired_devices import PairedDevice
+from host_sync.offload.source import PATIENCE_S
 
 T = TypeVar("T")
 
 LOST: Final = (asyncssh.Error, OSError)
 """What a lost or failed connection raises; a timeout is an OSError."""
+
+KEEPALIVES: Final = 8
+"""Keepalive messages that a connection is given before it is given up."""
 
 MAX_RETRIES: Final = 20
 """Limit for work that cannot continue where it stopped and starts again."""
@@ -228,10 +232,15 @@ class Timeouts:
     retry_s : between two attempts
     """
 
-    keepalive_s: float = 1.0
+    keepalive_s: float = PATIENCE_S / KEEPALIVES
     unanswered: int = 3
-    give_up_s: float = 8.0
+    give_up_s: float = PATIENCE_S
     retry_s: float = 0.25
+
+    @classmethod
+    def of_patience(cls, give_up_s: float) -> Timeouts:
+        """Those that give up after so long without data, a positive number; keepalives are as far apart in proportion."""
+        return cls(keepalive_s=give_up_s / KEEPALIVES, give_up_s=give_up_s)
 
 
 async def open_session(device: PairedDevice, private_key: Path, timeouts: Timeouts, within_s: float) -> Session:

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from device.bundles.layout import BundleKind, BundleNames
+
+PATIENCE_S: Final = 8.0
+"""Without any data, after which a device counts as gone."""
 
 
 class Source(Protocol):

@@ -28,6 +28,9 @@ CARD_MIB = 7600
 """A card that is sold as 8 GB."""
 
 HANDOVER = "/data/handover"
+PATIENCE = ("--patience-s", "120")
+"""An emulated board takes about 8 s to answer one request."""
+
 TWIN = "runuser -u retroscan -- retroscan --board twin --store /var/lib/retroscan"
 
 
@@ -93,7 +96,7 @@ def test_it_scans_with_the_twin_by_name_and_is_pulled_from(
     assert device, paired
     library = tmp_path / "library"
     with stage("image: pull over SFTP"):
-        retrosync("pull", device[1], "--at", f"127.0.0.1:{card.ports[SSH]}", "--library", str(library))
+        retrosync("pull", device[1], "--at", f"127.0.0.1:{card.ports[SSH]}", "--library", str(library), *PATIENCE)
     assert {path.name for path in (library / "scans").iterdir()} == {taken[1]}
     read_scan(library / "scans" / taken[1]).verify()
 

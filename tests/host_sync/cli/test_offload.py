@@ -70,6 +70,11 @@ def test_what_is_not_there_is_bad_input(arguments: list[str], capsys: pytest.Cap
     assert error.count("\n") == 1
 
 
+def test_patience_must_be_positive(store: BundleStore, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pull", str(store.root), "--patience-s", "0"]) == 2
+    assert "--patience-s" in capsys.readouterr().err
+
+
 def test_an_empty_library_is_no_name(store: BundleStore, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["pull", str(store.root), "--library", ""]) == 2
     assert "an empty name is not a folder" in capsys.readouterr().err
