@@ -239,7 +239,7 @@ class Timeouts:
 
     @classmethod
     def of_patience(cls, give_up_s: float) -> Timeouts:
-        """Those that give up after so long without data, a positive number; keepalives are as far apart in proportion."""
+        """Those that give up after so long without data, a positive number, with keepalives in proportion."""
         return cls(keepalive_s=give_up_s / KEEPALIVES, give_up_s=give_up_s)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from device.bundles.movie import MovieRecord
 from device.bundles.scan import ScanBundle
 from device.imaging.flat_field import demosaic
 from device.surface.fields import Float32Array, HeightMap
@@ -40,6 +41,8 @@ def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[P
     yield relief_picture(measurement)
     if scan is not None:
         yield frame_picture(scan)
+        if scan.record.movie is not None:
+            yield movie_picture(scan.record.movie, measurement.height)
     if measurement.sigma_um is not None:
         yield sigma_picture(measurement.sigma_um, measurement.height.pitch_um)
     yield surface_picture(measurement)
@@ -92,6 +95,30 @@ def frame_picture(scan: ScanBundle) -> Picture:
     return Picture(
         "Frame: one exposure in the light of all three lights", data.tobytes(), (shown.shape[1], shown.shape[0])
     )
+
+
+def movie_picture(movie: MovieRecord, height: HeightMap) -> Picture:
+    """Contact and depth over the time of a press.
+
+    height : of the whole field
+    """
+    rows, columns = height.z_um.shape
+    field_mm2 = rows * columns * (height.pitch_um / 1000.0) ** 2
+    time_s = np.array([frame.at_ms for frame in movie.frames]) / 1000.0
+    contact = np.array([np.nan if f.contact_fraction is None else f.contact_fraction for f in movie.frames], float)
+    depth_um = np.array([np.nan if f.depth_um is None else f.depth_um for f in movie.frames], float)
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    panels = np.ravel(figure.subplots(2, 1, sharex=True))
+    for axes, values, words in zip(panels, (field_mm2 * contact, depth_um), ("contact, mm²", "depth, µm"), strict=True):
+        axes.plot(time_s, values, color=_BLUE, linewidth=1.1, marker=".", markersize=3.0)
+        axes.axvline(time_s[movie.best], color=_RED, linewidth=0.8, linestyle="--")
+        axes.set_ylabel(words)
+        axes.set_ylim(bottom=0.0)
+        axes.grid(visible=True, linewidth=0.3, alpha=0.5)
+    panels[-1].set_xlabel("time, s")
+    unread = int(np.isnan(depth_um).sum())
+    words = f"The press over time, {len(movie.frames)} frames; the scan was taken at the dashed line"
+    return picture_of(figure, words + (f"; {unread} frames without a depth" if unread else ""))
 
 
 def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
