@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from device.bundles.check import CheckRecord, doubt_of_checks
+from device.bundles.movie import MovieRecord
 from device.bundles.scan import Annotations, ScanBundle, VerdictRecord, read_scan
 from device.errors import RecordError
 from device.io.folder import Folder
@@ -30,6 +31,7 @@ class ScanEntry:
     mark : the operator's later mark; None without one
     doubt : the failed check of the check standard that makes it doubtful; empty without one
     replaced_by : number of the scan that was taken instead of it; None without one
+    movie : of the press; None where none was taken
     """
 
     scan_id: str
@@ -43,6 +45,7 @@ class ScanEntry:
     mark: ScanMark | None
     doubt: str = ""
     replaced_by: int | None = None
+    movie: MovieRecord | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,4 +114,5 @@ def _entry(
         mark=read_mark(root, record.scan_id),
         doubt=failed.sentence if failed else "",
         replaced_by=replaced_by,
+        movie=record.movie,
     )

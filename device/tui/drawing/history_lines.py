@@ -8,6 +8,8 @@ from typing import Final, Literal
 
 from device.instrument.history import ScanEntry
 from device.tui.drawing.advice import screen_advice
+from device.tui.drawing.cells import ColourDepth
+from device.tui.drawing.movie_lines import movie_text
 from device.tui.drawing.text import local_time, sticky_text
 
 Order = Literal["newest first", "oldest first", "by part", "worst first"]
@@ -33,15 +35,16 @@ def scan_line(entry: ScanEntry) -> str:
     return f"{entry.counter:>4} {shown_level(entry):<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
 
 
-def details_of(entry: ScanEntry) -> str:
-    """Verdict, annotations, time, offload state and note of a scan."""
+def details_of(entry: ScanEntry, depth: ColourDepth) -> str:
+    """Verdict, annotations, time, offload state and note of a scan, and the press over time where it is a movie."""
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
     replaced = f" · replaced by #{entry.replaced_by}" if entry.replaced_by is not None else ""
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
+    movie = f"\n{movie_text(entry.movie, depth)}" if entry.movie else ""
     doubt = f"! {entry.doubt}\n" if entry.doubt and entry.doubt != entry.verdict.reason else ""
     return (
         f"{doubt}{entry.verdict.level}: {screen_advice(entry.verdict.reason)}\n{sticky_text(entry.annotations)}\n"
-        f"{local_time(entry.wall_time)} · {sent}{replaced}{note}"
+        f"{local_time(entry.wall_time)} · {sent}{replaced}{note}{movie}"
     )
 
 

@@ -19,8 +19,8 @@ Axis = Literal["row", "column"]
 LABEL_COLUMNS: Final = 9
 """A blank and up to eight characters, such as "-1234 µm"."""
 
-_EIGHTHS: Final = " ▁▂▃▄▅▆▇█"
-_HALVES: Final = " ▄█"
+EIGHTHS: Final = " ▁▂▃▄▅▆▇█"
+HALVES: Final = " ▄█"
 """The blocks in a plain console's font."""
 
 
@@ -78,7 +78,7 @@ def profile_cells(profile: Float32Array, point: float, rows: int, columns: int, 
     point : position of the cursor's point, 0 to 1
     """
     cells = CellGrid.empty(rows, columns + LABEL_COLUMNS, depth)
-    blocks = _EIGHTHS if depth == "full" else _HALVES
+    blocks = EIGHTHS if depth == "full" else HALVES
     heights = HeightRange.of(profile)
     z_um = resampled(profile[np.newaxis, :], (1, columns))[0]
     bars, parts = rows - 1, len(blocks) - 1

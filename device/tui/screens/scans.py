@@ -50,6 +50,7 @@ class ScansScreen(InstrumentScreen):
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
         super().__init__(instrument)
+        self._depth = depth
         self._list = LineList(id="history")
         self._relief = HeightView(depth, below=6)
         self._words = Words(id="words", markup=False)
@@ -197,7 +198,7 @@ class ScansScreen(InstrumentScreen):
         if index >= len(self._scans):
             return
         entry = self._scans[index]
-        self._words.update(details_of(entry))
+        self._words.update(details_of(entry, self._depth))
         if entry.scan_id != self._shown:
             self._shown = entry.scan_id
             self.run_worker(partial(self._read_quick_look, entry.scan_id), thread=True, group="look", exclusive=True)

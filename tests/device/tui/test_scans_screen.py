@@ -186,3 +186,17 @@ def test_a_scan_is_deleted_and_brought_back(play: Callable[..., None], root: Pat
         assert "no scan was deleted" in stage.text()
 
     play(scenario, root)
+
+
+def test_a_movie_shows_contact_and_depth_over_the_press(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.press("m", "m", "m")
+        await stage.object_pressed()
+        stage.instrument.press()
+        await stage.live(260)
+        await stage.press("3")
+        (line,) = [line for line in stage.lines() if "Contact " in line]
+        assert " %, depth " in line
+        assert line.rstrip().endswith("µm")
+
+    play(scenario, root)
