@@ -57,6 +57,12 @@ COMMANDS: Final = (
         ("retroscan guide --to rg60bb5d63-000007-scan", "retroscan guide --to rg60bb5d63-000007-scan --json"),
     ),
     Command(
+        "cover",
+        "device.cli.cover:cover",
+        "Scan an area larger than the field, press by press, with the way to the next press.",
+        ("retroscan cover --width-mm 40 --height-mm 30", "retroscan cover --width-mm 40 --height-mm 30 --part lid"),
+    ),
+    Command(
         "pair",
         "device.cli.pairing:pair",
         "Show a code for two minutes; a workstation that has it may fetch scans.",

@@ -141,7 +141,7 @@ def scan_once(
         else:
             say("Press the object into the gel, then push the button.")
         hardware.button.wait_for_push(None)
-        _report(scanner.scan(_annotations(labels), lambda: _cue_lift(hardware, say), capture), json)
+        _report(scanner.scan(annotations_of(labels), lambda: cue_lift(hardware, say), capture), json)
     return 0
 
 
@@ -160,7 +160,7 @@ def run(*, labels: Labels | None = None, ball_radius_mm: LengthMm = BALL_RADIUS_
         store = open_store(options, hardware.clock)
         import_inbox(store)
         with Instrument(hardware, store, ball_radius_mm=ball_radius_mm) as instrument:
-            if (given := _annotations(labels)) != Annotations():
+            if (given := annotations_of(labels)) != Annotations():
                 instrument.set_sticky(given)
             report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
             try:
@@ -204,7 +204,8 @@ def lights_off(*, options: Given) -> int:
     return 0
 
 
-def _annotations(labels: Labels | None) -> Annotations:
+def annotations_of(labels: Labels | None) -> Annotations:
+    """What is written beside a scan."""
     return Annotations(**asdict(labels or Labels()))
 
 
@@ -226,7 +227,7 @@ def _print_levels(record: CalibrationRecord) -> None:
             print_line(f"Note: {found.warning}.")
 
 
-def _cue_lift(hardware: Hardware, say: Callable[[str], None]) -> None:
+def cue_lift(hardware: Hardware, say: Callable[[str], None]) -> None:
     """Print that the object may be lifted; a closed output must not cost the scan."""
     with suppress(OSError):
         say("You may lift.")

@@ -23,14 +23,19 @@ def sentence(found: Placement | Unplaced) -> str:
     shift = f"±{2.0 * found.shift_sigma_mm:.1f} mm, ±{2.0 * found.turn_sigma_deg:.0f}°"
     if on_the_spot(found):
         return f"On the spot ({shift})."
-    ways = [
-        f"{abs(length):.1f} mm {positive if length > 0.0 else negative}"
-        for length, positive, negative in ((found.right_mm, "right", "left"), (found.down_mm, "down", "up"))
-        if abs(length) >= 2.0 * found.shift_sigma_mm
-    ]
-    steps = [f"move {' and '.join(ways)}"] if ways else []
+    ways = way_words(found.right_mm, found.down_mm, 2.0 * found.shift_sigma_mm)
+    steps = [f"move {ways}"] if ways else []
     if abs(found.clockwise_deg) > 2.0 * found.turn_sigma_deg:
         turn = "clockwise" if found.clockwise_deg > 0.0 else "anticlockwise"
         steps.append(f"turn {abs(found.clockwise_deg):.0f}° {turn}")
     text = ", then ".join(steps)
     return f"{text[0].upper()}{text[1:]} ({shift})."
+
+
+def way_words(right_mm: float, down_mm: float, least_mm: float) -> str:
+    """A way in words, "8.0 mm left and 2.1 mm up", without parts shorter than `least_mm`."""
+    return " and ".join(
+        f"{abs(length):.1f} mm {positive if length > 0.0 else negative}"
+        for length, positive, negative in ((right_mm, "right", "left"), (down_mm, "down", "up"))
+        if abs(length) >= least_mm
+    )

@@ -30,7 +30,7 @@ BACKGROUND_PX: Final = 15.0
 GAIN_PX: Final = (1.8, 4.5)
 """The gain is taken from relief between Gaussian means of these two standard deviations."""
 
-LIMIT: Final = 12.5
+LIMIT: Final = 13.0
 """A change is significant beyond so many spreads."""
 
 MISSED: Final = 1.645
