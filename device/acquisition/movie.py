@@ -1,4 +1,7 @@
-"""A press as a movie: raw frames of half the size from touch to depth, and the best of them at full size."""
+"""A press as a movie: raw frames of half the size from touch to depth, and the best at full size.
+
+The best is averaged with the frames after it that did not move: a press that is held still has less noise.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from device.acquisition.capture import (
     capture_with_faults,
     check_frame,
 )
+from device.acquisition.frame_mean import MAX_CHANGE, FrameMean, smoothed
 from device.bundles.movie import MAX_MOVIE_FRAMES, MovieFrameRecord, MovieRecord
 from device.guidance.downsample import downsample_bayer
 from device.guidance.guide import PressMeasure, box_smoothed, change
@@ -40,12 +44,19 @@ class Movie:
 
     frames : in order of time
     measures : contact and depth in each
-    best : number of the one that is stored at full size too
+    best : number of the first frame in the mean that is stored at full size
+    averaged : frames in that mean
     """
 
     frames: tuple[RawFrame, ...]
     measures: tuple[PressMeasure, ...]
     best: int
+    averaged: int
+
+    @property
+    def moved(self) -> int:
+        """Frames after the best that were left out of the mean because the object had moved."""
+        return len(self.frames) - self.best - self.averaged
 
     def record(self) -> MovieRecord:
         """What the bundle says of it."""
@@ -75,8 +86,8 @@ def frames_that_fit(shape: tuple[int, int]) -> int:
 def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tuple[Capture, Movie]:
     """Frames for `MOVIE_S`, or as many as fit in memory; the lights are off again afterwards.
 
-    The best frame is the one with most contact, less the more it differs from the one before it. Errors as for
-    `capture_with_faults`.
+    The best frame is the one with most contact, less the more it differs from the one before it. The capture is the
+    mean of it and of all later frames that did not move against it. Errors as for `capture_with_faults`.
 
     watch : what the guide measures in a frame
     """
@@ -85,7 +96,8 @@ def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tup
     until_ns = first.frame.sensor_timestamp_ns + round(MOVIE_S * 1e9)
     most = frames_that_fit(first.frame.shape)
     frames, measures = [bin_mosaic(first.frame)], [watch(first.frame)]
-    best, best_score, full, before = 0, 0.0, first.frame, _small(first.frame)
+    best, best_score, before = 0, 0.0, _small(first.frame)
+    mean, still = FrameMean(first.frame), smoothed(first.frame)
     try:
         while len(frames) < most:
             frame = camera.next_frame(FRAME_TIMEOUT_S)
@@ -94,14 +106,18 @@ def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tup
                 break
             seen, now = watch(frame), _small(frame)
             score = (seen.contact_fraction or 0.0) / (1.0 + change(before, now) / STILL)
-            if score > best_score:
-                best, best_score, full = len(frames), score, frame
+            smooth = smoothed(frame)
+            if change(still, smooth) <= MAX_CHANGE:
+                mean.add(frame)
+            elif score > best_score:
+                best, mean, still = len(frames), FrameMean(frame), smooth
+            best_score = max(best_score, score)
             frames.append(bin_mosaic(frame))
             measures.append(seen)
             before = now
     finally:
         hardware.lights.off()
-    return Capture(full, first.light_faults), Movie(tuple(frames), tuple(measures), best)
+    return Capture(mean.frame(), first.light_faults), Movie(tuple(frames), tuple(measures), best, mean.frames)
 
 
 def _small(frame: RawFrame) -> Float32Array:

@@ -1,8 +1,4 @@
-"""Precise capture: several frames of one press averaged, and frames under no light and under each light alone.
-
-A pixel's noise falls with the root of the number of frames. The sum keeps fractions of a count: its counts, black and
-white level are multiples of a single frame's. A pixel that is saturated in any frame stays so.
-"""
+"""Precise capture: several frames of one press averaged, and frames under no light and under each light alone."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from device.acquisition.capture import (
     FRAME_TIMEOUT_S,
@@ -21,29 +16,26 @@ from device.acquisition.capture import (
     check_frame,
     retry_with_restart,
 )
+from device.acquisition.frame_mean import (
+    MAX_CHANGE,
+    MAX_FRAMES,
+    FrameMean,
+    brightest_light,
+    small_light,
+    smoothed,
+)
 from device.acquisition.movie import Movie, Watch, record_movie
 from device.bundles.movie import MAX_MOVIE_FRAMES
 from device.bundles.scan import CaptureMode, ExposuresRecord, VerdictRecord
 from device.errors import CaptureModeRefused
-from device.guidance.downsample import downsample_step
-from device.guidance.guide import PressMeasure, box_smoothed, change
+from device.guidance.guide import PressMeasure, change
 from device.imaging.ambient import ambient_fraction
-from device.imaging.flat_field import SATURATED, bin_bayer
 from device.imaging.mosaic_binning import can_bin
-from device.surface.fields import Float32Array
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 
 AVERAGE_S: Final = 0.150
 """Frames that are complete this long after the first one's exposure began are averaged."""
-
-MAX_CHANGE: Final = 0.008
-"""Change of smoothed light, 99th percentile relative to the brightest, from which a frame has moved: an edge that is
-shifted by a pixel. Still frames of the twin change by 0.003 to 0.007."""
-
-MAX_FRAMES: Final = 1000
-
-_MAX_COUNT: Final = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +105,7 @@ def capture_precisely(
         return PreciseCapture(capture_with_faults(hardware, plan))
     if mode == "movie":
         best, movie = record_movie(hardware, plan, watch or _nothing)
-        return PreciseCapture(best, movie=movie)
+        return PreciseCapture(best, movie.averaged, movie.moved, movie=movie)
     found = retry_with_restart(hardware.camera, lambda: _averaged(hardware, plan))
     if mode == "average":
         return found
@@ -135,11 +127,11 @@ def _together(alone: dict[str, RawFrame], dark: RawFrame, lit: RawFrame) -> floa
     Light adds up, so only movement changes the sum; a light that is a little weaker beside others on one supply is
     fitted. Which frame moved is not seen: one light's frame does not show what the others light.
     """
-    below = _small(dark)
-    seen = _small(lit) - below
-    lights = np.stack([(_small(frame) - below).ravel() for frame in alone.values()], axis=-1)
+    below = small_light(dark)
+    seen = small_light(lit) - below
+    lights = np.stack([(small_light(frame) - below).ravel() for frame in alone.values()], axis=-1)
     gains, *_ = np.linalg.lstsq(lights, seen.ravel(), rcond=None)
-    brightest = _brightest(seen)
+    brightest = brightest_light(seen)
     return change(seen / brightest, (lights @ gains).reshape(seen.shape) / brightest)
 
 
@@ -149,72 +141,19 @@ def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
     camera, step_us = hardware.camera, hardware.profile.sensor.exposure_step_us
     until_ns = first.frame.sensor_timestamp_ns + round(AVERAGE_S * 1e9)
     try:
-        mean, still, moved = FrameMean(first.frame), _smooth(first.frame), 0
+        mean, still, moved = FrameMean(first.frame), smoothed(first.frame), 0
         while mean.frames < MAX_FRAMES:
             frame = camera.next_frame(FRAME_TIMEOUT_S)
             check_frame(frame, hardware.profile.sensor, camera.camera_id, plan.bayer_order)
             if hardware.clock.monotonic_ns() > until_ns or not plan.matches(frame.granted, step_us):
                 break
-            if change(still, _smooth(frame)) > MAX_CHANGE:
+            if change(still, smoothed(frame)) > MAX_CHANGE:
                 moved += 1
             else:
                 mean.add(frame)
     finally:
         hardware.lights.off()
     return PreciseCapture(Capture(mean.frame(), first.light_faults), mean.frames, moved)
-
-
-class FrameMean:
-    """The mean of raw frames of equal settings, without rounding to whole counts.
-
-    frames : summed so far, at most `MAX_FRAMES`
-    """
-
-    def __init__(self, first: RawFrame) -> None:
-        self._first = first
-        self._sum: NDArray[np.uint32] = first.mosaic.astype(np.uint32)
-        self._brightest = first.mosaic.copy()
-        self.frames = 1
-
-    def add(self, frame: RawFrame) -> None:
-        """Add a frame."""
-        self._sum += frame.mosaic
-        np.maximum(self._brightest, frame.mosaic, out=self._brightest)
-        self.frames += 1
-
-    def frame(self) -> RawFrame:
-        """The mean; with one frame that frame itself."""
-        first = self._first
-        if self.frames == 1:
-            return first
-        scale = max(int(_MAX_COUNT // first.white_level_dn), 1)
-        limit = first.black_level_dn + SATURATED * (first.white_level_dn - first.black_level_dn)
-        mosaic = np.empty_like(first.mosaic)
-        for row, (total, brightest) in enumerate(zip(self._sum, self._brightest, strict=True)):
-            mean = (total * np.uint32(scale) + np.uint32(self.frames // 2)) // np.uint32(self.frames)
-            saturated = brightest.astype(np.uint32) * np.uint32(scale)
-            mosaic[row] = np.minimum(np.where(brightest >= limit, saturated, mean), _MAX_COUNT)
-        return replace(
-            first,
-            mosaic=mosaic,
-            black_level_dn=first.black_level_dn * scale,
-            white_level_dn=first.white_level_dn * scale,
-        )
-
-
-def _smooth(frame: RawFrame) -> Float32Array:
-    """A small smoothed image of a frame, relative to its brightest parts: float32 array of shape (h, w, 3)."""
-    smooth = _small(frame)
-    return smooth / _brightest(smooth)
-
-
-def _small(frame: RawFrame) -> Float32Array:
-    """A small smoothed image of a frame, fractions of full scale: float32 array of shape (h, w, 3)."""
-    return box_smoothed(bin_bayer(frame, downsample_step(frame.shape)).rgb)
-
-
-def _brightest(smooth: Float32Array) -> np.float32:
-    return np.float32(max(float(np.percentile(smooth, 99)), 1e-6))
 
 
 def with_ambient_share(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:

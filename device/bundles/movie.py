@@ -30,7 +30,7 @@ class MovieRecord(Record, frozen=True):
     """The movie of a press.
 
     binning : pixels of one colour that were taken together, in each direction
-    best : number of the frame that is the scan's own raw frame, at full size
+    best : number of the frame that is, averaged with later ones that did not move, the scan's own raw frame
     frames : in order of time
     """
 

@@ -1,4 +1,4 @@
-"""A movie of a press: frames of half the size while it deepens, and the best of them as the scan's own frame."""
+"""A movie of a press: frames of half the size while it deepens, and the scan's own frame at full size."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -45,17 +45,45 @@ def test_contact_and_depth_grow_while_the_object_is_pressed(
     assert bench.currents_ma == {}
 
 
-def test_the_best_frame_is_the_scans_own_at_full_size(
+def test_the_scans_own_frame_is_the_mean_of_the_best_and_of_those_that_did_not_move(
     scanner: Scanner, bench: SimulatedScene, hardware: Hardware
 ) -> None:
     press_deeper(bench, hardware)
     bundle = scanner.scan(Annotations(), mode="movie").bundle
-    movie = bundle.record.movie
+    movie, exposures = bundle.record.movie, bundle.record.exposures
     assert movie is not None
     bundle.verify()
-    whole, small = bundle.raw_frame(), bundle.movie_frame(movie.frames[movie.best].file)
-    np.testing.assert_array_equal(bin_mosaic(whole).mosaic, small.mosaic)
-    assert small.sensor_timestamp_ns == whole.sensor_timestamp_ns
+    still = movie.frames[movie.best :]
+    assert exposures.averaged == len(still) > 30
+    assert exposures.moved == 0
+    whole, small = bundle.raw_frame(), [bundle.movie_frame(frame.file) for frame in still]
+    assert whole.sensor_timestamp_ns == small[0].sensor_timestamp_ns
+    mean = np.mean([light_of(frame) for frame in small], axis=0)
+    count = 1.0 / (whole.white_level_dn - whole.black_level_dn)  # the mean and its binning round to half of one each
+    np.testing.assert_allclose(light_of(bin_mosaic(whole)), mean, rtol=0.0, atol=1.01 * count)
+    noise = np.std(light_of(small[0]) - light_of(small[1])) / np.sqrt(2.0)
+    left = np.std(light_of(small[0]) - light_of(bin_mosaic(whole)))
+    print(f"{len(still)} frames averaged, noise of one {noise:.5f}")  # noqa: T201
+    assert left == pytest.approx(noise * np.sqrt(1.0 - 1.0 / len(still)), rel=0.02)
+
+
+def test_frames_after_the_press_is_let_go_are_left_out_and_counted(
+    scanner: Scanner, bench: SimulatedScene, hardware: Hardware
+) -> None:
+    press_deeper(bench, hardware)
+    let_go_ms = 2900.0
+    bench.place_at(bench.clock.monotonic_ns() + round(let_go_ms * 1e6), None)
+    bundle = scanner.scan(Annotations(), mode="movie").bundle
+    movie, exposures = bundle.record.movie, bundle.record.exposures
+    assert movie is not None
+    still = [frame for frame in movie.frames[movie.best :] if (frame.contact_fraction or 0.0) > 0.3]
+    assert exposures.averaged == len(still) > 5
+    assert exposures.moved == len(movie.frames) - movie.best - len(still) > 5
+
+
+def light_of(frame: RawFrame) -> np.ndarray:
+    """Light as a fraction of full scale: float64 array of shape (H, W)."""
+    return (frame.mosaic - frame.black_level_dn) / (frame.white_level_dn - frame.black_level_dn)
 
 
 def test_a_scan_without_a_movie_says_so(scanner: Scanner, hardware: Hardware) -> None:
