@@ -7,11 +7,12 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
-from device.cli.console import Count, Given, LengthMm, open_store, print_json, print_line, print_note, store_folder
+from device.cli.console import Count, Given, open_store, print_json, print_line, print_note, store_folder
 from device.cli.instrument_commands import Labels, annotations_of, cue_lift
 from device.guidance.covering import Covering, Stand
 from device.guidance.placement import Unplaced
@@ -25,6 +26,9 @@ from hal.interfaces import LiftOff, PressObject
 NOT_COVERED = 3
 """Exit code after the last press allowed, with a part of the area missing."""
 
+MAX_AREA_MM: Final = 300.0
+"""Each way: some hundreds of presses."""
+
 MAP_COLUMNS: Final = 60
 LEAST_MM: Final = 0.5
 """A way is told to about as much as a hand can follow."""
@@ -32,8 +36,8 @@ LEAST_MM: Final = 0.5
 
 def cover(
     *,
-    width_mm: LengthMm,
-    height_mm: LengthMm,
+    width_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
+    height_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
     presses: Count | None = None,
     pressed: Annotated[str, Parameter(name="--object")] = "coin",
     labels: Labels | None = None,
@@ -49,7 +53,7 @@ def cover(
     width_mm
         Width of the area, in the directions of the first press's live view.
     height_mm
-        Height of the area.
+        Height of the area, 300 mm at most as its width.
     presses
         End after that many presses.
     pressed

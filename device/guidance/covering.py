@@ -91,7 +91,8 @@ class Covering:
         for number in reversed(range(len(self.stands))):
             found = self._placed(height, number)
             if isinstance(found, Stand):
-                nearest = int(self._overlaps(np.array([found.right_mm, found.down_mm])).argmax())
+                shared = [self._overlap(np.array([found.right_mm, found.down_mm]), stand) for stand in self.stands]
+                nearest = int(np.argmax(shared))
                 again = found if nearest == number else self._placed(height, nearest)
                 return self._add(height, again if isinstance(again, Stand) else found)
         return found
@@ -110,7 +111,10 @@ class Covering:
         new = self._counted(middles, np.ones_like(self._worth))
         last = self.stands[-1]
         away = np.hypot(middles[..., 0] - last.right_mm, middles[..., 1] - last.down_mm)
-        enough = (self._overlaps(middles).max(axis=-1) >= WANTED_OVERLAP) & (new >= SLIVER * self._field_cells)
+        enough = np.zeros(new.shape, np.bool_)
+        for stand in self.stands:
+            enough |= self._overlap(middles, stand) >= WANTED_OVERLAP
+        enough &= new >= SLIVER * self._field_cells
         worth = np.where(enough, self._counted(middles, self._worth) - 1e-3 * away, -np.inf)
         row, column = np.unravel_index(int(worth.argmax()), worth.shape)
         if not np.isfinite(worth[row, column]):
@@ -141,10 +145,9 @@ class Covering:
         )
         return np.asarray(missing[bottom, right] - missing[top, right] - missing[bottom, left] + missing[top, left])
 
-    def _overlaps(self, middles: Float64Array) -> Float64Array:
-        """Fractions that fields with these middles, (..., 2), share with every press, turns left aside: (..., n)."""
-        places = np.array([(stand.right_mm, stand.down_mm) for stand in self.stands])
-        apart = np.abs(middles[..., None, :] - places) / self.field_mm
+    def _overlap(self, middles: Float64Array, stand: Stand) -> Float64Array:
+        """Fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
+        apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
         return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))
 
 
