@@ -25,7 +25,7 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test system-image image-test image bench format board parts step docs release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test system-image image-test image bench format board board-test parts step docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -100,6 +100,15 @@ board: set-up ## write the tables and drawings in board/ again, and what a board
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 	"$(VENV)/bin/python" -m tests.drawings.pcb.make
 
+board-test: set-up ## the files for a board house, read back by gerbonara and judged by KiCad's rules, where that is installed
+	@if ! cmp -s requirements-board.lock "$(VENV)/board/made-of"; then
+	    rm -rf "$(VENV)/board"
+	    "$(VENV)/bin/python" -m pip install --quiet --target "$(VENV)/board" --no-deps --require-hashes --only-binary :all: \
+	        -r requirements-board.lock
+	    cp requirements-board.lock "$(VENV)/board/made-of"
+	fi
+	PYTHONPATH="$(abspath $(VENV))/board" "$(VENV)/bin/python" -m pytest -rs tests/board/test_pcb_files.py
+
 parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; wants openscad)
 	@mkdir -p "dist/parts/$(BOARD)"
 	for part in $(or $(PARTS),$(EVERY_PART)); do
@@ -155,6 +164,10 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
 	    $$(sed -n 's/^\([a-z0-9._-]*\)==[^;]*$$/--no-emit-package \1/p' requirements.lock) \
 	    --extra docs --output-file requirements-docs.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --no-emit-find-links --constraint requirements.lock \
+	    $$(sed -n 's/^\([a-z0-9._-]*\)==[^;]*$$/--no-emit-package \1/p' requirements.lock) \
+	    --extra board --output-file requirements-board.lock pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --output-file .ci/audit.lock - <<<pip-audit
 

@@ -26,9 +26,7 @@ from host_sync.blas_threads import one_blas_thread
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from device.imaging.flat_field import LinearFrame
     from device.surface.fields import Float32Array
-    from host_sync.calibration.balls import PressFrame
     from host_sync.calibration_file.kept_calibration import KeptCalibration
     from host_sync.library.library import Library
     from host_sync.measurement.quantity import Quantity
@@ -158,14 +156,18 @@ def calibrate(
     >>> calibration = calibrate(labelled, reference="flat.png", pixel_pitch_um=20.0)
     >>> calibration.calibration.held_out_deg["direct"] < 5.0
     True
-    >>> calibration.write(Path("own.calibration"))
+    >>> calibration.summary[0]  # what did not pass is named here
+    'calibration passed (6 balls, held-out error ... degrees, ± of the height scale unknown ...)'
+    >>> calibration.write("own.calibration")
     """
+    from host_sync.api_arguments import check_choice, linear_frame, press_frame
     from host_sync.calibration.frames import CalibrationFrames
     from host_sync.calibration_file.kept_calibration import facts_of, make_calibration
 
+    check_choice("encoding", encoding, Encoding)
     frames = CalibrationFrames(
-        tuple(_press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses)),
-        _frame(reference, encoding) if reference is not None else None,
+        tuple(press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses)),
+        linear_frame(reference, encoding) if reference is not None else None,
         pixel_pitch_um,
         paper=paper,
     )
@@ -234,6 +236,8 @@ def reconstruct(
     ------
     FrameSetError, DeviceError
         The image is unreadable, black or saturated, or was not made as the calibration was.
+    CalibrationFileError
+        `calibration` is none; a file's is what `load_calibration` returns.
     OutputError
         The folder cannot be written.
 
@@ -241,12 +245,18 @@ def reconstruct(
     >>> bool(result.sigma_um[130, 154] < 0.1 * result.height_um[130, 154])
     True
     """
+    from host_sync.api_arguments import check_calibration, check_choice, linear_frame
     from host_sync.reconstruction.pipeline import reconstruct as reconstruct_frame
     from host_sync.reconstruction.result_writer import result_record, write_result
     from host_sync.results.reader import ResultSurface
 
+    check_calibration(calibration)
+    for argument, given, choices in (("encoding", encoding, Encoding), ("method", method, Method)):
+        if given is not None:
+            check_choice(argument, given, choices)
+    check_choice("detail", detail, Detail)
     name = Path(str(image)).stem if isinstance(image, str | Path) else "image"
-    frame = _frame(image, encoding or calibration.facts.encoding or "linear")
+    frame = linear_frame(image, encoding or calibration.facts.encoding or "linear")
     with one_blas_thread():
         found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
     if out is not None:
@@ -364,37 +374,3 @@ def open_library(folder: str | Path) -> Library:
     from host_sync.library.library import Library
 
     return Library(Path(folder))
-
-
-def _press_frame(number: int, press: Press, pixel_pitch_um: float, encoding: Encoding) -> PressFrame:
-    """The press as calibration takes it."""
-    from device.balls.sphere import Ball
-    from host_sync.calibration.balls import GridSpacing, PressFrame
-
-    radius_px = press.ball_radius_mm * 1e3 / pixel_pitch_um
-    return PressFrame(
-        name=f"press-{number:02d}",
-        frame=_frame(press.image, encoding),
-        radius_px=radius_px,
-        balls=None if press.balls is None else tuple(Ball(*ball, radius_px) for ball in press.balls),
-        labelled_by_hand=press.balls is not None,
-        source=Path(press.image).name if isinstance(press.image, str | Path) else "",
-        grid=GridSpacing(press.grid_pitch_mm) if press.grid_pitch_mm else None,
-    )
-
-
-def _frame(image: Image, encoding: Encoding) -> LinearFrame:
-    """The image as linear light; FrameSetError when it is not an image."""
-    import numpy as np
-
-    from host_sync.errors import FrameSetError
-    from host_sync.frames.frame_set import FrameSpec
-    from host_sync.frames.frame_set_file import MAX_LIGHTS
-    from host_sync.frames.linear_light import frame_of_values, read_frame
-
-    if isinstance(image, np.ndarray):
-        return frame_of_values(image, encoding)
-    paths = (image,) if isinstance(image, str | Path) else image
-    if not 1 <= len(paths) <= MAX_LIGHTS:
-        raise FrameSetError(f"{len(paths)} images are no frame: name an RGB image, or a grey one a light")
-    return read_frame(FrameSpec(tuple(Path(path) for path in paths), encoding))

@@ -105,7 +105,14 @@ def test_no_file_names_a_package_host() -> None:
 
 
 @pytest.mark.parametrize(
-    "lock", ["requirements.lock", "requirements-bench.lock", "requirements-docs.lock", ".ci/torch-cpu.lock"]
+    "lock",
+    [
+        "requirements.lock",
+        "requirements-bench.lock",
+        "requirements-docs.lock",
+        "requirements-board.lock",
+        ".ci/torch-cpu.lock",
+    ],
 )
 def test_the_lock_pins_by_hash_and_names_no_index(lock: str) -> None:
     lines = (ROOT / lock).read_text(encoding="utf-8").splitlines()

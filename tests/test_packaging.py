@@ -132,6 +132,7 @@ def test_command_answers_from_the_wheel(unpacked: Path, command: str) -> None:
         ("requirements.lock", ("device", "host", "dev")),
         ("requirements-bench.lock", ("bench", "cluster")),
         ("requirements-docs.lock", ("docs",)),
+        ("requirements-board.lock", ("board",)),
     ],
 )
 def test_lock_holds_what_the_project_asks_for(lock: str, extras: tuple[str, ...]) -> None:

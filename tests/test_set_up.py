@@ -83,6 +83,24 @@ def test_packages_out_of_reach_then_within_reach(checkout: Path, tmp_path: Path)
     assert (checkout / ".venv" / "ready").is_file()
 
 
+def test_an_environment_of_something_else_is_left_alone(checkout: Path, tmp_path: Path) -> None:
+    python = fake_python(tmp_path, "exit 0")
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "pyvenv.cfg").touch()
+    (other / "ready").write_text("3.11.7 1 2 /somewhere/else\n", encoding="utf-8")
+    said = complaint(make(checkout, "set-up", f"PYTHON={python}", f"VENV={other}"))
+    assert "was not made for this checkout: name another with VENV=" in said
+    assert sorted(path.name for path in other.iterdir()) == ["pyvenv.cfg", "ready"]
+
+
+def test_a_named_environment_that_was_interrupted_is_made_again(checkout: Path, tmp_path: Path) -> None:
+    named = f"VENV={tmp_path / 'named'}"
+    complaint(make(checkout, "set-up", named, f"PYTHON={fake_python(tmp_path, 'exit 1')}"))
+    assert make(checkout, "set-up", named, f"PYTHON={fake_python(tmp_path, 'exit 0')}").returncode == 0
+    assert (tmp_path / "named" / "ready").is_file()
+
+
 def test_no_network(checkout: Path, tmp_path: Path) -> None:
     python = fake_python(tmp_path, "echo 'WARNING: Retrying after NewConnectionError(...)' >&2; exit 1")
     assert "the package index cannot be reached" in complaint(make(checkout, "set-up", f"PYTHON={python}"))

@@ -13,14 +13,11 @@ from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
 from device.cli.console import Count, Given, Text, open_store, print_json, print_line, print_note, store_folder
 from device.errors import RecordError
-from device.guidance.placement import Placement, Target, Unplaced
-from device.guidance.way_back import on_the_spot, sentence
-from device.imaging.flat_field import bin_bayer
+from device.guidance.placement import Placement, Target
+from device.guidance.way_back import on_the_spot, placed, sentence
 from device.instrument.history import read_quick_look
-from device.quick_look.solver import quick_look
 from device.store.active import read_active
 from hal.board_profile import load_board_profile
-from hal.hardware import Hardware
 from hal.interfaces import LiftOff, PressObject
 
 NOT_REACHED = 3
@@ -61,7 +58,7 @@ def guide(
         for number in count(1):
             hardware.operator.ask(PressObject(pressed))
             hardware.button.wait_for_push(None)
-            found = placed(hardware, scanner, target)
+            found = placed(capture(hardware, scanner.plan), scanner.model, target)
             hardware.operator.ask(LiftOff())
             reached = on_the_spot(found)
             if json:
@@ -74,9 +71,3 @@ def guide(
             if number == touches:
                 return NOT_REACHED
     return NOT_REACHED
-
-
-def placed(hardware: Hardware, scanner: Scanner, target: Target) -> Placement | Unplaced:
-    """Where the touch that the camera sees now lies against an earlier press. Errors as for `capture`."""
-    frame = capture(hardware, scanner.plan)
-    return target.place(quick_look(bin_bayer(frame, scanner.model.binning), scanner.model).height)

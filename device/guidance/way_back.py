@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from typing import Final
 
-from device.guidance.placement import Placement, Unplaced
+from device.guidance.placement import Placement, Target, Unplaced
+from device.imaging.flat_field import bin_bayer
+from device.quick_look.solver import QuickLookModel, quick_look
+from hal.frame import RawFrame
 
 SPOT_MM: Final = 0.3
 SPOT_DEG: Final = 1.5
 """Within both, the instrument is on the spot: what remains, the workstation registers."""
+
+
+def placed(touch: RawFrame, model: QuickLookModel, target: Target) -> Placement | Unplaced:
+    """Where a touch lies against an earlier press. Errors as for `quick_look`."""
+    return target.place(quick_look(bin_bayer(touch, model.binning), model).height)
 
 
 def on_the_spot(found: Placement | Unplaced) -> bool:

@@ -18,7 +18,8 @@ from device.acquisition.precise_capture import mode_fault
 from device.acquisition.retake import Retake
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
-from device.errors import DeviceError
+from device.errors import DeviceError, RecordError
+from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup, gel_state
 from device.instrument.calibration_ball import BALL_RADIUS_MM
 from device.instrument.deleted_scans import DeletedScans
@@ -26,7 +27,8 @@ from device.instrument.events import Event, Failed, Info
 from device.instrument.history import History, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
 from device.instrument.scan_labels import ScanLabels
-from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, StateStore
+from device.instrument.spot_search import FIRST
+from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, SpotState, StateStore
 from device.instrument.worker import InstrumentWorker
 from device.machine.interfaces import Machine
 from device.machine.real_machine import real_machine
@@ -144,6 +146,28 @@ class Instrument:
             last = state.last
             self._states.update(replaces=Retake(last.scan_id, last.counter, last.verdict.level, last.annotations))
             self._states.publish(Info(f"Press again: the next scan replaces #{last.counter}."))
+
+    def find_spot(self, scan_id: str, counter: int) -> None:
+        """Say the way back to a scan's spot at later pushes, which then store nothing, until `end_guiding`.
+
+        Raises
+        ------
+        RecordError
+            The scan does not exist, is damaged, or has no quick look.
+        """
+        height = self.quick_look(scan_id)
+        if height is None:
+            raise RecordError(f"scan #{counter} has no quick look: choose a scan that has one")
+        spot, target = SpotState(scan_id, counter, height, FIRST), Target(height)
+        self._worker.enqueue(lambda worker: worker.find_spot(spot, target))
+
+    def cover_area(self, width_mm: float, height_mm: float) -> None:
+        """Place later scans in an area, from its upper left corner, until `end_guiding`: the state's `area`."""
+        self._worker.enqueue(lambda worker: worker.cover_area(width_mm, height_mm))
+
+    def end_guiding(self) -> None:
+        """Later pushes scan as usual."""
+        self._worker.enqueue(InstrumentWorker.end_guiding)
 
     def read_code(self) -> None:
         """Name the next part by the QR code or barcode that is held before the camera: `Info`, or `Failed`."""

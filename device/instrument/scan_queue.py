@@ -38,6 +38,7 @@ from device.instrument.events import (
     show,
 )
 from device.instrument.scan_labels import ScanLabels
+from device.instrument.spot_search import SpotSearch
 from device.instrument.state import LastScan, StateStore
 from hal.errors import HalError
 from hal.frame import RawFrame
@@ -66,13 +67,15 @@ class Taken:
 
     scanner : also judges and records it
     standard : the check standard that is pressed, if one is
-    replaces : the scan that is taken again, if one is; both as it was when the press began
+    replaces : the scan that is taken again, if one is
+    is_touch : it is compared with an earlier scan's spot, not stored; all as it was when the press began
     """
 
     scanner: Scanner
     raw: RawCapture
     standard: CheckStandard | None = None
     replaces: Retake | None = None
+    is_touch: bool = False
 
 
 @dataclass(slots=True)
@@ -104,7 +107,7 @@ class ScanQueue:
     motion : how much a frame differs from the last live frame
     on_long_press : called after a long push
     is_asleep : whether the next push only wakes the instrument
-    labels, deleted : annotations of scans, and where a replaced one goes
+    labels, deleted, spot : annotations of scans, where a replaced one goes, and what compares touches
 
     `asks` says whether a front end can ask the operator about a check; otherwise a look-alike is a failed check.
     """
@@ -120,6 +123,7 @@ class ScanQueue:
         is_asleep: Callable[[], bool],
         labels: ScanLabels,
         deleted: DeletedScans,
+        spot: SpotSearch,
     ) -> None:
         self._hardware = hardware
         self._states = states
@@ -130,6 +134,7 @@ class ScanQueue:
         self._is_asleep = is_asleep
         self._labels = labels
         self._deleted = deleted
+        self._spot = spot
         self._works: deque[Pending] = deque()
         self._held: Taken | None = None
         self._button = ButtonWatch(hardware)
@@ -164,7 +169,7 @@ class ScanQueue:
     def capture(self, source: Source, began_ns: int) -> Taken | None:
         """Capture a press into memory; None if it was refused (already reported)."""
         now_ns = self._hardware.clock.monotonic_ns()
-        before = self._states.state
+        before, is_touch = self._states.state, self._spot.is_on
         if not (scanner := self._admitted()):
             return None
         latency_ms = (now_ns - began_ns) * 1e-6
@@ -172,7 +177,7 @@ class ScanQueue:
             show(self._hardware, "busy")
         self._states.publish(PressSeen(now_ns, latency_ms, source))
         try:
-            taken = scanner.capture(mode=self._states.state.settings.capture)
+            taken = scanner.capture(mode="single" if is_touch else before.settings.capture)
         except (DeviceError, HalError) as error:
             self.refuse("hardware", str(error))
             return None
@@ -185,10 +190,13 @@ class ScanQueue:
         if taken.precise.alone_moved:
             self._states.publish(Info(MOVED_ALONE))
         standard = before.check.standard if before.check.is_next else None
-        return Taken(scanner, replace(taken, motion=motion), standard, None if standard else before.replaces)
+        return Taken(scanner, replace(taken, motion=motion), standard, None if standard else before.replaces, is_touch)
 
     def submit(self, press: Taken) -> None:
-        """Hand a press over to be judged and published."""
+        """Hand a press over to be judged and published, or compared."""
+        if press.is_touch:
+            self._spot.compare(press.raw.lit, press.scanner.model)
+            return
         until_ns = press.raw.frame.sensor_timestamp_ns + round(LIFT_PATIENCE_S * 1e9)
         assessing = self._timed(lambda: press.scanner.assess(press.raw))
         state = self._states.state

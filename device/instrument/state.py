@@ -16,6 +16,7 @@ from device.acquisition.guided_calibration import CalibrationProgress
 from device.acquisition.retake import Retake
 from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
+from device.guidance.cover_task import CoverMap
 from device.guidance.reading import GuideReading
 from device.imaging.exposure import Brightness, SkinLevels
 from device.imaging.focus import FocusReading
@@ -151,6 +152,36 @@ class BalanceProgress:
     found: ExposureBalance | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SpotState:
+    """The search for an earlier scan's spot.
+
+    height : that scan's quick look
+    sentence : the way from the last touch
+    """
+
+    scan_id: str
+    counter: int
+    height: HeightMap
+    sentence: str
+    is_reached: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AreaState:
+    """An area that is being covered by scans.
+
+    map : what is covered; None before the first scan
+    sentence : how much that is, and the way to the next press
+    """
+
+    width_mm: float
+    height_mm: float
+    map: CoverMap | None
+    sentence: str
+    is_done: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class NextLight:
     """Exposure and currents of the next calibration, and whether they come from an exposure balance."""
@@ -182,6 +213,8 @@ class InstrumentState:
     scans_stored, scans_left : on the disk, and how many more fit; None if the disk cannot be read
     live_shown : whether a screen shows the live picture
     replaces : the scan that the next one is to replace; None: it is one more
+    spot : the earlier scan whose spot is searched: pushes then compare, and store nothing; None: they scan
+    area : that is being covered; None: scans stand for themselves
     focus : how sharp the lens is set, while a screen asks for it
     levels : light on the skin, while a screen asks for it
     balance : the exposure balance, or the last one; None: there was none since the start
@@ -211,6 +244,8 @@ class InstrumentState:
     guide: CalibrationProgress | None = None
     pairing: PairingState | None = None
     check: CheckState = field(default_factory=CheckState)
+    spot: SpotState | None = None
+    area: AreaState | None = None
     focus: FocusReading | None = None
     levels: SkinLevels | None = None
     balance: BalanceProgress | None = None

@@ -11,8 +11,10 @@ from typing import Final
 
 from device.acquisition.selftest import selftest
 from device.errors import DeviceError
+from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup
 from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
+from device.instrument.area_cover import AreaCover
 from device.instrument.balance_run import BalanceRun
 from device.instrument.button import LONG_PUSH_S, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
@@ -23,7 +25,8 @@ from device.instrument.live_figure import focus_figure_of, skin_levels_of
 from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
-from device.instrument.state import StateStore
+from device.instrument.spot_search import SpotSearch
+from device.instrument.state import SpotState, StateStore
 from device.io.memory import give_back_memory
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
@@ -68,6 +71,8 @@ class InstrumentWorker:
         self._live = LiveLoop(hardware, states)
         self._active = ActiveSetup(hardware, store, states, self._live, executor)
         self._pairing = pairing
+        self.spot = SpotSearch(hardware, states, executor)
+        self.area = AreaCover(states, executor)
         self._scans = ScanQueue(
             hardware,
             states,
@@ -78,6 +83,7 @@ class InstrumentWorker:
             self._live.is_asleep,
             labels,
             deleted,
+            self.spot,
         )
         self._deleted = deleted
         self._focus = focus_figure_of(states, self._live, hardware.clock)
@@ -223,6 +229,21 @@ class InstrumentWorker:
         self._live.wake()
         self._scans.answer_check(is_standard=is_standard)
 
+    def find_spot(self, spot: SpotState, target: Target) -> None:
+        """Compare later pushes with an earlier scan."""
+        self.area.end()
+        self.spot.begin(spot, target)
+
+    def cover_area(self, width_mm: float, height_mm: float) -> None:
+        """Place later scans in an area."""
+        self.spot.end()
+        self.area.begin(width_mm, height_mm)
+
+    def end_guiding(self) -> None:
+        """Scan as usual from now on."""
+        self.spot.end()
+        self.area.end()
+
     def read_focus(self, on: bool) -> None:
         """Read how sharp the lens is set from now on, or no longer."""
         if not on:
@@ -256,10 +277,14 @@ class InstrumentWorker:
                     self.states.publish(Failed(str(error)))
 
     def _serve(self) -> None:
-        if self._scans.collect():
+        if finished := self._scans.collect():
+            for outcome in finished:
+                self.area.add(outcome)
             self._active.report_health()
             self._active.report_check()
             give_back_memory()
+        self.spot.collect()
+        self.area.collect()
         if self._fault:
             self._recover()
         elif self._run:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from device.errors import OutputError
-from device.io.lock import locked_directory
+from device.io.lock import FolderLocked, locked_directory
 from device.io.os_errors import explain_os_error
 
 RESULTS: Final = "results"
@@ -88,8 +88,10 @@ def write_output(path: Path, data: bytes) -> None:
         raise OutputError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
 
 
-def check_output(path: Path) -> None:
+def check_output(path: Path, *, makes_folders: bool = False) -> None:
     """Refuse a place that no file can be written to, before minutes of work.
+
+    makes_folders : the writer makes the folders that are missing
 
     Raises
     ------
@@ -97,13 +99,16 @@ def check_output(path: Path) -> None:
         Names the place.
     """
     try:
-        if path.is_dir():
-            raise OutputError(f"{path} cannot be written: it is a folder; name a file")
+        is_folder = path.is_dir()
         nearest = next(folder for folder in path.absolute().parents if folder.exists())
-        if not nearest.is_dir():
-            raise OutputError(f"{path} cannot be written: {nearest} is no folder; choose another place")
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
+    if is_folder:
+        raise OutputError(f"{path} cannot be written: it is a folder; name a file")
+    if not nearest.is_dir():
+        raise OutputError(f"{path} cannot be written: {nearest} is no folder; choose another place")
+    if not makes_folders and nearest != path.absolute().parent:
+        raise OutputError(f"{path} cannot be written: there is no folder {path.parent}; make it, or choose another")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise OutputError(f"{path} cannot be written: {nearest} is not yours to write; choose another place")
 
@@ -144,28 +149,46 @@ def atomic_directory(target: Path, marker: str) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        The place cannot be written, or holds something else.
+        The place cannot be written, holds something else, or is being written by another program.
     """
     check_replaceable(target, marker)
     place = target.absolute()
-    partial = place.with_name(f".{place.name}.partial")
     replaced = place.with_name(f".{place.name}.replaced")
-    try:
-        with _as_output_errors(target):
-            remove_tree_quietly(partial)
-            if replaced.is_dir() and not target.exists():
-                replaced.rename(target)  # an earlier run ended between its two renames
+    with _as_output_errors(target), _held_directory(place.with_name(f".{place.name}.partial"), target) as partial:
+        if replaced.is_dir() and not target.exists():
+            replaced.rename(target)  # an earlier run ended between its two renames
+        _remove_abandoned(place.parent)
+        yield partial
+        remove_tree_quietly(replaced)
+        if target.exists():
+            target.rename(replaced)
+        partial.rename(target)
+        remove_tree_quietly(replaced)
+
+
+@contextmanager
+def _held_directory(partial: Path, target: Path) -> Iterator[Path]:
+    """A new directory whose lock this program holds; it is removed after an error. What a killed run left is replaced.
+
+    Raises
+    ------
+    OutputError
+        Another program holds it: what both write for `target` would get mixed up.
+    """
+    taken = f"{target} cannot be written: another program is writing it; repeat when that has ended"
+    with ExitStack() as stack:
+        try:
+            with suppress(FileNotFoundError), locked_directory(partial, wait=False):
+                remove_tree_quietly(partial)
             partial.mkdir(parents=True)
-            with locked_directory(partial):
-                _remove_abandoned(place.parent)
-                yield partial
-            remove_tree_quietly(replaced)
-            if target.exists():
-                target.rename(replaced)
-            partial.rename(target)
-            remove_tree_quietly(replaced)
-    finally:
-        remove_tree_quietly(partial)
+            stack.enter_context(locked_directory(partial, wait=False))
+        except (FolderLocked, FileExistsError) as error:
+            raise OutputError(taken) from error
+        try:
+            yield partial
+        except BaseException:
+            remove_tree_quietly(partial)
+            raise
 
 
 def _remove_abandoned(folder: Path) -> None:

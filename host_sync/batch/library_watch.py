@@ -8,6 +8,7 @@ is not measured again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -19,10 +20,11 @@ from device.bundles.record import sha256_bytes
 from device.bundles.scan import ScanBundle
 from device.errors import DeviceError
 from device.io.atomic import write_output
+from device.io.lock import FolderLocked, locked_directory
 from device.io.os_errors import explain_os_error
 from host_sync.batch.library_batch import ScanWork, reconstruct_all
 from host_sync.batch.scan_outcome import ScanOutcome
-from host_sync.errors import HostError
+from host_sync.errors import HostError, LibraryError
 from host_sync.library.library import Library
 from host_sync.results.files import RECORD_FILE
 
@@ -57,6 +59,28 @@ class _File(msgspec.Struct, frozen=True):
     """What counts of a measurement's file."""
 
     measured: _Measured | None = None
+
+
+@contextmanager
+def only_watch(library: Library) -> Iterator[None]:
+    """Context in which no other watch works on a library.
+
+    Raises
+    ------
+    LibraryError
+        Another one does, or the library cannot be written.
+    """
+    place = library.root / MEASUREMENTS
+    with ExitStack() as stack:
+        with library.translating("written"):
+            place.mkdir(exist_ok=True)
+            try:
+                stack.enter_context(locked_directory(place, wait=False))
+            except FolderLocked as error:
+                raise LibraryError(
+                    f"{library.root}: another watch works on this library: end that first ({error.strerror})"
+                ) from error
+        yield
 
 
 class LibraryWatch:

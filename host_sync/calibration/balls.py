@@ -12,13 +12,16 @@ from device.balls.detector import BallSearch, RejectedBall, find_balls, fits
 from device.balls.sphere import Ball, pixels_inside
 from device.calibration.fit import CORE_SHARE, InverseFit, dropped_ball
 from device.calibration.limits import MAX_CLIPPED
-from device.errors import CalibrationMismatch
+from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.channel_order import check_channel_order
 from device.imaging.flat_field import LinearFrame, NormalizedImage, check_exposed, flat_field_correct
 from device.surface.fields import Float32Array
 
 SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
+
+SAMPLED_STEP: Final = 16
+"""Every so many-th pixel tells most frames apart."""
 
 MAX_WIDENING: Final = 1.06
 """Labels that draw contacts wider than the finder does widen found ones by this factor at most."""
@@ -101,11 +104,30 @@ def check_sizes(presses: Sequence[PressFrame], reference: LinearFrame | None) ->
         Names the press and both sizes.
     """
     shape = reference.shape if reference else presses[0].frame.shape
+    other = "the reference" if reference else presses[0].label
     for press in presses:
         if press.frame.shape != shape:
             raise CalibrationMismatch(
                 f"{press.label} is {press.frame.shape[1]}x{press.frame.shape[0]} pixels, "
-                f"the others {shape[1]}x{shape[0]}: use frames of one camera mode"
+                f"{other} {shape[1]}x{shape[0]}: use frames of one camera mode"
+            )
+
+
+def check_distinct(presses: Sequence[PressFrame]) -> None:
+    """Refuse one frame under two names: balls left out would be judged by their own pixels.
+
+    Raises
+    ------
+    CalibrationError
+        Names both presses.
+    """
+    seen: dict[bytes, PressFrame] = {}
+    for press in presses:
+        sample = np.ascontiguousarray(press.frame.rgb[::SAMPLED_STEP, ::SAMPLED_STEP]).tobytes()
+        twin = seen.setdefault(sample, press)
+        if twin is not press and twin.balls == press.balls and np.array_equal(twin.frame.rgb, press.frame.rgb):
+            raise CalibrationError(
+                f"{press.label} is the same frame as {twin.label}: leave one out, each press must be another one"
             )
 
 

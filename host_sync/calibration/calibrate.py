@@ -23,6 +23,7 @@ from host_sync.calibration.balls import (
     UsedPress,
     add_detections,
     apply_fit,
+    check_distinct,
     check_sizes,
     cut_to_core,
     drop_clipped,
@@ -167,13 +168,14 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        No press, too few balls, contradictory radii, a grossly wrong pitch, or held-out balls that are wrong.
+        No press, one twice, too few balls, contradictory radii, a grossly wrong pitch, or wrong held-out balls.
     CalibrationMismatch
         Frames of different sizes, channel orders, lights or gels.
     """
     if not presses:
         raise CalibrationError("there is no calibration press: press a ball of known radius into the gel")
     check_sizes(presses, reference)
+    check_distinct(presses)
     if reference is not None:
         check_reference(reference)
     tell("flat-field correction")

@@ -7,7 +7,7 @@ on untouched skin, by the response that the balls themselves tell (`elevation_re
 Centres: under near lights the apex does not read 1, and a centre that is sought where it does is off by up to seven
 hundredths of the radius. Rotational symmetry of the pressed skin does not know of brightness, but where the frame's
 border cuts the slope around a ball it is off by as much as eight: where balls agree clearly better on what elevation
-does under their own centres, those are taken.
+does under their own centres, those are taken, moved by what symmetry shows of all balls together (`centre_trend`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from device.inverse_map.illumination import between_nodes, rows_between_nodes
 from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import field_position
 from device.surface.fields import Float32Array, GradientField
+from host_sync.calibration.centre_trend import centres_along_trend
 from host_sync.calibration.elevation_response import MIN_BALLS, ElevationResponse, measure_elevation_response
 from host_sync.calibration.lamp_centres import centres_under_lamps
 from host_sync.integration.zero_level import elevation_over_datum_px
@@ -47,7 +48,7 @@ OWN_AGREE: Final = 0.85
 """The balls' own centres are taken where they leave the response so much less uncertain than those of symmetry.
 
 The ratio is 0.3 to 0.77 on the twin, where JPEG, flakes and shadows spoil symmetry and own centres are within 2.5 px of
-the truth. It is 0.93 and more on rendered benches but one, whose balls symmetry centres better.
+the truth. It is 0.93 and more on rendered benches but one.
 """
 
 NEAR_CENTRE: Final = 0.2
@@ -132,8 +133,12 @@ def find_elevated_balls(
         as_they_are = _elevated(presses, reliefs, flat_field, lit)
     if as_they_are is None or as_symmetry_says is None:
         return as_they_are or as_symmetry_says
-    agree_better = as_they_are.response.relative_sigma < OWN_AGREE * as_symmetry_says.response.relative_sigma
-    return as_they_are if agree_better else as_symmetry_says
+    if as_they_are.response.relative_sigma >= OWN_AGREE * as_symmetry_says.response.relative_sigma:
+        return as_symmetry_says
+    along = centres_along_trend(as_they_are.balls, as_symmetry_says.balls, presses[0][0].shape)
+    if along is None:
+        return as_they_are
+    return _elevated(presses, reliefs, flat_field, lambda _skins, _response: along)
 
 
 Centred = tuple[tuple[Ball, ...], ...]

@@ -15,13 +15,14 @@ from typing import Final
 
 from device.bundles.calibration import CalibrationBundle
 from device.errors import RecordError
-from device.io.atomic import atomic_directory, write_output
+from device.io.atomic import atomic_directory, check_output, write_output
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.archive import Facts, read_archive, write_archive
 from host_sync.calibration_file.soundness import check_sound
 from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
 from host_sync.calibration_report.report import BALL_PICTURES, PAPER_PICTURES, REPORT_FILE, report_files
+from host_sync.calibration_report.summary import calibration_lines
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 
@@ -43,6 +44,11 @@ class KeptCalibration:
     report: dict[str, bytes]
     facts: Facts
 
+    @property
+    def summary(self) -> tuple[str, ...]:
+        """Whether it passed, and its key values; then what to press next, and notes, one sentence each."""
+        return calibration_lines(self.calibration)
+
     def write_report(self, target: Path) -> None:
         """Write the report to the directory `target`, replacing its contents.
 
@@ -63,7 +69,7 @@ class KeptCalibration:
         write_archive(stream, self.facts, members)
         return stream.getvalue()
 
-    def write(self, path: Path) -> None:
+    def write(self, path: str | Path) -> None:
         """Write its file.
 
         Raises
@@ -71,7 +77,8 @@ class KeptCalibration:
         OutputError
             The place cannot be written; an old file stays.
         """
-        write_output(path, self.as_file())
+        check_output(Path(path))
+        write_output(Path(path), self.as_file())
 
 
 def make_calibration(

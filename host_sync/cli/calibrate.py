@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from device.command_line import Folder
+from device.io.atomic import check_output
 from host_sync.cli.calibrator import calibrator_for, obtain_calibration
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import FrameSetError
@@ -27,7 +28,8 @@ def calibrate_command(
 ) -> int:
     """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
 
-    Ends with 1 when the instrument does not agree with a specimen, or cannot be judged by it.
+    Ends with 1 when the calibration did not pass, or the instrument does not agree with a specimen or cannot be judged
+    by it. The file is written all the same.
 
     Parameters
     ----------
@@ -49,17 +51,16 @@ def calibrate_command(
         return _certify(Path(source), check, out)
     if out.is_dir():
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
+    check_output(out)
     tell_of_compiling()
     with status_spinner() as tell:
         tell("loading compiled code")
         kept = obtain_calibration(source, library, tell, paper=paper)
         kept.write(out)
-    from host_sync.calibration_report.summary import calibration_lines
-
-    for line in calibration_lines(kept.calibration):
+    for line in kept.summary:
         print_line(line)
     print_line(str(out))
-    return DONE
+    return DONE if kept.calibration.assessment.passed else PARTLY
 
 
 def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from device.command_line import Folder
 from device.io.atomic import check_replaceable
-from host_sync.cli.console import DONE, print_json, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, print_json, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.measure import result_folders
 from host_sync.errors import MosaicError
 from host_sync.mosaic.record import MOSAIC_FILE
@@ -27,6 +27,8 @@ def mosaic_command(
     json: bool = False,
 ) -> int:
     """Stitch overlapping presses of one object into one height map, which measure, view, report and export take.
+
+    Exit code 1 says that presses were left out, as no overlap joins them to the others.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def mosaic_command(
     for found in result_folders(scans, library):
         if isinstance(found, str):
             raise MosaicError(found)
-        if (found / MOSAIC_FILE).is_file() and found not in scans:
+        if (found / MOSAIC_FILE).is_file() and found not in scans and not (library and scans):
             continue  # an earlier mosaic beside its presses
         folders.append(found)
     check_replaceable(out, RECORD_FILE)  # before minutes of work
@@ -57,22 +59,22 @@ def mosaic_command(
         from host_sync.mosaic.layout import read_layout
         from host_sync.mosaic.presses import presses_of
         from host_sync.mosaic.stitch import stitch
+        from host_sync.results.record import read_record
 
         presses = presses_of(folders, out, library)
         known = None if layout is None else read_layout(layout, presses, within_mm)
         record = stitch(presses, out, layout=known, tell=tell)
     if json:
         print_json(record)
-        return DONE
-    for line in _summary(record, out):
-        print_line(line)
-    return DONE
+    else:
+        for line in _summary(record, out, read_record(out).warnings):
+            print_line(line)
+    return PARTLY if record.left_out else DONE
 
 
-def _summary(record: MosaicRecord, out: Path) -> Iterator[str]:
-    yield f"{out}: {len(record.presses)} presses, {len(record.used)} overlaps"
-    if record.left_out:
-        yield f"left out, as no overlap was found: {', '.join(record.left_out)}"
+def _summary(record: MosaicRecord, out: Path, doubts: Sequence[str]) -> Iterator[str]:
+    overlaps = len(record.used)
+    yield f"{out}: {len(record.presses)} presses, {overlaps} overlap{'' if overlaps == 1 else 's'}"
     for link in record.rejected:
         yield f"rejected: {link.first} and {link.second}: {link.rejected}"
     seams = [link for link in record.used if link.seam_sigmas is not None]
@@ -88,3 +90,5 @@ def _summary(record: MosaicRecord, out: Path) -> Iterator[str]:
         f"span {record.span_um * 1e-3:.3f} mm ± {2.0 * record.span_sigma_um * 1e-3:.3f} mm from the overlaps; "
         "the uncertainty of the pixel pitch adds to it"
     )
+    for words in doubts:
+        yield f"DOUBTFUL: {words}"

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.command_line import Folder
+from device.io.atomic import check_output
 from host_sync.batch.cluster import connected
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.cli.calibrator import calibrator_for
@@ -138,6 +139,7 @@ def _reconstruct_frame_set(
     order: Order,
     tell: Callable[[str], None],
 ) -> list[ScanOutcome]:
+    check_output(out / "result.json", makes_folders=True)
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.reconstruction.from_frame_set import reconstruct_frame_set

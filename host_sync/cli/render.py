@@ -122,7 +122,9 @@ def render_command(
         raise RenderError("--frames must be 2 to 5000, --across 1 to 40")
     entries = _entries(results)
     still = look.still(turning=turntable)
-    check_output(out if contact_sheet or (len(entries) == 1 and out.suffix) else out / "picture.png")
+    check_output(
+        out if contact_sheet or (len(entries) == 1 and out.suffix) else out / "picture.png", makes_folders=True
+    )
     tell_of_compiling()
     if contact_sheet:
         return _write_sheet(entries, still, across, out)

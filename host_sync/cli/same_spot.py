@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from device.command_line import Folder
 from device.io.atomic import check_replaceable
 from host_sync.cli.console import DONE, print_json, print_line, status_spinner, tell_of_compiling
+from host_sync.errors import ViewError
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import RECORD_FILE
 
@@ -47,6 +48,8 @@ def same_spot_command(
         Print same_spot.json instead of the summary.
     """
     folders = [_result(name, library) for name in (first, second)]
+    if folders[0].resolve() == folders[1].resolve():
+        raise ViewError(f"{first} and {second} are one result: name an earlier and a later press")
     if out is not None:
         check_replaceable(out, "same_spot.json")  # before the work
     with status_spinner() as tell:

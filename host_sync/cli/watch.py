@@ -55,17 +55,18 @@ def watch_command(
     with status_spinner() as tell:
         tell("loading compiled code")
         tell_of_compiling()
-        from host_sync.batch.library_watch import LibraryWatch
+        from host_sync.batch.library_watch import LibraryWatch, only_watch
         from host_sync.reconstruction.from_library import LibraryReconstructor
 
         job = LibraryReconstructor(held, tell=tell, calibrator=calibrator_for(None, tell))
         watch = LibraryWatch(held, job, chosen, workers, tell)
-        while True:
-            failed = _look(watch)
-            if once:
-                return PARTLY if failed else DONE
-            tell("waiting for scans")
-            time.sleep(every_s)
+        with only_watch(held):
+            while True:
+                failed = _look(watch)
+                if once:
+                    return PARTLY if failed else DONE
+                tell("waiting for scans")
+                time.sleep(every_s)
 
 
 def _look(watch: LibraryWatch) -> bool:

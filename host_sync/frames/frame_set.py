@@ -162,6 +162,27 @@ def _info(image: Path, key: str, path: Path) -> ImageInfo:
         raise FrameSetError(f"{path}: {key}: {error}") from error
 
 
+def check_ball(ball: Ball, shape: tuple[int, int], place: str) -> None:
+    """Refuse a ball that does not lie in a frame of this shape, or a contact that is not smaller than its sphere.
+
+    place : what names the ball in a message
+
+    Raises
+    ------
+    FrameSetError
+        Its centre is outside the frame, or its contact is as large as the sphere.
+    """
+    if not (0.0 <= ball.column <= shape[1] - 1 and 0.0 <= ball.row <= shape[0] - 1):
+        raise FrameSetError(
+            f"{place}: its centre ({ball.column:g}, {ball.row:g}) is outside the frame, {_size(shape)} pixels"
+        )
+    if not math.isfinite(ball.radius_px) or ball.contact_radius_px >= ball.radius_px:
+        raise FrameSetError(
+            f"{place}.r: a contact of {ball.contact_radius_px:g} px is not smaller than the ball, "
+            f"{ball.radius_px:.1f} px: check ball_radius_mm and pixel_pitch_um"
+        )
+
+
 def _press(
     number: int, press: PressTable, frame: FrameSpec, shape: tuple[int, int], pixel_pitch_um: float, path: Path
 ) -> PressSpec:
@@ -169,16 +190,7 @@ def _press(
     radius_px = press.ball_radius_mm * 1000.0 / pixel_pitch_um
     balls = None if press.balls is None else tuple(Ball(b.x, b.y, b.r, radius_px) for b in press.balls)
     for i, ball in enumerate(balls or ()):
-        key = f"press[{number}].balls[{i}]"
-        if not (0.0 <= ball.column <= shape[1] - 1 and 0.0 <= ball.row <= shape[0] - 1):
-            raise FrameSetError(
-                f"{path}: {key}: its centre ({ball.column:g}, {ball.row:g}) is outside the frame, {_size(shape)} pixels"
-            )
-        if not math.isfinite(radius_px) or ball.contact_radius_px >= radius_px:
-            raise FrameSetError(
-                f"{path}: {key}.r: a contact of {ball.contact_radius_px:g} px is not smaller than the ball, "
-                f"{radius_px:.1f} px: check ball_radius_mm and pixel_pitch_um"
-            )
+        check_ball(ball, shape, f"{path}: press[{number}].balls[{i}]")
     _check_tolerances(press, f"{path}: press[{number}]")
     return PressSpec(
         name=f"press-{number:02d}",

@@ -114,7 +114,9 @@ def _decode(path: Path) -> FileTable:
         problem = explain_validation(error)
         accepted = "; accepted: 'linear', 'srgb'" if problem.startswith("encoding: ") else ""
         raise FrameSetError(f"{path}: {problem}{accepted}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise FrameSetError(f"{path}: is not TOML, for it holds no text in UTF-8: name a frameset.toml") from error
+    except msgspec.DecodeError as error:
         raise FrameSetError(f"{path}: is not TOML: {error}") from error
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import height_of_rest_um, skin_at_rest
+from host_sync.integration.precise_distance import distance_px
 
 NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
 """The warning where nothing was taken for zero."""
@@ -117,7 +118,7 @@ def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskA
         return None
     other = valid[here] & ~resting
     if other.any():
-        distance = cv2.distanceTransform((~other).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        distance = distance_px(other)
         away = resting & (distance >= FAR_SHARE * float(distance[resting].max(initial=0.0)))
         resting = away if away.mean() >= MIN_SHARE else resting
     full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).astype(np.bool_)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
+from host_sync.mosaic.disk_array import disk_array
 from host_sync.mosaic.levelling import Levels
 from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.presses import Fields, Press
@@ -96,13 +97,18 @@ def blend(
     levels : planes of these presses, in their order
     folder : for the sums
     tell : is called with the number of presses that are done
+
+    Raises
+    ------
+    OSError
+        The disk has no room for the sums.
     """
 
     def sums(name: str) -> Float32Array:
-        return np.memmap(folder / name, np.float32, "w+", shape=canvas.shape)
+        return disk_array(folder / name, np.float32, canvas.shape)
 
     weight, height, sigma, level = (sums(f"{name}.sum") for name in ("weight", "height", "sigma", "level"))
-    extrapolated: NDArray[np.uint8] = np.memmap(folder / "extrapolated.sum", np.uint8, "w+", shape=canvas.shape)
+    extrapolated = disk_array(folder / "extrapolated.sum", np.uint8, canvas.shape)
     for number, (press, place) in enumerate(zip(presses, places, strict=True)):
         source = _Source.of(press.read(), canvas.step)
         for window, local in _windows(canvas, place, press.shape):

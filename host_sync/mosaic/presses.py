@@ -104,11 +104,13 @@ def presses_of(folders: Sequence[Path], out: Path, library: Path | None = None) 
     Raises
     ------
     MosaicError
-        One is a mosaic itself, or the mosaic would replace a press.
+        One is a mosaic itself, or the mosaic would replace a press or lie among the library's scans.
     UnreadableResult
         There is no readable record.
     """
     _check_apart(folders, out)
+    if library is not None and (library / "scans").resolve() in out.resolve().parents:
+        raise MosaicError(f"{out}: lies in the library's scans, which hold results of one scan each: name another")
     return [press_of(folder, library) for folder in folders]
 
 

@@ -5,6 +5,8 @@ where the light may be hidden; a channel that is darker there than the shading m
 other two show, or that would be dark, counts for nothing, and the other two decide, with the surface of the first
 integration as what is known beforehand. Shadows are wide beside a pixel, so that a reduced field is enough; what
 changes is added to the slopes of every pixel.
+
+Frames of each light alone show where it does not arrive, whatever heights say: there its channel counts for nothing.
 """
 
 from __future__ import annotations
@@ -41,6 +43,10 @@ DARKER: Final = (0.03, 0.08)
 
 SET: Final = (0.16, 0.08)
 """Foretold intensity below which a light is about to set, and at which it has."""
+
+ARRIVES: Final = (0.03, 0.12)
+"""What a light alone shows, over what it shows of untouched skin: up to the first it does not arrive, from the second
+it does."""
 
 INTENSITY_SIGMA: Final = 0.02
 """Standard uncertainty of the foretold intensity."""
@@ -104,16 +110,19 @@ def find_cast_shadow(
     image: NormalizedImage,
     model: ShadingModel,
     response: ElevationResponse | None,
+    alone: Float32Array | None = None,
 ) -> ShadowCorrection | None:
     """What the slopes of an image (H, W), read as if every light arrived, gain; None where no light is hidden.
 
     response : what elevation adds to the light; None where it cannot be told
+    alone : what each channel shows under its own light alone, over the same of untouched skin, shape (H, W, 3); None
+        where single lights were not taken
     """
     cell = -(-gradients.p.shape[1] // WIDEST_CELLS)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     if np.quantile(np.hypot(p, q), 0.99) < MIN_SLOPE:
         return None
-    view = _Cells.of(image, model, response, p.shape, cell)
+    view = _Cells.of(image, model, response, p.shape, cell, alone)
     found_p, found_q = p, q
     for _ in range(ROUNDS):
         found = GradientField(found_p, found_q, known, known.astype(np.float32))
@@ -135,6 +144,7 @@ class _Cells:
     raised : what a pixel of elevation adds, float64 array of shape (h w, 3, 3)
     leaks : of the model
     cell : pixels along a cell
+    arriving : how much each light arrives as seen under it alone, 0 to 1, float64 array of shape (h, w, 3)
     """
 
     intensity: Float64Array
@@ -142,6 +152,7 @@ class _Cells:
     raised: Float64Array
     leaks: Float64Array
     cell: int
+    arriving: Float64Array
 
     @classmethod
     def of(
@@ -151,6 +162,7 @@ class _Cells:
         response: ElevationResponse | None,
         size: tuple[int, int],
         cell: int,
+        alone: Float32Array | None,
     ) -> _Cells:
         """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
         row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
@@ -162,7 +174,8 @@ class _Cells:
             flat = nodes.reshape(*nodes.shape[:2], 9)
             between = rows_between_nodes(flat, x.astype(np.float32), y.astype(np.float32))
             raised = np.swapaxes(between.reshape(-1, 3, 3), 1, 2).astype(np.float64)
-        return cls(_cell_intensity(image, size, cell), model.at(place), raised, model.leaks, cell)
+        arriving = np.ones((*size, 3)) if alone is None else _arriving(_of_cells(alone, size, cell))
+        return cls(_of_cells(image.values, size, cell), model.at(place), raised, model.leaks, cell, arriving)
 
     def slopes(
         self, p: Float32Array, q: Float32Array, known: MaskArray, z_px: Float32Array
@@ -175,7 +188,7 @@ class _Cells:
         """
         slants = self.coefficients[:, :, :2].reshape(*z_px.shape, 3, 2)
         clear = np.stack([clearance(z_px, self.cell, slants[..., k, :]) for k in range(3)], axis=-1)
-        hidden = (clear < PENUMBRA) & known[..., None]
+        hidden = ((clear < PENUMBRA) | (self.arriving < 1.0)) & known[..., None]
         here = np.flatnonzero(hidden.any(axis=-1))
         found_p, found_q, shadow = p.copy(), q.copy(), np.zeros_like(p)
         if not here.size:
@@ -187,6 +200,7 @@ class _Cells:
             self.coefficients[here],
             self.raised[here] * z_px.ravel()[here, None, None],
             hidden.reshape(-1, 3)[here],
+            self.arriving.reshape(-1, 3)[here],
             prior.astype(np.float64),
             self.leaks,
         )
@@ -237,6 +251,7 @@ def _two_light_slopes(
     coefficients: Float64Array,
     raised: Float64Array,
     hidden: MaskArray,
+    arriving: Float64Array,
     prior: Float64Array,
     leaks: Float64Array,
 ) -> tuple[Float64Array, Float64Array]:
@@ -245,6 +260,7 @@ def _two_light_slopes(
     intensity : shape (N, 3)
     coefficients, raised : as of `intensity_and_slope_change`
     hidden : shape (N, 3), lights that may be hidden
+    arriving : shape (N, 3), the most that they may count
     prior : slopes known beforehand, shape (N, 2)
     leaks : of the shading model
     """
@@ -253,7 +269,7 @@ def _two_light_slopes(
     for step in range(STEPS):
         foretold, change = intensity_and_slope_change(coefficients, slope[:, 0], slope[:, 1], raised)
         if step >= FREE_STEPS:
-            trust = np.where(hidden, _trust(intensity, foretold), 1.0)
+            trust = np.where(hidden, np.minimum(arriving, _trust(intensity, foretold)), 1.0)
         weight = trust / INTENSITY_SIGMA**2
         # A hidden light is missing from the other channels too, as far as their filters pass it.
         lost = (1.0 - trust) * np.maximum(foretold - intensity, 0.0)
@@ -273,12 +289,17 @@ def _trust(intensity: Float64Array, foretold: Float64Array) -> Float64Array:
     return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
 
 
-def _cell_intensity(image: NormalizedImage, size: tuple[int, int], cell: int) -> Float64Array:
-    """Mean intensity of cells, float64 array of shape (h, w, 3)."""
-    below, right = (count * cell - have for count, have in zip(size, image.shape, strict=True))
+def _arriving(alone: Float64Array) -> Float64Array:
+    """Weight of lights of which so much is seen alone."""
+    return np.asarray(np.clip((alone - ARRIVES[0]) / (ARRIVES[1] - ARRIVES[0]), 0.0, 1.0) ** 2)
+
+
+def _of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
+    """Means over cells of values (H, W, 3), float64 array of shape (h, w, 3)."""
+    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
     channels = []
     for channel in range(3):
-        plane = np.ascontiguousarray(image.values[..., channel])
+        plane = np.ascontiguousarray(values[..., channel])
         whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
         channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
     return np.stack(channels, axis=-1).astype(np.float64)

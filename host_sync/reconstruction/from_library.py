@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
@@ -15,11 +16,14 @@ from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.filters.detail import DetailBand
+from host_sync.frames.light_sequence import LightSequence, read_light_sequence
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.files import DetailName
-from host_sync.results.record import FrameCheck
+from host_sync.results.record import FrameCheck, not_checked
+
+SINGLE_LIGHTS: Final = "shadows seen light by light"
 
 
 class LibraryReconstructor:
@@ -79,8 +83,18 @@ class LibraryReconstructor:
         self._tell(f"{name[-10:]}: slopes and height")
         chosen = method or self._method
         frame = scan.lit_frame()
-        reconstruction = reconstruct(frame, calibration, name, chosen, force=self._force, detail=self._detail)
-        if checks := _exposure_checks(scan):
+        sequence = read_light_sequence(scan)
+        reconstruction = reconstruct(
+            frame,
+            calibration,
+            name,
+            chosen,
+            force=self._force,
+            detail=self._detail,
+            sequence=None if isinstance(sequence, str) else sequence,
+        )
+        uses_single_lights = reconstruction.method == "direct" and calibration.shading is not None
+        if checks := _exposure_checks(scan, sequence, uses_single_lights=uses_single_lights):
             reconstruction = replace(reconstruction, frame_checks=(*reconstruction.frame_checks, *checks))
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
@@ -108,12 +122,21 @@ class LibraryReconstructor:
         return kept
 
 
-def _exposure_checks(scan: ScanBundle) -> tuple[FrameCheck, ...]:
+def _exposure_checks(
+    scan: ScanBundle, sequence: LightSequence | str, *, uses_single_lights: bool
+) -> tuple[FrameCheck, ...]:
     """What was done with the frames of a precise capture."""
+    checks = []
     share = scan.record.verdict.figures.get("ambient_share")
-    if scan.record.exposures.dark_file is None or share is None:
-        return ()
-    return (FrameCheck("ambient light taken out", "passed", value=share, unit="of full scale"),)
+    if scan.record.exposures.dark_file is not None and share is not None:
+        checks.append(FrameCheck("ambient light taken out", "passed", value=share, unit="of full scale"))
+    if isinstance(sequence, str):
+        checks += [not_checked(SINGLE_LIGHTS, sequence)] if sequence else []
+    elif uses_single_lights:
+        checks.append(FrameCheck(SINGLE_LIGHTS, "passed"))
+    else:
+        checks.append(not_checked(SINGLE_LIGHTS, "this calibration and method read slopes from three lights only"))
+    return tuple(checks)
 
 
 def _check_orders(scan: ScanBundle, theirs: BayerOrder | None) -> None:

@@ -14,6 +14,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.denoising.blur_correction import without_blur
 from host_sync.frame_checks.colour_check import check_datum
+from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
@@ -87,11 +88,13 @@ def reconstruct(
     *,
     force: bool = False,
     detail: DetailName = "shrunk",
+    sequence: LightSequence | None = None,
 ) -> Reconstruction:
     """The surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
 
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
     detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
+    sequence : frames of each light alone, of the same press: they show where a light is hidden
 
     Raises
     ------
@@ -101,7 +104,7 @@ def reconstruct(
         Its size is not the calibration's, or it was made with other lights, gel, exposure or focus, shifted or turned.
     """
     chosen = method or calibration.preferred
-    reading = read_slopes(frame, calibration, name, chosen, force=force)
+    reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, shadow, warnings = reading.first.intensity, reading.first.shadow, reading.warnings
     gradients, shrinkage = reading.gradients, calibration.shrinkage
     solve = integrate_forward_difference if chosen == "paper" else integrate

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
-from device.surface.fields import GradientField, MaskArray
+from device.surface.fields import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.frame_checks.colour_check import check_frame
+from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
@@ -73,18 +74,27 @@ class SlopeReading:
 
 
 def read_slopes(
-    frame: LinearFrame | RawFrame, calibration: Calibration, name: str, method: Method, *, force: bool
+    frame: LinearFrame | RawFrame,
+    calibration: Calibration,
+    name: str,
+    method: Method,
+    *,
+    force: bool,
+    sequence: LightSequence | None = None,
 ) -> SlopeReading:
-    """Slopes of a frame with as many lights as its calibration; errors as for `reconstruct`."""
+    """Slopes of a frame with as many lights as its calibration; errors as for `reconstruct`.
+
+    sequence : of the same press with three lights
+    """
     lights = calibration.lights
     count = CHANNELS if isinstance(frame, RawFrame) else frame.rgb.shape[2]
     if count != (CHANNELS if lights is None else lights.count):
         wanted = CHANNELS if lights is None else lights.count
         raise CalibrationMismatch(
-            f"{name} shows {count} lights and its calibration {wanted}: use a calibration of these lights"
+            f"{name} shows {count} light{'s' * (count > 1)} and its calibration {wanted}: use a calibration of these"
         )
     if lights is None or isinstance(frame, RawFrame):
-        reading, warnings = _read_channels(frame, calibration, name, method, force=force)
+        reading, warnings = _read_channels(frame, calibration, name, method, force=force, sequence=sequence)
         return SlopeReading(method, (reading,), (), warnings)
     warnings = lights.check(frame, name)
     raise_on_warnings(warnings, name, force=force)
@@ -97,7 +107,13 @@ def read_slopes(
 
 
 def _read_channels(
-    frame: LinearFrame | RawFrame, calibration: Calibration, name: str, method: Method, *, force: bool
+    frame: LinearFrame | RawFrame,
+    calibration: Calibration,
+    name: str,
+    method: Method,
+    *,
+    force: bool,
+    sequence: LightSequence | None = None,
 ) -> tuple[ChannelReading, list[str]]:
     """What three channels say, and what speaks against them."""
     if isinstance(frame, RawFrame):
@@ -112,7 +128,8 @@ def _read_channels(
     warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
     raise_on_warnings(warnings, name, force=force)
     gradients = estimate(intensity, calibration, method)
-    shadow = _cast_shadow(gradients, intensity, calibration, method)
+    alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
+    shadow = _cast_shadow(gradients, intensity, calibration, method, alone)
     if shadow is not None:
         shadow.apply(gradients)
     return ChannelReading(calibration, raw, intensity, checks, gradients, shadow), warnings
@@ -129,18 +146,22 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
     if warnings and not force:
         raise CalibrationMismatch(
             f"{name} was not made as its calibration was: {'; '.join(warnings)}. Use a calibration of these lights and "
-            "this gel, or --force to reconstruct it all the same"
+            "this gel, or force to reconstruct it all the same (--force; force=True in Python)"
         )
 
 
 def _cast_shadow(
-    gradients: GradientField, intensity: NormalizedImage, calibration: Calibration, method: Method
+    gradients: GradientField,
+    intensity: NormalizedImage,
+    calibration: Calibration,
+    method: Method,
+    alone: Float32Array | None,
 ) -> ShadowCorrection | None:
     """What the default's slopes gain where a light is hidden."""
     if method == "paper":
         return None
     if calibration.shading is not None:
-        return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation)
+        return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation, alone)
     return None if calibration.lamps is None else find_hidden_skin(gradients, calibration.lamps)
 
 

@@ -76,7 +76,7 @@ def compose_population(
         title=f"{len(measurements)} results",
         operations=operations(measurements[0].recipe),
         facts=tuple((label, value) for label, value in _facts(measurements, found, template) if value),
-        warnings=tuple(_warnings(measurements)),
+        warnings=tuple(_warnings(measurements, found)),
         pictures=(*pictures, *thumbnails) if "pictures" in template.parts else (),
         tables=(_numbers(charted), *_outlier_tables(measurements, found)),
         notes=(*notes, *unread) if "notes" in template.parts else (),
@@ -131,8 +131,12 @@ def _facts(
         yield label, ", ".join(known[:8]) + (f" and {len(known) - 8} more" if len(known) > 8 else "")
 
 
-def _warnings(measurements: Sequence[Measurement]) -> Iterator[str]:
+def _warnings(measurements: Sequence[Measurement], found: Sequence[Outlier]) -> Iterator[str]:
     """Each doubt once, with the number of results that have it."""
+    beyond = sum(one.distance > 0.0 for one in found)
+    if 2 * beyond > len(measurements):
+        count = len(measurements)
+        yield f"not one population: {beyond} of {count} results lie beyond control limits; name parts of one kind"
     kinds = [dict.fromkeys(doubt.kind for doubt in one.doubts) for one in measurements]
     for kind in dict.fromkeys(kind for one in kinds for kind in one):
         yield f"{kind} ({sum(kind in one for one in kinds)} of {len(measurements)} results)"

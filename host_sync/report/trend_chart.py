@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +25,9 @@ MOST_NAMES: Final = 40
 """Beyond so many results only those are named that lie beyond the control limits, and of them the first ones."""
 
 MOST_NAMED: Final = 12
+LONG_START: Final = 8
+"""Letters that names have in common before they are left out of each."""
+
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 COLOURS: Final = {"pass": "#1d5d33", "fail": "#8c2f1b", "undecided": "#7a4a00", "": "#0b5f69"}
 SIGNS: Final = {"pass": "o", "fail": "X", "undecided": "s", "": "o"}
@@ -115,7 +119,10 @@ def draw_chart(
     axes.set_ylabel(f"{printable(example.name)}{unit}")
     shown = len(names) <= MOST_NAMES
     if shown:
-        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
+        start, ends = without_common_start(names)
+        axes.set_xticks(range(len(names)), ends, rotation=60, ha="right", fontsize=7)
+        if start:
+            axes.set_xlabel(f"{start}…", fontsize=7)
     else:
         axes.set_xlabel("result, counted from 0", fontsize=7)
     for at in () if shown else trend.beyond[:MOST_NAMED]:
@@ -125,3 +132,15 @@ def draw_chart(
     axes.grid(visible=True, axis="y", alpha=0.3)
     if limits:
         axes.legend(fontsize=7, loc="best")
+
+
+def without_common_start(names: Sequence[str]) -> tuple[str, list[str]]:
+    """What all names begin with, up to a sign between their parts, and the rest of each: ids leave a chart no room.
+
+    Names whose common beginning is shorter than `LONG_START` stay as they are.
+    """
+    common = "".join(letters[0] for letters in takewhile(lambda some: len(set(some)) == 1, zip(*names, strict=False)))
+    start = common[: 1 + max(common.rfind(sign) for sign in "-_. ")]
+    if len(start) < LONG_START or start in names:
+        return "", list(names)
+    return start, [name.removeprefix(start) for name in names]

@@ -30,7 +30,7 @@ BACKGROUND_PX: Final = 15.0
 GAIN_PX: Final = (1.8, 4.5)
 """The gain is taken from relief between Gaussian means of these two standard deviations."""
 
-LIMIT: Final = 13.0
+LIMIT: Final = 13.5
 """A change is significant beyond so many spreads."""
 
 MISSED: Final = 1.645
@@ -53,8 +53,10 @@ MIN_FILLED: Final = 0.7
 
 MAX_CHANGES: Final = 100
 WINDOW_PX: Final = 24.0
+WINDOW_SCALES: Final = 4.6
 WIDTHS_PX: Final = (1.5, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
-"""Radius around a change in which a Gaussian is fitted to it, and the widths that are tried."""
+"""Radius around a change in which a Gaussian is fitted to it, at most, and in units of the band that shows it best; and
+the widths that are tried."""
 
 TO_SIGMA: Final = 1.4826
 
@@ -203,15 +205,17 @@ def _change(
     row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
     down, right = np.broadcast_arrays(row - place[0], column - place[1])
     away = np.hypot(down, right)
-    inside = np.isfinite(rest) & (away <= WINDOW_PX)
+    inside = np.isfinite(rest) & (away <= min(WINDOW_PX, WINDOW_SCALES * best.scale_px))
     target = rest[inside].astype(np.float64)
-    least, width_px, height_um = np.inf, best.scale_px, 0.0
+    seen_um = float(best.values[place])
+    least, width_px, height_um = np.inf, best.scale_px, seen_um
     for width in WIDTHS_PX:
         profile = np.exp(-0.5 * (away[inside] / width) ** 2)
         design = np.stack([profile, np.ones(profile.size), down[inside], right[inside]], axis=-1)
         solved, *_ = np.linalg.lstsq(design, target, rcond=None)
         left = float(np.sum((target - design @ solved) ** 2))
-        if left < least:
+        # What surrounds a narrow change may be fitted better by a wide one of the other sign.
+        if left < least and solved[0] * seen_um > 0.0:
             least, width_px, height_um = left, width, float(solved[0])
     # Its uncertainty is that of the band which shows such a width best.
     judged = [band for band in bands if np.isfinite(band.spread[place])]

@@ -181,9 +181,14 @@ def test_light_boards_with_their_plugs_clear_tray_and_lugs() -> None:
                     assert not (abs(y) < 7 and x > 0 and 31 < z < 45), f"{one.name}: a lug is in the way"
 
 
-def test_the_leds_of_a_light_board_stand_as_the_profiles_have_them() -> None:
-    beam = load_board_profile("pi5-imx296").beam
+@pytest.mark.parametrize("board", wired_boards())
+def test_the_leds_of_a_light_board_stand_as_every_profile_has_them(board: str) -> None:
+    """The light board knows no driver: it also serves the board that the carrier does not."""
+    profile = load_board_profile(board)
+    beam = profile.beam
     assert beam is not None
+    assert [len(light.channels) for light in profile.lights] == [2, 2, 2]
+    assert len(beam.led_offsets_mm) == 2
     assert pytest.approx(beam.led_offsets_mm[1] - beam.led_offsets_mm[0]) == LED_PITCH
     first, second = (part.at for part in LIGHT.parts[:2])
     assert (first[0] - second[0], first[1] - second[1]) == pytest.approx((0.0, LED_PITCH))

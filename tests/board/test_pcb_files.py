@@ -28,7 +28,7 @@ def python_with_kicad() -> str | None:
 
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_gerber_and_drills_read_back_are_the_board(board: Board, tmp_path: Path) -> None:
-    gerbonara = pytest.importorskip("gerbonara", reason="gerbonara is not installed (pip install 'retrograph[board]')")
+    gerbonara = pytest.importorskip("gerbonara", reason="gerbonara is not installed: make board-test")
     for name, text in files(board).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     for layer in LAYERS:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,9 +16,11 @@ import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
 from pressed_frames import write_frame_set
 
+from device.errors import OutputError
 from host_sync import api
 from host_sync.calibration_file.cache import SETTING
-from host_sync.errors import FrameSetError, IntegrationError
+from host_sync.calibration_file.kept_calibration import KeptCalibration
+from host_sync.errors import CalibrationFileError, FrameSetError, IntegrationError
 from host_sync.mosaic.motion import Motion
 
 PUBLIC = {
@@ -53,7 +56,7 @@ def test_every_example_runs(name: str, folder: Path) -> None:
         if one.examples
     ]
     assert found, f"{name} has no example"
-    runner = doctest.DocTestRunner(verbose=False)
+    runner = doctest.DocTestRunner(verbose=False, optionflags=doctest.ELLIPSIS)
     for one in found:
         runner.run(one)
     assert runner.failures == 0
@@ -101,6 +104,57 @@ def test_what_is_no_frame_is_refused(folder: Path, name: str) -> None:
     kept = api.load_calibration("gel.calibration")
     with pytest.raises(FrameSetError):
         api.reconstruct(NO_FRAMES[name](), kept)  # type: ignore[arg-type]
+
+
+LABELLED = [api.Press(f"ball-{i}.png", 0.96) for i in range(6)]
+MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
+    "no image": (lambda: api.reconstruct(None, _kept()), "a NoneType is no frame"),  # type: ignore[arg-type]
+    "encoding": (lambda: api.reconstruct("flat.png", _kept(), encoding="sRGB"), "'sRGB' is not accepted"),  # type: ignore[arg-type]
+    "method": (lambda: api.reconstruct("flat.png", _kept(), method="x"), "accepted: 'direct', 'paper'"),  # type: ignore[arg-type]
+    "detail": (lambda: api.reconstruct("flat.png", _kept(), detail="x"), "accepted: 'shrunk', 'raw'"),  # type: ignore[arg-type]
+    "paths for presses": (lambda: _calibrate(["ball-0.png"]), "press 0 is a str: give api.Press"),
+    "no pitch": (lambda: _calibrate(LABELLED, pixel_pitch_um=0.0), "pixel_pitch_um 0 is out of range"),
+    "no radius": (lambda: _calibrate([api.Press("ball-0.png", -1.0)]), "ball_radius_mm -1 is out of range"),
+    "encoding of presses": (lambda: _calibrate(LABELLED, encoding="gamma"), "'gamma' is not accepted"),
+    "a ball elsewhere": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, [(9999.0, 3.0, 20.0)])]),
+        "press 0: balls[0]: its centre (9999, 3) is outside the frame, 384x288 pixels",
+    ),
+    "a ball without a contact": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, [(76.0, 80.0)])]),  # type: ignore[list-item]
+        "give (column, row, radius of the trusted contact)",
+    ),
+}
+
+
+def _kept() -> KeptCalibration:
+    return api.load_calibration("gel.calibration")
+
+
+def _calibrate(presses: Any, **changed: Any) -> object:
+    return api.calibrate(presses, **{"reference": "flat.png", "pixel_pitch_um": 20.0} | changed)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_ends_in_a_sentence(folder: Path, mistake: str) -> None:
+    call, words = MISTAKES[mistake]
+    with pytest.raises(FrameSetError) as raised:
+        call()
+    assert words in str(raised.value)
+
+
+def test_a_file_of_a_calibration_is_loaded_first(folder: Path) -> None:
+    with pytest.raises(CalibrationFileError, match=r"a str is no calibration: .* load_calibration returns"):
+        api.reconstruct("flat.png", "gel.calibration")  # type: ignore[arg-type]
+
+
+def test_a_calibration_is_written_to_a_path_in_either_form(folder: Path, tmp_path: Path) -> None:
+    kept = _kept()
+    kept.write(str(tmp_path / "text.calibration"))
+    kept.write(tmp_path / "path.calibration")
+    assert (tmp_path / "text.calibration").read_bytes() == (tmp_path / "path.calibration").read_bytes()
+    with pytest.raises(OutputError, match="it is a folder"):
+        kept.write(".")
 
 
 def test_holes_stay_holes_and_shapes_must_agree() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, Final, cast
 
 from textual.app import ComposeResult
 from textual.containers import Container
@@ -18,6 +18,10 @@ from device.tui.widgets.words import Words
 
 if TYPE_CHECKING:
     from device.tui.screens.app import RetroscanApp
+
+
+SPOT_LEFT: Final = "The search for the spot has ended: pushes scan."
+AREA_LEFT: Final = "The area has ended: its scans are kept."
 
 
 class InstrumentScreen(Screen[None]):

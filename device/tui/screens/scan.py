@@ -14,13 +14,14 @@ from textual.widget import Widget
 
 from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
+from device.guidance.cover_task import MAX_AREA_MM
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
-from device.instrument.state import Activity, InstrumentState, LastScan
+from device.instrument.state import Activity, AreaState, InstrumentState, LastScan, SpotState
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
-from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.base import AREA_LEFT, SPOT_LEFT, InstrumentScreen
 from device.tui.widgets.dialogs import ChoiceDialog, FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.live_view import LiveView
@@ -38,6 +39,8 @@ _MODE_WORDS: Final[dict[CaptureMode, str]] = {
 }
 
 
+AREA_HINT: Final = f"At most {MAX_AREA_MM:.0f} mm each way. Enter: next field · Escape: cancel"
+
 _ELSEWHERE: Final[dict[Activity, str]] = {
     "calibrating": "A calibration is under way: key 2 shows it.",
     "balancing": "The exposure is being balanced: key 4 shows it.",
@@ -50,12 +53,14 @@ class ScanScreen(InstrumentScreen):
 
     PLACE = "scan"
     BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape", "leave", "leave", key_display="Esc"),
         Binding("space", "scan", "scan"),
         Binding("j", "sticky", "job"),
         Binding("o", "presets", "presets of job, part and operator", show=False),
         Binding("i", "number", "number parts, or no longer", show=False),
         Binding("r", "retake", "retake"),
         Binding("b", "code", "part's name by QR code or barcode", show=False),
+        Binding("w", "area", "cover a wide area", show=False),
         Binding("a", "auto", "auto"),
         Binding("m", "mode", "one frame, precise, each light, or a movie", show=False),
         Binding("z", "zero", "zero"),
@@ -69,6 +74,9 @@ class ScanScreen(InstrumentScreen):
         self._relief = HeightView(depth, below=4)
         self._verdict = Words(id="verdict", markup=False)
         self._cue = Words(id="cue", markup=False)
+        self._guided = False
+        self._area_mm = {"Width, mm": "", "Height, mm": ""}
+        self._map = Words(id="area-map", markup=False)
         self._sticky = Words(id="sticky", markup=False)
 
     def body(self) -> Iterable[Widget]:
@@ -79,6 +87,7 @@ class ScanScreen(InstrumentScreen):
                 yield self._gauges
             with Vertical(id="scan-side"):
                 yield self._relief
+                yield self._map
                 yield self._verdict
         yield self._cue
         yield self._sticky
@@ -91,12 +100,20 @@ class ScanScreen(InstrumentScreen):
         following = ""  # stands first: a narrow screen cuts the end
         if state.check.is_next and state.check.standard:
             following = f"next: check of {state.check.standard.name} · "
+        elif state.spot:
+            following = f"finding #{state.spot.counter}, nothing is stored · "
+        elif state.area:
+            following = f"area of {state.area.width_mm:g} x {state.area.height_mm:g} mm · "
         elif state.replaces:
             following = f"next: retake of #{state.replaces.counter} · "
         numbered = " (numbered)" if state.settings.number_parts else ""
         mode = _MODE_WORDS[state.settings.capture]
         self._sticky.update(f"{following}{sticky_text(state.sticky, numbered)}{mode}{auto}")
         self._show_last(state)
+        guided = state.spot is not None or state.area is not None
+        if self._guided != guided:
+            self._guided = guided
+            self.refresh_bindings()
 
     def show_live(self, state: InstrumentState) -> None:
         """Show live picture and gauges."""
@@ -113,6 +130,25 @@ class ScanScreen(InstrumentScreen):
     def action_scan(self) -> None:
         """Scan, like a push of the button."""
         self.instrument.press()
+
+    def action_leave(self) -> None:
+        """End the search for a spot, or the area: pushes scan as usual."""
+        self.retroscan.notice = Notice(SPOT_LEFT if self.instrument.state.spot else AREA_LEFT)
+        self.instrument.end_guiding()
+
+    def action_area(self) -> None:
+        """Ask for an area's size and cover it scan by scan; while one is covered, leave it."""
+        if self.instrument.state.area:
+            self.action_leave()
+            return
+        dialog = FieldsDialog("Cover an area", self._area_mm, AREA_HINT, area_complaint)
+        self.app.push_screen(dialog, self._cover_area)
+
+    def _cover_area(self, fields: dict[str, str] | None) -> None:
+        if fields is not None:
+            self._area_mm = fields
+            width_mm, height_mm = (float(text) for text in fields.values())
+            self.instrument.cover_area(width_mm, height_mm)
 
     def action_auto(self) -> None:
         """Toggle the auto-shutter."""
@@ -181,7 +217,9 @@ class ScanScreen(InstrumentScreen):
         self.app.push_screen(dialog, self._save_sticky)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only the twin can press objects."""
+        """Only the twin can press objects, and only a mode can be left."""
+        if action == "leave":
+            return self._guided
         return self.retroscan.is_twin if action == "demonstrate" else super().check_action(action, parameters)
 
     def _save_sticky(self, fields: dict[str, str] | None) -> None:
@@ -193,6 +231,17 @@ class ScanScreen(InstrumentScreen):
         self.show_body(self.instrument.state)
 
     def _show_last(self, state: InstrumentState) -> None:
+        self._relief.display, self._map.display = state.area is None, state.area is not None
+        if area := state.area:
+            columns, rows = self._map.size
+            lines = area.map.lines(columns, rows) if area.map and columns and rows else []
+            self._map.update("\n".join(lines))
+            self._verdict.update(area_text(area, state.last if area.map else None))
+            return
+        if spot := state.spot:
+            self._relief.show(spot.height, "")
+            self._verdict.update(spot_text(spot))
+            return
         last = state.last
         if last is None:
             self._relief.show(None, screen_advice(state.calibration.fault) or "The relief of a scan appears here.")
@@ -210,6 +259,32 @@ def verdict_text(last: LastScan) -> Content:
         (f"#{last.counter} ", "bold"),
         screen_advice(last.verdict.reason),
     )
+
+
+def spot_text(spot: SpotState) -> Content:
+    """The way to an earlier scan's spot."""
+    style = "$success bold" if spot.is_reached else "bold"
+    return Content.assemble((f"TO #{spot.counter} ", style), spot.sentence)
+
+
+def area_text(area: AreaState, last: LastScan | None) -> Content:
+    """The last scan's verdict in a word, what is covered, and the way to the next press."""
+    if last is None:
+        return Content(area.sentence)
+    level = last.verdict.level
+    return Content.assemble((f"{verdict_word(level)} #{last.counter} ", _VERDICT_STYLE[level]), area.sentence)
+
+
+def area_complaint(texts: dict[str, str]) -> str:
+    """What is wrong with an area's width or height; empty if nothing is."""
+    for text in texts.values():
+        try:
+            length_mm = float(text)
+        except ValueError:
+            length_mm = 0.0
+        if not 0.0 < length_mm <= MAX_AREA_MM:
+            return f"A number of mm above 0 and at most {MAX_AREA_MM:.0f} is needed, not {text!r}"
+    return ""
 
 
 def cue_text(state: InstrumentState) -> str:

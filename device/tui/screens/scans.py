@@ -19,7 +19,7 @@ from device.surface.fields import HeightMap
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.history_lines import ORDERS, Order, chosen_scans, details_of, scan_line
-from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.base import SPOT_LEFT, InstrumentScreen
 from device.tui.widgets.dialogs import FieldsDialog
 from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.line_list import LineList
@@ -43,6 +43,7 @@ class ScansScreen(InstrumentScreen):
         Binding("p", "profile", "profile"),
         Binding("x,delete", "delete", "delete", key_display="x"),
         Binding("z", "undo", "undo"),
+        Binding("w", "way_back", "way back to this spot", show=False),
         Binding("slash", "find", "find", key_display="/"),
         Binding("s", "sort", "sort"),
         Binding("v", "view", show=False),
@@ -109,6 +110,25 @@ class ScansScreen(InstrumentScreen):
     def action_undo(self) -> None:
         """Bring the scan that was deleted last back."""
         self._change(self.instrument.undo_delete, "The scan is back.")
+
+    def action_way_back(self) -> None:
+        """Find the chosen scan's spot again: pushes on Scan say the way to it; the same scan again ends that."""
+        if not (entry := self._entry()):
+            return
+        spot = self.instrument.state.spot
+        if spot and spot.scan_id == entry.scan_id:
+            self.instrument.end_guiding()
+            self.retroscan.notice = Notice(SPOT_LEFT)
+        else:
+            self.run_worker(partial(self._find_spot, entry), thread=True, group="spot", exclusive=True)
+
+    def _find_spot(self, entry: ScanEntry) -> None:
+        try:
+            self.instrument.find_spot(entry.scan_id, entry.counter)
+        except DeviceError as error:
+            self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            return
+        self.app.call_from_thread(self.app.call_later, self.retroscan.go, "scan")
 
     def action_find(self) -> None:
         """Show only scans with certain words."""

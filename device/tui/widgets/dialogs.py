@@ -91,11 +91,16 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
             self.dismiss(None)
 
     def _save(self) -> None:
+        """Close with the texts, or say what is wrong and go to the field whose text is named."""
         texts = {
             field.name or "": field.value if field.password else field.value.strip() for field in self.query(Input)
         }
         if complaint := self._check(texts):
             self._hint.update(f"! {complaint}")
+            for field in self.query(Input):
+                if not field.password and f"'{texts[field.name or '']}'" in complaint:
+                    field.focus()
+                    break
         else:
             self.dismiss(texts)
 

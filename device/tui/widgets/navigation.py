@@ -25,7 +25,7 @@ PLACES: Final[tuple[tuple[Place, str], ...]] = (
     ("set-up", "Set-up"),
 )
 
-KEPT_HINTS: Final = ("keys", "quit", "faults", "scan", "go_on", "demonstrate")
+KEPT_HINTS: Final = ("keys", "quit", "leave", "faults", "scan", "go_on", "demonstrate")
 """Actions whose hints are kept where not all fit, most important first; `?` lists every key."""
 
 Severity = Literal["info", "success", "error"]

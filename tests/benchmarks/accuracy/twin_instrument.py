@@ -53,11 +53,15 @@ class TwinInstrument:
     def __init__(self, profile: BoardProfile, folder: Path, *, paper: bool = False) -> None:
         self.profile = profile
         self._bench = build(profile, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0))
-        self._hardware = twin_hardware(self._bench)
-        with self._hardware:
-            store = BundleStore(folder, self._hardware.clock, boot_id="acc00000")
-            outcome = calibrate(self._hardware, store, BALL_RADIUS_MM, lambda _: None)
+        self.hardware = twin_hardware(self._bench)
+        with self.hardware:
+            store = BundleStore(folder, self.hardware.clock, boot_id="acc00000")
+            outcome = calibrate(self.hardware, store, BALL_RADIUS_MM, lambda _: None)
         self.calibration: Calibration = calibration_of(outcome.bundle, paper=paper)
+
+    def truth(self) -> TwinTruth:
+        """What is pressed now, as it is."""
+        return self._bench.truth()
 
     def press_ball(self, column_share: float, row_share: float) -> TwinScan:
         """Press the ball at a position in the field."""
@@ -73,7 +77,7 @@ class TwinInstrument:
         return reconstruct(demosaic(scan.frame), self.calibration, scan.name, method)
 
     def _scan(self, name: str, request: OperatorRequest) -> TwinScan:
-        hardware = self._hardware
+        hardware = self.hardware
         with hardware:
             hardware.operator.ask(request)
             hardware.button.wait_for_press(None)

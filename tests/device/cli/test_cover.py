@@ -11,9 +11,10 @@ import pytest
 
 from device.acquisition.capture import capture
 from device.acquisition.scanner import Scanner
-from device.cli.cover import NOT_COVERED, covered_map
+from device.cli.cover import NOT_COVERED
 from device.cli.main import main
-from device.guidance.covering import Covering, Stand
+from device.guidance.cover_task import CoverTask
+from device.guidance.covering import Stand
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore
@@ -47,20 +48,21 @@ def test_an_area_is_covered_on_the_twin(calibrated_root: Path, tmp_path: Path, s
         start = np.array([-4.0, -3.0])
         first = touched((float(start[0]), float(start[1])))
         field_mm = [size * first.pitch_um * 1e-3 for size in first.z_um.shape[::-1]]
-        covering = Covering(1.4 * field_mm[0], 1.4 * field_mm[1], first)
+        task = CoverTask(1.4 * field_mm[0], 1.4 * field_mm[1])
+        task.add(first)
         at = start
         for _ in range(8):
-            place = covering.next_place()
-            if place is None:
+            if task.way is None:
                 break
-            at = at + np.array(covering.stands[-1].way_to(place)) + random.normal(0.0, 0.3, 2)
-            stand = covering.add(touched((float(at[0]), float(at[1]))))
+            at = at + np.array(task.way) + random.normal(0.0, 0.3, 2)
+            task.add(touched((float(at[0]), float(at[1]))))
+            stand = task.stand
             assert isinstance(stand, Stand)
             assert (stand.right_mm, stand.down_mm) == pytest.approx(tuple(at - start), abs=0.5)
             assert stand.overlap > 0.25
-        assert covering.share > 0.97
-        assert covering.next_place() is None
-        assert set("".join(covered_map(covering))) <= set("#·o")
+        assert task.share > 0.97
+        assert task.is_done
+        assert set("".join(task.map().lines(60))) <= set("#·o")
 
 
 def test_presses_that_look_alike_cover_nothing_more(retroscan: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from device.acquisition.capture import capture
 from device.acquisition.scanner import Scanner
-from device.cli.guide import NOT_REACHED, placed
+from device.cli.guide import NOT_REACHED
 from device.cli.main import main
 from device.guidance.placement import Placement, Target, Unplaced
+from device.guidance.way_back import placed
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore
@@ -58,12 +59,12 @@ def test_a_touch_away_from_the_spot_says_the_way_back(
         earlier = quick_look(bin_bayer(capture(hardware, scanner.plan), scanner.model.binning), scanner.model)
         target = Target(earlier.height)
         bench.place(Press(Bumps(1), (3.0, -2.0), float(np.radians(4.0)), 0.4))
-        found = placed(hardware, scanner, target)
+        found = placed(capture(hardware, scanner.plan), scanner.model, target)
         assert isinstance(found, Placement)
         assert (found.right_mm, found.down_mm) == pytest.approx((3.0, -2.0), abs=0.2)
         assert found.clockwise_deg == pytest.approx(4.0, abs=1.0)
         bench.place(Press(Bumps(2), (0.0, 0.0), 0.0, 0.5))
-        assert isinstance(placed(hardware, scanner, target), Unplaced)
+        assert isinstance(placed(capture(hardware, scanner.plan), scanner.model, target), Unplaced)
 
 
 def test_the_command_gives_no_direction_that_it_does_not_know(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -36,3 +38,23 @@ def test_hidden_folders_elsewhere_are_nobodys_business(tmp_path: Path) -> None:
         atomic_directory(tmp_path / "mine", "result.json"),
     ):
         pass
+
+
+def test_what_another_program_is_writing_is_not_touched(tmp_path: Path) -> None:
+    out = tmp_path / "scan" / "out"
+    with atomic_directory(out, "result.json") as folder:
+        (folder / "result.json").write_text("first")
+        with (
+            pytest.raises(OutputError, match="another program is writing it; repeat when that has ended"),
+            atomic_directory(out, "result.json"),
+        ):
+            pass
+        assert (folder / "result.json").read_text() == "first"
+    assert (out / "result.json").read_text() == "first"
+    with atomic_directory(out, "result.json") as folder:
+        (folder / "result.json").write_text("second")
+    assert (out / "result.json").read_text() == "second"
+    with pytest.raises(OutputError, match="No space left"), atomic_directory(out, "result.json") as folder:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert (out / "result.json").read_text() == "second"
+    assert list(out.parent.iterdir()) == [out]

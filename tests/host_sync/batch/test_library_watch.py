@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.batch.library_watch import MEASUREMENTS, LibraryWatch
+from host_sync.batch.library_watch import MEASUREMENTS, LibraryWatch, only_watch
 from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.cli.main import main
 from host_sync.library.library import Library
@@ -70,6 +70,13 @@ def test_what_a_pull_brings_is_reconstructed_and_measured_once(
 def test_a_library_that_is_missing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", str(tmp_path / "absent"), "--once"]) == 2
     assert "there is no library" in capsys.readouterr().err
+
+
+def test_one_watch_works_on_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with only_watch(Library(tmp_path)):
+        assert main(["watch", str(tmp_path), "--once"]) == 2
+        assert "another watch works on this library: end that first" in capsys.readouterr().err
+    assert main(["watch", str(tmp_path), "--once"]) == 0
 
 
 def test_another_recipe_or_newer_results_are_measured_again(library: Library, tmp_path: Path) -> None:

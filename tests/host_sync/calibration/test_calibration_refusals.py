@@ -103,6 +103,12 @@ def test_too_few_balls_are_counted(usual: SimulatedScene) -> None:
         calibrate(presses(frames), usual.rest, PITCH_UM)
 
 
+def test_one_press_under_two_names_is_refused(usual: SimulatedScene) -> None:
+    frames = [*usual.balls, replace(usual.balls[2], rgb=usual.balls[2].rgb.copy())]
+    with pytest.raises(CalibrationError, match=r"press-06 is the same frame as press-02: leave one out"):
+        calibrate(presses(frames), usual.rest, PITCH_UM)
+
+
 def test_a_reference_of_another_gel_is_refused(usual: SimulatedScene, small_twin: BoardProfile) -> None:
     twin = small_twin.twin
     assert twin is not None

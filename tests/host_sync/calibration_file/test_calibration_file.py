@@ -97,6 +97,16 @@ def test_commands_take_the_file_and_give_the_same_bits(
     assert (found / "calibration" / "report.json").read_bytes() == read_calibration_file(file).report["report.json"]
 
 
+def test_a_place_that_cannot_be_written_is_named_before_the_work(
+    frame_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", str(frame_set), "--out", str(tmp_path / "missing" / "gel.calibration")]) == 2
+    said = capsys.readouterr()
+    assert said.err.endswith(f"there is no folder {tmp_path / 'missing'}; make it, or choose another\n")
+    assert said.err.count("\n") == 1, "nothing was calibrated"
+    assert said.out == ""
+
+
 def test_the_second_reconstruction_is_the_first_to_the_last_bit(
     frame_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -240,9 +240,11 @@ def test_presses_that_all_lack_a_ball_are_refused(
     frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = frames.copy(tmp_path / "set")
-    path.write_text(re.sub(r"press\d.png", "flat.png", path.read_text()))
+    flat = cv2.imread(str(path.parent / "flat.png"), cv2.IMREAD_UNCHANGED)
+    for name in set(re.findall(r"press\d.png", path.read_text())):
+        cv2.imwrite(str(path.parent / name), np.roll(flat, int(name[5]) + 1, axis=0))
     sentence = refusal(capsys, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
-    assert "0 usable balls in 10 calibration presses (press-00 (flat.png) shows no ball of radius" in sentence
+    assert "0 usable balls in 10 calibration presses (press-00 (press0.png) shows no ball of radius" in sentence
     assert not (tmp_path / "out").exists()
 
 

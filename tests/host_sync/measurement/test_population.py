@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from host_sync.cli.main import main
+from host_sync.report.trend_chart import without_common_start
 
 Write = Callable[..., Path]
 
@@ -94,3 +95,25 @@ def test_an_outlier_that_cannot_be_read_again_is_named(
     report = compose_population(measured)
     assert [note for note in report.notes if note.startswith("part 08: no thumbnail: ")]
     assert len(report.pictures) == 1
+
+
+def test_two_kinds_of_parts_are_doubted(write_result: Write, wave: np.ndarray, tmp_path: Path) -> None:
+    sizes = [1.0, 1.01, 0.99, 1.0, 3.0, 3.01, 2.99, 3.0]
+    places = [str(write_result(size * wave, f"part {at:02}", seed=at)) for at, size in enumerate(sizes)]
+    for given, doubted in ((places, True), (places[:4], False)):
+        out = tmp_path / f"report-{len(given)}"
+        assert main(["report", *given, "--out", str(out), "--population"]) == 0
+        assert ("not one population: 8 of 8 results" in (out / "population.html").read_text()) == doubted
+
+
+@pytest.mark.parametrize(
+    ("names", "start", "ends"),
+    [
+        (["rg1d9e93-b0075e1f-000001", "rg1d9e93-b0075e1f-000012"], "rg1d9e93-b0075e1f-", ["000001", "000012"]),
+        (["part 01", "part 02"], "", ["part 01", "part 02"]),
+        (["workpiece-", "workpiece-2"], "", ["workpiece-", "workpiece-2"]),
+        (["housing"] * 2, "", ["housing"] * 2),
+    ],
+)
+def test_a_chart_leaves_out_what_all_ids_begin_with(names: list[str], start: str, ends: list[str]) -> None:
+    assert without_common_start(names) == (start, ends)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -11,6 +13,9 @@ import pytest
 from mosaic_presses import grid_places, press_of_map, pressed, rough_target, write_press
 
 from host_sync.cli.main import main
+from host_sync.errors import MosaicError
+from host_sync.mosaic.disk_array import disk_array
+from host_sync.mosaic.presses import presses_of
 from host_sync.mosaic.record import MOSAIC_FILE, MosaicRecord
 from host_sync.results.files import HEIGHT_SIGMA_FILE, RELIEF_FILE
 from host_sync.results.record import read_record
@@ -110,3 +115,52 @@ def test_presses_of_two_sizes_are_refused(results: Path, tmp_path: Path, capsys:
     given = ["mosaic", str(results / "part-0"), str(tmp_path / "larger"), "--out", str(tmp_path / "whole")]
     assert main(given) == 2
     assert "presses of one mosaic need one size" in capsys.readouterr().err
+
+
+def test_what_is_left_out_is_a_doubt_and_no_success(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    random = np.random.default_rng(9)
+    place = grid_places(1, 1, (10.0, 10.0), random)[0]
+    write_press(press_of_map("stranger", pressed(rough_target((330, 430), seed=8), place, SHAPE, random)), tmp_path)
+    given = [str(results / "part-0"), str(results / "part-1"), str(tmp_path / "stranger")]
+    assert main(["mosaic", *given, "--out", str(tmp_path / "whole")]) == 1
+    said = capsys.readouterr().out
+    assert "2 presses, 1 overlap\n" in said
+    assert "DOUBTFUL: left out, as no overlap was found: stranger" in said
+    assert "DOUBTFUL: the place of part-0, part-1 rests on overlaps that no other overlap confirms" in said
+
+
+def test_a_mosaic_does_not_become_the_results_of_a_scan(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = []
+    for number, folder in enumerate(sorted(results.iterdir())):
+        folders.append(tmp_path / "scans" / f"scan-{number}" / "results" / "now")
+        shutil.copytree(folder, folders[-1])
+    out = tmp_path / "scans" / "scan-0" / "results" / "whole"
+    with pytest.raises(MosaicError, match="lies in the library's scans"):
+        presses_of(folders, out, tmp_path)
+    assert len(presses_of(folders, tmp_path / "whole", tmp_path)) == 4
+
+
+def test_room_for_sums_is_taken_from_the_disk_at_once(tmp_path: Path) -> None:
+    sums = disk_array(tmp_path / "height.sum", np.float32, (300, 400))
+    assert (tmp_path / "height.sum").stat().st_blocks * 512 >= sums.nbytes == 480_000
+    assert not sums.any()
+    sums[299, 399] = 1.0
+    assert sums.sum() == 1.0
+
+
+@pytest.mark.skipif(not Path("/proc/self/limits").exists(), reason="this system limits files otherwise")
+def test_a_disk_without_room_ends_in_a_sentence_and_leaves_nothing(results: Path, tmp_path: Path) -> None:
+    program = (
+        "import resource, sys; from host_sync.cli.main import main; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, "mosaic", str(results), "--out", str(tmp_path / "whole")]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert f"{tmp_path / 'whole'} cannot be written" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""A scan with a frame under no light is reconstructed as if it had been taken in the dark."""
+"""A scan with frames under no light and under each light alone: ambient light is taken out, and shadows are seen."""
 
 import shutil
 from pathlib import Path
@@ -14,8 +14,10 @@ from hal.simulator.bench import build
 from hal.simulator.gallery import specimen
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
+from hal.simulator.surfaces import Sphere
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.from_library import SINGLE_LIGHTS, LibraryReconstructor
+from host_sync.reconstruction.pipeline import Reconstruction
 
 AMBIENT = 0.04
 
@@ -47,3 +49,33 @@ def test_ambient_light_is_taken_out_where_the_scan_holds_a_dark_frame(
     assert "ambient light taken out" not in {check.name for check in results["in daylight"].frame_checks}
     assert results["in daylight"].warnings
     assert not results["each light"].warnings
+
+
+def test_single_lights_show_where_a_light_is_hidden(
+    calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path
+) -> None:
+    root = tmp_path / "library"
+    shutil.copytree(calibrated_root, root)
+    bench = build(small_twin, VirtualClock())
+    with twin_hardware(bench) as hardware:
+        scanner = Scanner(hardware, BundleStore(root, hardware.clock, boot_id="b0075e21"))
+        bench.place(Press(Sphere(3.0), (2.5, 1.5), 0.0, 0.9))
+        precise = scanner.publish(scanner.assess(scanner.capture(mode="lights")), Annotations())
+        truth = bench.truth()
+    job = LibraryReconstructor(Library(root), force=True)
+    with_lights = job.run(precise.bundle)[0]
+    exposures = precise.bundle.record.exposures
+    torn = precise.bundle.path(next(iter(exposures.alone_files.values())))
+    torn.chmod(0o644)
+    torn.write_bytes(torn.read_bytes()[:1000])
+    again = job.run(precise.bundle)[0]
+    beside = ~truth.contact & (np.hypot(truth.p, truth.q) > 0.05)
+
+    def slopes_off(found: Reconstruction) -> float:
+        return float(np.sqrt(np.nanmean(np.hypot(found.p - truth.p, found.q - truth.q)[beside] ** 2)))
+
+    print(slopes_off(with_lights), slopes_off(again))  # noqa: T201
+    assert slopes_off(with_lights) < 0.9 * slopes_off(again)
+    assert {check.name: check.outcome for check in with_lights.frame_checks}[SINGLE_LIGHTS] == "passed"
+    said = {check.name: check.words for check in again.frame_checks}
+    assert "cannot be read" in said[SINGLE_LIGHTS]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
@@ -13,7 +15,7 @@ from device.surface.fields import Float32Array, HeightMap
 from host_sync.cli.main import main
 from host_sync.mosaic.motion import Motion
 from host_sync.registration.difference import difference
-from host_sync.same_spot.changes import changes
+from host_sync.same_spot.changes import WIDTH_TO_DIAMETER, changes
 
 SHAPE = (160, 200)
 PITCH_UM = 48.0
@@ -62,6 +64,29 @@ def test_nothing_is_found_where_nothing_changed_and_the_limit_is_stated() -> Non
     assert all(0.1 < limit.height_um < 12.0 for limit in found.limits)
 
 
+@pytest.mark.parametrize("diameter", [0, 1, 2])
+def test_a_change_as_high_as_its_detection_limit_is_listed_with_its_sign(diameter: int) -> None:
+    first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(0.0))
+    rest = difference(first, second)
+    # Errors of slopes give heights that err most at long waves: beside a narrow change other things rise higher.
+    random = np.random.default_rng(5).standard_normal(SHAPE)
+    waves = [cv2.GaussianBlur(random, (0, 0), width) for width in (9.0, 13.0, 18.0)]
+    hills = sum(wave / wave.std() * height for wave, height in zip(waves, (6.0, 12.0, 24.0), strict=True))
+    rest = replace(rest, z_um=(rest.z_um + hills).astype(np.float32))
+    limit = changes(first, rest).limits[diameter]
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    width_px = limit.diameter_um / WIDTH_TO_DIAMETER / PITCH_UM
+    listed = []
+    for at in ((60, 80), (80, 100), (100, 120)):
+        dent = limit.height_um * np.exp(-0.5 * ((row - at[0]) ** 2 + (column - at[1]) ** 2) / width_px**2)
+        found = changes(first, replace(rest, z_um=(rest.z_um - 1.2 * dent).astype(np.float32))).found
+        away = [np.hypot(one.row_um / PITCH_UM - at[0], one.column_um / PITCH_UM - at[1]) for one in found]
+        listed += [one.height_um / limit.height_um for one, far in zip(found, away, strict=True) if far < 3.0]
+    print(listed)  # noqa: T201
+    assert len(listed) == 3
+    assert all(-1.5 < share < -0.9 for share in listed)
+
+
 def test_the_command_writes_difference_sigma_picture_and_record(
     results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,3 +121,8 @@ def test_a_folder_with_something_else_is_not_replaced(
     assert main(["same-spot", *results, "--out", results[0]]) != 0
     assert (Path(results[0]) / "result.json").is_file()
     assert capsys.readouterr().err
+
+
+def test_a_press_is_not_compared_with_itself(results: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["same-spot", results[0], f"{results[0]}/../{Path(results[0]).name}"]) == 2
+    assert "are one result: name an earlier and a later press" in capsys.readouterr().err
