@@ -9,8 +9,8 @@ Importing it takes a few hundredths of a second: what computes is imported when 
 >>> result.height_um.shape, result.height_um.dtype
 ((288, 384), dtype('float32'))
 
-Bad input raises a `host_sync.errors.HostError` or a `device.errors.DeviceError`, whose message is one
-sentence.
+Bad input raises a `host_sync.errors.HostError` or a `device.errors.DeviceError`, whose message is one sentence; an
+argument of the wrong type raises an `ArgumentError`, which is a HostError.
 """
 
 from __future__ import annotations
@@ -160,13 +160,13 @@ def calibrate(
     'calibration passed (6 balls, held-out error ... degrees, ± of the height scale unknown ...)'
     >>> calibration.write("own.calibration")
     """
-    from host_sync.api_arguments import check_choice, linear_frame, press_frame
+    from host_sync.api_arguments import check_choice, linear_frame, press_frames
     from host_sync.calibration.frames import CalibrationFrames
     from host_sync.calibration_file.kept_calibration import facts_of, make_calibration
 
     check_choice("encoding", encoding, Encoding)
     frames = CalibrationFrames(
-        tuple(press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses)),
+        press_frames(presses, pixel_pitch_um, encoding),
         linear_frame(reference, encoding) if reference is not None else None,
         pixel_pitch_um,
         paper=paper,
@@ -189,13 +189,14 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = 
     >>> calibrate_frame_set("frameset.toml").facts.made_from
     'lamps'
     """
+    from host_sync.api_arguments import as_path
     from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
     from host_sync.frames.frame_set import load_frame_set
 
     cache = CalibrationCache.of_user() if cached else None
     with one_blas_thread():
-        return Calibrator(cache, paper=paper).of_frame_set(load_frame_set(Path(path)))
+        return Calibrator(cache, paper=paper).of_frame_set(load_frame_set(as_path("path", path)))
 
 
 def load_calibration(path: str | Path) -> KeptCalibration:
@@ -209,9 +210,10 @@ def load_calibration(path: str | Path) -> KeptCalibration:
     >>> load_calibration("gel.calibration").calibration.pitch_um
     20.0
     """
+    from host_sync.api_arguments import as_path
     from host_sync.calibration_file.kept_calibration import read_calibration_file
 
-    return read_calibration_file(Path(path))
+    return read_calibration_file(as_path("path", path))
 
 
 def reconstruct(
@@ -245,7 +247,7 @@ def reconstruct(
     >>> bool(result.sigma_um[130, 154] < 0.1 * result.height_um[130, 154])
     True
     """
-    from host_sync.api_arguments import check_calibration, check_choice, linear_frame
+    from host_sync.api_arguments import as_path, check_calibration, check_choice, linear_frame
     from host_sync.reconstruction.pipeline import reconstruct as reconstruct_frame
     from host_sync.reconstruction.result_writer import result_record, write_result
     from host_sync.results.reader import ResultSurface
@@ -255,15 +257,16 @@ def reconstruct(
         if given is not None:
             check_choice(argument, given, choices)
     check_choice("detail", detail, Detail)
+    folder = as_path("out", out) if out is not None else None
     name = Path(str(image)).stem if isinstance(image, str | Path) else "image"
     frame = linear_frame(image, encoding or calibration.facts.encoding or "linear")
     with one_blas_thread():
         found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
-    if out is not None:
-        write_result(Path(out), found, calibration.calibration, name)
+    if folder is not None:
+        write_result(folder, found, calibration.calibration, name)
     return Result(
         ResultSurface(
-            folder=Path(out) if out is not None else Path(name),
+            folder=folder or Path(name),
             record=result_record(name, found, calibration.calibration),
             height=found.height,
             samples_um=found.samples_um,
@@ -286,27 +289,39 @@ def load_result(folder: str | Path) -> Result:
     >>> load_result("results/ball").pitch_um
     20.0
     """
+    from host_sync.api_arguments import as_path
     from host_sync.results.reader import read_result
 
-    return Result(read_result(Path(folder)))
+    return Result(read_result(as_path("folder", folder)))
 
 
 def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
     """The surface that overlapping presses of one object show together.
 
-    results : folders that `retrosync reconstruct` wrote; a MosaicError says why they do not go together
+    results : folders that `retrosync reconstruct` wrote
     out : folder for the result; `mosaic.json` in it holds every overlap, used or rejected
+
+    Raises
+    ------
+    MosaicError
+        There are fewer than two presses, their pixel pitches differ, none overlap, or `out` is one of them.
+    UnreadableResult
+        A press's folder lacks a file, or one is damaged.
+    OutputError
+        The folder cannot be written, or holds other files.
 
     >>> whole = mosaic(["results/left", "results/right"], out="results/whole")
     >>> whole.height_um.shape[1] > load_result("results/left").height_um.shape[1]
     True
     """
+    from host_sync.api_arguments import as_path, as_paths
     from host_sync.mosaic.presses import presses_of
     from host_sync.mosaic.stitch import stitch
 
+    folders, whole = as_paths("results", results), as_path("out", out)
     with one_blas_thread():
-        stitch(presses_of([Path(folder) for folder in results], Path(out)), Path(out))
-    return load_result(out)
+        stitch(presses_of(folders, whole), whole)
+    return load_result(whole)
 
 
 def integrate(
@@ -314,12 +329,14 @@ def integrate(
 ) -> Float32Array:
     """Heights in µm, float32 array of shape (H, W), whose slopes are p along a row and q down a column, least squares.
 
+    p, q : shape (H, W), µm/µm; a pixel that is not finite, or masked in a numpy masked array, is a hole
     weights : relative confidence of each pixel; a pixel of weight 0 or without a finite slope is a hole, NaN
 
     Raises
     ------
     IntegrationError
-        Shapes differ, a weight is negative, no pixel is valid, or the pitch is not positive.
+        p, q or weights are no arrays of numbers of one shape, a weight is negative, every pixel is a hole, or the pitch
+        is not positive.
 
     >>> import numpy as np
     >>> row, column = np.mgrid[:60, :80]
@@ -327,24 +344,17 @@ def integrate(
     >>> bool(np.ptp(z_um - 0.5 * column) < 1e-2)
     True
     """
-    import numpy as np
-
-    from device.surface.fields import GradientField
+    from host_sync.api_arguments import gradient_field, pitch_of
     from host_sync.integration.integrate import integrate as integrate_field
 
-    slopes = [np.ascontiguousarray(slope, np.float32) for slope in (p, q)]
-    trusted = np.ones(slopes[0].shape, np.float32) if weights is None else np.ascontiguousarray(weights, np.float32)
-    valid = trusted != 0.0
-    if slopes[0].shape == slopes[1].shape == trusted.shape:
-        valid &= np.isfinite(slopes[0]) & np.isfinite(slopes[1])
-        trusted = np.where(valid, trusted, np.float32(0.0))
-    height, _ = integrate_field(GradientField(slopes[0], slopes[1], valid, trusted), pitch_um)
+    height, _ = integrate_field(gradient_field(p, q, weights), pitch_of(pitch_um))
     return height.z_um
 
 
-def measure(result: Result, recipe: str | Path | None = None, **options: object) -> tuple[Quantity, ...]:
+def measure(result: Result | str | Path, recipe: str | Path | None = None, **options: object) -> tuple[Quantity, ...]:
     """Quantities of a surface, each with its uncertainty.
 
+    result : from `reconstruct`, `load_result` or `mosaic`; or a folder, as `load_result` takes it
     recipe : TOML file of `docs/measurement.md`; without it the default one
     options : keys of a recipe that change it, such as `parameters=("Sa", "Sz")` or `form="plane"`
 
@@ -352,25 +362,37 @@ def measure(result: Result, recipe: str | Path | None = None, **options: object)
     ------
     MeasurementError
         The recipe cannot be read, or a measurand is not found on the surface.
+    UnreadableResult
+        A file of the folder is missing or damaged.
 
     >>> (sa,) = measure(load_result("results/ball"), form="plane", parameters=("Sa",))
     >>> sa.name, sa.unit, sa.value > sa.uncertainty > 0.0
     ('Sa', 'µm', True)
     """
+    from host_sync.api_arguments import as_path, surface_of
     from host_sync.measurement.measure import measure as measure_surface
     from host_sync.measurement.recipe import Recipe, checked, from_options, read_recipe
 
-    chosen = read_recipe(Path(recipe)) if recipe is not None else Recipe()
+    surface = surface_of(result)
+    chosen = read_recipe(as_path("recipe", recipe)) if recipe is not None else Recipe()
     chosen = checked(from_options(chosen, options), "options") if options else chosen
-    return measure_surface(result.surface, chosen).quantities
+    return measure_surface(surface, chosen).quantities
 
 
 def open_library(folder: str | Path) -> Library:
     """A library of pulled scans and calibrations; nothing is read yet.
 
+    Raises
+    ------
+    LibraryError
+        There is no such folder.
+
     >>> open_library("library").root.name
     'library'
     """
+    from host_sync.api_arguments import as_path
     from host_sync.library.library import Library
 
-    return Library(Path(folder))
+    library = Library(as_path("folder", folder))
+    library.require()
+    return library

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -10,12 +12,20 @@ import numpy as np
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
+from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration_file.kept_calibration import KeptCalibration
-from host_sync.errors import CalibrationFileError, FrameSetError
+from host_sync.errors import (
+    ArgumentError,
+    CalibrationFileError,
+    FrameSetError,
+    HostError,
+    IntegrationError,
+)
 from host_sync.frames.frame_set import FrameSpec, check_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.linear_light import frame_of_values, read_frame
+from host_sync.results.reader import ResultSurface, read_result
 
 if TYPE_CHECKING:
     from host_sync.api import Encoding, Image, Press
@@ -36,30 +46,146 @@ def check_calibration(given: object) -> None:
         )
 
 
+def surface_of(result: object) -> ResultSurface:
+    """The surface of a Result or of a result's folder.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither.
+    UnreadableResult
+        A file of the folder is missing or damaged.
+    """
+    if isinstance(surface := getattr(result, "surface", None), ResultSurface):
+        return surface
+    if isinstance(result, str | os.PathLike):
+        return read_result(as_path("result", result))
+    raise ArgumentError(f"result must be a Result, or the folder of one, not {type(result).__name__}")
+
+
+def as_path(name: str, given: object) -> Path:
+    """The path; ArgumentError when it is neither a text nor a path, or an empty text.
+
+    name : the argument's
+    """
+    if given == "":
+        raise ArgumentError(f"{name} must name a file or folder, and is an empty text")
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise ArgumentError(f"{name} must be a text or a pathlib.Path, not {type(given).__name__}")
+
+
+def as_paths(name: str, given: object) -> list[Path]:
+    """The paths of a list; errors as for `as_path`, and where it is none."""
+    if isinstance(given, str | os.PathLike) or not isinstance(given, Iterable):
+        raise ArgumentError(f"{name} must be a list of paths, not {type(given).__name__}")
+    return [as_path(f"{name}[{i}]", one) for i, one in enumerate(given)]
+
+
+def positive(name: str, given: object, error: type[HostError]) -> float:
+    """The number above zero; `error` when it is none."""
+    number = _number(given)
+    if math.isfinite(number) and number > 0.0:
+        return number
+    said = repr(given) if math.isnan(number) else f"{number:g}"
+    raise error(f"{name} {said} is out of range; accepted is a number above 0")
+
+
+def _number(given: Any) -> float:
+    """The number, NaN for anything else; a text is none."""
+    try:
+        return float("nan") if isinstance(given, str | bytes) else float(given)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
+def pitch_of(given: object) -> float:
+    """The pixel pitch of slopes, µm; IntegrationError when it is not a number above 0."""
+    return positive("pitch_um", given, IntegrationError)
+
+
+def gradient_field(p: object, q: object, weights: object) -> GradientField:
+    """The slopes and their weights as integration takes them, a hole wherever one of them is none.
+
+    Raises
+    ------
+    IntegrationError
+        One of them is no array of numbers, shapes differ, or every pixel is a hole.
+    """
+    slope_p, slope_q = _numbers("p", p), _numbers("q", q)
+    trusted = np.ones(slope_p.shape, np.float32) if weights is None else _numbers("weights", weights)
+    if slope_p.ndim != 2 or not slope_p.shape == slope_q.shape == trusted.shape:
+        shapes = f"p {slope_p.shape}, q {slope_q.shape}" + ("" if weights is None else f", weights {trusted.shape}")
+        raise IntegrationError(f"arrays must have one shape (H, W), got {shapes}")
+    valid = (trusted != 0.0) & np.isfinite(slope_p) & np.isfinite(slope_q)
+    if not valid.any():
+        raise IntegrationError("no pixel has finite slopes p and q and a weight above 0: nothing can be integrated")
+    return GradientField(slope_p, slope_q, valid, np.where(valid, trusted, np.float32(0.0)))
+
+
+def _numbers(name: str, given: Any) -> Float32Array:
+    """The array, float32; masked values become NaN (0 where they are weights)."""
+    wrong = IntegrationError(f"{name} must be an array of numbers of shape (H, W), not {type(given).__name__}")
+    if given is None or isinstance(given, str | bytes | os.PathLike | dict):
+        raise wrong
+    try:
+        values = np.ma.asanyarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
+        if (kind := values.dtype.kind) not in "biufO":
+            raise IntegrationError(
+                f"{name} must hold real numbers, not {'texts' if kind in 'US' else values.dtype.name}"
+            )
+        with np.errstate(over="ignore"):  # beyond single precision is infinite: a hole
+            numbers = values.astype(np.float32)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, IntegrationError):
+            raise
+        raise wrong from error
+    filled = np.ma.filled(numbers, np.float32(0.0 if name == "weights" else np.nan))
+    return np.ascontiguousarray(filled) if filled.ndim else filled
+
+
+def press_frames(presses: object, pixel_pitch_um: float, encoding: Encoding) -> tuple[PressFrame, ...]:
+    """The presses as calibration takes them; errors as for `press_frame`, ArgumentError where they are no list."""
+    if not isinstance(presses, Iterable):
+        raise ArgumentError(f"presses must be a list, [api.Press(...), ...], not {type(presses).__name__}")
+    return tuple(press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses))
+
+
 def press_frame(number: int, press: Press, pixel_pitch_um: float, encoding: Encoding) -> PressFrame:
     """The press as calibration takes it; FrameSetError when its image or a length is none."""
     if not hasattr(press, "ball_radius_mm"):
         raise FrameSetError(f"press {number} is a {type(press).__name__}: give api.Press(image, ball_radius_mm=...)")
-    for name, value in (("pixel_pitch_um", pixel_pitch_um), ("ball_radius_mm", press.ball_radius_mm)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise FrameSetError(f"{name} {value:g} is out of range; accepted is a number above 0")
+    pitch_um = positive("pixel_pitch_um", pixel_pitch_um, FrameSetError)
+    radius_px = positive("ball_radius_mm", press.ball_radius_mm, FrameSetError) * 1e3 / pitch_um
+    spacing = press.grid_pitch_mm
+    grid = None if spacing is None else GridSpacing(positive("grid_pitch_mm", spacing, FrameSetError))
     frame = linear_frame(press.image, encoding)
-    radius_px = press.ball_radius_mm * 1e3 / pixel_pitch_um
-    for i, ball in enumerate(press.balls or ()):
-        if len(ball) != 3:
-            raise FrameSetError(
-                f"press {number}: balls[{i}]: give (column, row, radius of the trusted contact), pixels"
-            )
-        check_ball(Ball(*ball, radius_px), frame.rgb.shape[:2], f"press {number}: balls[{i}]")
+    balls = None if press.balls is None else _balls(f"press {number}", press.balls, radius_px)
+    for i, ball in enumerate(balls or ()):
+        check_ball(ball, frame.rgb.shape[:2], f"press {number}: balls[{i}]")
     return PressFrame(
         name=f"press-{number:02d}",
         frame=frame,
         radius_px=radius_px,
-        balls=None if press.balls is None else tuple(Ball(*ball, radius_px) for ball in press.balls),
+        balls=balls,
         labelled_by_hand=press.balls is not None,
         source=Path(press.image).name if isinstance(press.image, str | Path) else "",
-        grid=GridSpacing(press.grid_pitch_mm) if press.grid_pitch_mm else None,
+        grid=grid,
     )
+
+
+def _balls(press: str, given: object, radius_px: float) -> tuple[Ball, ...]:
+    """Labelled balls; FrameSetError when one is not three numbers."""
+    if not isinstance(given, Iterable):
+        raise FrameSetError(f"{press}: balls must be a list, [(column, row, radius), ...], not {type(given).__name__}")
+    balls = []
+    for i, ball in enumerate(given):
+        numbers = [_number(one) for one in ball] if isinstance(ball, Iterable) else []
+        if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+            raise FrameSetError(f"{press}: balls[{i}]: give (column, row, radius of the trusted contact), pixels")
+        x, y, contact_px = numbers
+        balls.append(Ball(x, y, contact_px, radius_px))
+    return tuple(balls)
 
 
 def linear_frame(image: Image, encoding: Encoding) -> LinearFrame:

@@ -8,6 +8,10 @@ class HostError(Exception):
     """Root of every error that the workstation raises for bad input or an unusable state."""
 
 
+class ArgumentError(HostError, TypeError):
+    """An argument of a Python program has the wrong type. Give what the message names."""
+
+
 class FrameSetError(HostError, ValueError):
     """A frame set or one of its images cannot be used. Correct the file and key that the message names."""
 

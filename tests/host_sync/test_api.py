@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -20,7 +21,16 @@ from device.errors import OutputError
 from host_sync import api
 from host_sync.calibration_file.cache import SETTING
 from host_sync.calibration_file.kept_calibration import KeptCalibration
-from host_sync.errors import CalibrationFileError, FrameSetError, IntegrationError
+from host_sync.errors import (
+    ArgumentError,
+    CalibrationFileError,
+    FrameSetError,
+    HostError,
+    IntegrationError,
+    LibraryError,
+    MosaicError,
+    UnreadableResult,
+)
 from host_sync.mosaic.motion import Motion
 
 PUBLIC = {
@@ -43,6 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for name, right_px in (("left", -60.0), ("right", 60.0)):
             seen = pressed(target, Motion(0.0, right_px), (136, 182), random)
             write_press(press_of_map(name, seen), folder / "results")
+        (folder / "library").mkdir()
         patch.chdir(folder)
         yield folder
 
@@ -120,6 +131,24 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: _calibrate([api.Press("ball-0.png", 0.96, [(9999.0, 3.0, 20.0)])]),
         "press 0: balls[0]: its centre (9999, 3) is outside the frame, 384x288 pixels",
     ),
+    "a pitch in a text": (lambda: _calibrate(LABELLED, pixel_pitch_um="20"), "pixel_pitch_um '20' is out of range"),
+    "a radius in a text": (lambda: _calibrate([api.Press("ball-0.png", "1")]), "ball_radius_mm '1' is out of range"),  # type: ignore[arg-type]
+    "a grid of no pitch": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, grid_pitch_mm=-2.0)]),
+        "grid_pitch_mm -2 is out of range",
+    ),
+    "one ball, no list": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, (76.0, 80.0, 28.0))]),  # type: ignore[arg-type]
+        "press 0: balls[0]: give (column, row, radius of the trusted contact), pixels",
+    ),
+    "a ball in words": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, [("left", "top", "big")])]),  # type: ignore[list-item]
+        "press 0: balls[0]: give (column, row, radius of the trusted contact), pixels",
+    ),
+    "balls in a number": (
+        lambda: _calibrate([api.Press("ball-0.png", 0.96, 3)]),  # type: ignore[arg-type]
+        "press 0: balls must be a list, [(column, row, radius), ...], not int",
+    ),
     "a ball without a contact": (
         lambda: _calibrate([api.Press("ball-0.png", 0.96, [(76.0, 80.0)])]),  # type: ignore[list-item]
         "give (column, row, radius of the trusted contact)",
@@ -168,3 +197,106 @@ def test_holes_stay_holes_and_shapes_must_agree() -> None:
     assert np.isnan(z_um).sum() == 17
     with pytest.raises(IntegrationError):
         api.integrate(p, p.T)
+
+
+FLAT = np.zeros((20, 30))
+WRONG: dict[str, tuple[type[HostError], str, Callable[..., object]]] = {
+    "a name for p": (IntegrationError, "p must be an array of numbers of shape (H, W), not str", lambda: _slopes("p")),
+    "nothing for q": (IntegrationError, "q must be an array of .*, not NoneType", lambda: _slopes(FLAT, None)),
+    "words": (IntegrationError, "p must hold real numbers, not texts", lambda: _slopes([["1", "2"]] * 3)),
+    "rows of different lengths": (
+        IntegrationError,
+        "p must be an array of .*, not list",
+        lambda: _slopes([[1], [1, 2]]),
+    ),
+    "complex slopes": (IntegrationError, "p must hold real numbers, not complex128", lambda: _slopes(FLAT + 1j)),
+    "one row": (IntegrationError, "must have one shape (H, W), got p (5,), q (5,)", lambda: _slopes([0] * 5, [0] * 5)),
+    "colours": (IntegrationError, "got p (9, 9, 3), q (9, 9, 3)", lambda: _slopes(*np.zeros((2, 9, 9, 3)))),
+    "one transposed": (IntegrationError, "got p (20, 30), q (30, 20)", lambda: _slopes(FLAT, FLAT.T)),
+    "one weight": (IntegrationError, "q (20, 30), weights ()", lambda: _slopes(FLAT, FLAT, 1.0)),
+    "a name for weights": (
+        IntegrationError,
+        "weights must be an array of .*, not str",
+        lambda: _slopes(FLAT, FLAT, "w"),
+    ),
+    "NaN everywhere": (IntegrationError, "no pixel has finite slopes p and q", lambda: _slopes(FLAT * np.nan)),
+    "slopes beyond any float32": (IntegrationError, "no pixel has finite slopes", lambda: _slopes(FLAT + 1e300)),
+    "an empty array": (IntegrationError, "no pixel has finite slopes", lambda: _slopes(*np.zeros((2, 0, 0)))),
+    "a pitch in a text": (
+        IntegrationError,
+        "pitch_um '5' is out of range; accepted is a number above 0",
+        lambda: api.integrate(FLAT, FLAT, pitch_um="5"),  # type: ignore[arg-type]
+    ),
+    "a folder without a result": (UnreadableResult, "holds no result.json", lambda: api.measure("results")),
+    "an array to measure": (
+        ArgumentError,
+        "result must be a Result, or the folder of one, not ndarray",
+        lambda: api.measure(FLAT),  # type: ignore[arg-type]
+    ),
+    "a recipe in a table": (
+        ArgumentError,
+        "recipe must be a text or a pathlib.Path, not dict",
+        lambda: api.measure("results/ball", {"form": "plane"}),  # type: ignore[arg-type]
+    ),
+    "no library": (LibraryError, "nowhere: there is no library: pull", lambda: api.open_library("nowhere")),
+    "a library's name left empty": (ArgumentError, "folder must name a file or", lambda: api.open_library("")),
+    "a file for a library": (LibraryError, "flat.png: there is no library", lambda: api.open_library("flat.png")),
+    "one folder for a list": (
+        ArgumentError,
+        "results must be a list of paths, not str",
+        lambda: api.mosaic("results/left", "whole"),
+    ),
+    "results for folders": (
+        ArgumentError,
+        "results[0] must be a text or a pathlib.Path, not Result",
+        lambda: api.mosaic([api.load_result("results/left")], "whole"),  # type: ignore[list-item]
+    ),
+    "one press": (MosaicError, "two presses or more", lambda: api.mosaic(["results/left"], "whole")),
+    "nothing to load": (ArgumentError, "folder must be a text or .*, not NoneType", lambda: api.load_result(None)),  # type: ignore[arg-type]
+    "a number for a file": (ArgumentError, "path must be a text or .*, not int", lambda: api.load_calibration(3)),  # type: ignore[arg-type]
+    "a number for a frame set": (ArgumentError, "path must be a .*, not int", lambda: api.calibrate_frame_set(3)),  # type: ignore[arg-type]
+    "a number for a place": (
+        ArgumentError,
+        "out must be a text or a pathlib.Path, not int",
+        lambda: api.reconstruct("ball-6.png", _kept(), out=3),  # type: ignore[arg-type]
+    ),
+    "a press alone": (ArgumentError, r"presses must be a list, .*, not Press", lambda: _calibrate(LABELLED[0])),
+}
+
+
+def _slopes(p: Any, q: Any = FLAT, *weights: Any) -> object:
+    return api.integrate(p, q, *weights)
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_wrong_argument_ends_in_a_sentence_of_our_own(folder: Path, mistake: str) -> None:
+    kind, words, call = WRONG[mistake]
+    with pytest.raises(kind, match=re.escape(words).replace(r"\.\*", ".*")) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_folder_is_measured_like_its_result(folder: Path) -> None:
+    loaded = api.measure(api.load_result("results/ball"), parameters=("Sa",))
+    for place in ("results/ball", Path("results/ball")):
+        assert api.measure(place, parameters=("Sa",)) == loaded
+
+
+def test_masked_slopes_and_lists_are_taken() -> None:
+    p = np.ma.masked_equal(np.arange(48.0).reshape(6, 8) % 8, 3.0)
+    q = [[0.0] * 8] * 6
+    z_um = api.integrate(0.1 * p, q)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(np.isnan(z_um), p.mask)
+
+
+def test_every_type_in_a_signature_is_explained() -> None:
+    document = (Path(__file__).parents[2] / "docs" / "api-reference.md").read_text(encoding="utf-8")
+    texts = [
+        str(annotation)
+        for item in PUBLIC.values()
+        for member in (item, *(one.fget for one in vars(item).values() if isinstance(one, property)))
+        for annotation in getattr(member, "__annotations__", {}).values()
+    ]
+    named = set(re.findall(r"\b[A-Z]\w+", " ".join(texts))) - {"Any", "Literal", "None", "Path", "Sequence", *PUBLIC}
+    assert {"Float32Array", "KeptCalibration", "Quantity", "Image"} <= named
+    assert {name for name in named if f"`{name}`" not in document} == set()
