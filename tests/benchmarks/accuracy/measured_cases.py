@@ -62,7 +62,10 @@ def judged(
 ) -> Iterator[Case]:
     """Every number of a press of the named object (or ball) beside its truth."""
     masked = np.where(np.isfinite(found.height.z_um), truth_um, np.float32(np.nan)).astype(np.float32)
-    true = replace(found, height=HeightMap(masked, found.height.pitch_um), samples_um=None)
+    # The truth has one kind of detail and no noise: both are taken from it, none of the result's is left beside it.
+    record = msgspec.structs.replace(found.record, surface_detail="shrunk")
+    height = HeightMap(masked, found.height.pitch_um)
+    true = replace(found, height=height, other=None, record=record, samples_um=None, slope_sigma=None, sigma_um=None)
     for plain in RECIPES.get(name) or (_ball(contact, found.height.pitch_um),):
         recipe = msgspec.structs.replace(plain, scale=scale)
         pairs = zip(measure(found, recipe).quantities, measure(true, recipe).quantities, strict=True)
