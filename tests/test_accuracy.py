@@ -8,7 +8,17 @@ from scipy.ndimage import gaussian_filter1d
 
 from device.surface.fields import HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
-from tests.benchmarks.accuracy import ball_error, marks, methods, pattern, rendered_sets, sigma_coverage
+from host_sync.measurement.height_samples import StatedScale
+from host_sync.results.reader import ResultRecord, ResultSurface
+from tests.benchmarks.accuracy import (
+    ball_error,
+    marks,
+    measured_cases,
+    methods,
+    pattern,
+    rendered_sets,
+    sigma_coverage,
+)
 from tests.drawings.board.wiring import wired_boards
 
 PITCH_UM = 10.0
@@ -142,3 +152,22 @@ def test_every_board_that_is_wired_is_measured_as_built() -> None:
     assert set(marks.BUILT) | full == set(wired_boards())
     named = {mark.name for mark in marks.all_marks()}
     assert all(f"{board}: sinusoid of 8 px keeps" in named for board in marks.BUILT)
+
+
+@pytest.mark.parametrize("own", ["shrunk", "raw"])
+def test_numbers_of_a_result_are_judged_by_the_truth_whatever_detail_they_are_measured_on(own: str) -> None:
+    rows, columns, pitch_um = 900, 1200, 12.0
+    x_um = np.arange(columns) * pitch_um
+    truth_um = np.tile(10.0 * np.sin(2.0 * np.pi * x_um / 600.0), (rows, 1)).astype(np.float32)
+    record = ResultRecord(
+        schema="retrograph.result/1", name="made", rows=rows, columns=columns, pixel_pitch_um=pitch_um,
+        surface_detail=own,  # type: ignore[arg-type]
+    )  # fmt: skip
+    draws = (0.05 * np.linspace(-1.0, 1.0, 5))[:, None, None] * truth_um[None, ::4, ::4]
+    shown, other = (HeightMap((share * truth_um).astype(np.float32), pitch_um) for share in (1.1, 1.2))
+    found = ResultSurface(Path("made"), record, shown, draws.astype(np.float32), other=other)
+    contact = np.ones((rows, columns), np.bool_)
+    cases = {one.number: one for one in measured_cases.judged("sinusoid", found, truth_um, contact, StatedScale())}
+    rough = 1.1 if own == "raw" else 1.2
+    for number in ("sinusoid surface/Sa", "sinusoid line/Ra"):
+        assert cases[number].value / cases[number].truth == pytest.approx(rough, rel=1e-3)
