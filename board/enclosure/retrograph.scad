@@ -3,12 +3,10 @@
 //   openscad -D 'part="body"' -D 'board="pi5-imx296"' -o body.stl board/enclosure/retrograph.scad
 //
 // board: pi5-imx296, pi4-imx477 (for pi4-imx477-binned too). Another magnification is another height: print its own body.
-// part: body, led_holder (print 3), gel_frame, camera_plate, tray, saddle, panel_frame, panel_post (print 4), panel_clip (print 4),
-// cap, plate (machine it, do not print it), block (cast or machine it of acrylic and polish it), assembly (to look at, cut open).
-// panel: first-7-inch or touch-display-2, for panel_frame.
+// part: body, led_holder (print 3), gel_frame, camera_plate, tray, saddle, cap, plate (machine it, do not print it), block (cast
+// or machine it of acrylic and polish it), assembly (to look at, cut open).
 part = "assembly";
 board = "pi5-imx296";
-panel = "first-7-inch";
 
 /* [Optics: what the board profile and the lens say] */
 // Of each board: pixel of the sensor in um; pitch at the skin in um (sensor.pixel_pitch_um of the profile); columns and
@@ -59,20 +57,6 @@ strap_at = 72;              // above the skin: between button and the tray's upp
 saddle_size = [76, 64];     // along the body, across
 switch_hole = [9, 4.6];     // for the body of a slide switch, which is glued in; tune to yours
 
-/* [Panel: on top, on the camera plate's screws; held by its edge, so that the place of its own holes does not matter] */
-// Of each panel: its outside along and across, mm.
-panels = [
-    ["first-7-inch", [194, 110]],
-    ["touch-display-2", [189, 120]],
-];
-panel_depth = 20;           // from the panel's front to the hindmost of its back
-panel_edge = 3;             // thickness at its edge, foam tape included: it lies on the ledge there
-panel_play = 0.5;           // on each side
-panel_ledge = 4;            // how far the ledge reaches below the panel's edge, and a clip over it
-post_height = 23;           // from camera plate to frame: the camera's ribbon bends below
-beam = [12, 4];             // of the frame: width, thickness
-m3_long = 40;               // the screws that go through frame, post and camera plate into the body
-
 /* [Calibration cap] */
 ball_r = 1.0;               // 2.000 mm bearing balls, grade 10 or better
 ball_pitch = 2.5;
@@ -115,15 +99,6 @@ led_pitch = led + 0.1;
 holder_r = (led_pitch * (leds - 1) + led) / 2 + 1.6;
 clear_top = (facet_at - block_top * sin(block_elevation)) / cos(block_elevation);
 half_diagonal = norm(field) / 2;
-plate_screw = (outer_r + 2) * cos(45);                              // of the camera plate's screws, along and across
-shown = let(found = search([panel], panels)[0])
-    assert(is_num(found), str("no frame for panel ", panel, "; there is one for ", [for (known = panels) known[0]]))
-    panels[found][1];
-panel_half = (shown + [2, 2] * (panel_play + wall)) / 2;            // of the frame, along and across
-frame_height = beam.y + panel_depth + 1;                            // up to the panel's front, and air below it
-panel_shift = min(0, outer_r + 6 - panel_half.y);                   // away from the tray, whose boards stand higher than the plate
-post_r = 4.5;
-clip_screw = [panel_half.x - wall - 9, panel_half.y + 4];           // of the clips' screws, outside the frame's long walls
 
 echo(sensor_z = sensor_z, camera_z = camera_z, seat_z = seat_z, by_the_lens = by_the_lens, body_top = body_top);
 echo(optical_shift = optical_shift, block_elevation = block_elevation, clear_top = clear_top);
@@ -149,10 +124,6 @@ assert(ball_stands_out >= indentation + 0.2, "the plate touches the skin before 
 assert(ball_stands_out <= ball_r, "the plate holds less than half of each ball: they fall out");
 assert(ball_pitch > 2 * ball_r * sin(40) + 0.8, "the balls stand too near for the skin to come down between them");
 assert((balls.x - 1) * ball_pitch + 2 * ball_r < field.x + 2, "the grid is wider than the field");
-assert(plate_screw - panel_shift + beam.x / 2 <= panel_half.y, "the posts stand outside the panel's frame: move it back");
-assert(panel_ledge <= 6, "a clip covers what the panel shows");
-assert(m3_long - beam.y - post_height - plate_height >= 6, "the long screws hold fewer than 6 mm of the body: take longer ones");
-assert(m3_long - beam.y - post_height - plate_height <= 10, "the long screws are longer than their holes: take shorter ones");
 
 // --- parts -------------------------------------------------------------------------------------------------------------
 
@@ -278,84 +249,6 @@ module saddle() {
     }
 }
 
-// Where the four screws of the camera plate pass the panel's frame, whose middle is the origin, long side along x.
-post_places = [for (along = [-1, 1], across = [-1, 1]) [along * plate_screw, across * plate_screw + panel_shift]];
-
-// Open frame for a panel: beams on which the posts stand, walls around the panel, a ledge below its edge. Printed as it stands.
-module panel_frame() {
-    inside = panel_half - [wall, wall];
-    ledge = frame_height - panel_edge;
-    bar = panel_ledge * sqrt(2);
-    difference() {
-        union() {
-            difference() {
-                union() {
-                    difference() {
-                        panel_box(panel_half, 0, frame_height);
-                        panel_box(inside, -1, frame_height + 1);
-                    }
-                    // The ledge below the panel's edge: bars on edge, so that it needs no support.
-                    intersection() {
-                        panel_box(panel_half, 0, frame_height);
-                        union() {
-                            for (side = [-1, 1]) {
-                                translate([-inside.x, side * inside.y, ledge]) rotate([45, 0, 0])
-                                    translate([0, -bar / 2, -bar / 2]) cube([2 * inside.x, bar, bar]);
-                                translate([side * inside.x, -inside.y, ledge]) rotate([0, 45, 0])
-                                    translate([-bar / 2, 0, -bar / 2]) cube([bar, 2 * inside.y, bar]);
-                            }
-                        }
-                    }
-                }
-                panel_box(inside, ledge, frame_height + 1);
-                // Cables, and air.
-                for (side = [-1, 1]) {
-                    for (along = [-60, 0, 60]) translate([along - 20, side * panel_half.y - 5, beam.y]) cube([40, 10, frame_height - 18]);
-                    translate([side * panel_half.x - 5, -30, beam.y]) cube([10, 60, frame_height - 18]);
-                }
-            }
-            for (at = post_places) {
-                translate([at.x - beam.x / 2, -panel_half.y, 0]) cube([beam.x, 2 * panel_half.y, beam.y]);
-                translate([-panel_half.x, at.y - beam.x / 2, 0]) cube([2 * panel_half.x, beam.x, beam.y]);
-            }
-            for (along = [-1, 1], across = [-1, 1]) translate([along * clip_screw.x, across * clip_screw.y, 0])
-                translate([-5, across > 0 ? -4.5 : -4, 0]) cube([10, 8.5, frame_height]);
-        }
-        for (at = post_places) translate([at.x, at.y, -1]) cylinder(r = m3 / 2, h = beam.y + 2);
-        for (along = [-1, 1], across = [-1, 1]) translate([along * clip_screw.x, across * clip_screw.y, frame_height - 10])
-            cylinder(r = m3_tapped / 2, h = 11);
-    }
-}
-
-module panel_box(half, low, high) translate([-half.x, -half.y, low]) cube([2 * half.x, 2 * half.y, high - low]);
-
-// Between camera plate and panel's frame; a long screw goes through.
-module panel_post() {
-    difference() {
-        cylinder(r = post_r, h = post_height);
-        translate([0, 0, -1]) cylinder(r = m3 / 2, h = post_height + 2);
-    }
-}
-
-// Holds a corner of the panel down on the ledge; screwed beside it.
-module panel_clip() {
-    reach = clip_screw.y - panel_half.y + wall + panel_ledge;        // from the screw over the wall to the panel's edge
-    difference() {
-        translate([-5, -4, 0]) cube([10, 4 + reach, 2.4]);
-        translate([0, 0, -1]) cylinder(r = m3 / 2, h = 5);
-    }
-}
-
-// Frame and posts where they stand over the camera plate, the panel as a block.
-module panel_seat() {
-    for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, 0]) panel_post();
-    translate([0, 0, post_height]) rotate(90) translate([0, -panel_shift, 0]) {
-        panel_frame();
-        for (along = [-1, 1], across = [-1, 1]) translate([along * clip_screw.x, across * clip_screw.y, frame_height])
-            rotate(across > 0 ? 180 : 0) panel_clip();
-    }
-}
-
 // What the camera's seat and the lens may fill, to look at.
 module camera() {
     translate([0, 0, seat_z - lens.y]) cylinder(d = lens.x, h = lens.y);
@@ -396,7 +289,6 @@ module assembly() {
             color("dimgray") body();
             color("gray") gel_frame();
             color("black") translate([0, 0, body_top]) camera_plate();
-            color("gray") translate([0, 0, body_top + plate_height]) panel_seat();
             translate([0, 0, -18]) {
                 color("goldenrod") translate([0, 0, -plate_thickness - 0.75]) plate();
                 color("slategray") cap();
@@ -418,9 +310,6 @@ else if (part == "gel_frame") gel_frame();
 else if (part == "camera_plate") camera_plate();
 else if (part == "tray") tray();
 else if (part == "saddle") saddle();
-else if (part == "panel_frame") panel_frame();
-else if (part == "panel_post") panel_post();
-else if (part == "panel_clip") panel_clip();
 else if (part == "cap") cap();
 else if (part == "plate") plate();
 else if (part == "block") block();

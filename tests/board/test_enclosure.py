@@ -12,11 +12,8 @@ import pytest
 from hal.board_profile import load_board_profile
 
 SOURCE = Path(__file__).parents[2] / "board" / "enclosure" / "retrograph.scad"
-PARTS = (
-    *("body", "led_holder", "gel_frame", "camera_plate", "tray", "saddle"),
-    *("panel_frame", "panel_post", "panel_clip", "cap", "plate", "block", "assembly"),
-)
-QUICK = ("led_holder", "gel_frame", "saddle", "panel_post", "panel_clip", "cap", "block")
+PARTS = ("body", "led_holder", "gel_frame", "camera_plate", "tray", "saddle", "cap", "plate", "block", "assembly")
+QUICK = ("led_holder", "gel_frame", "saddle", "cap", "block")
 
 PIXEL_UM = {"IMX296": 3.45, "IMX477": 1.55}
 """Makers' data of the sensors, unbinned."""
@@ -172,37 +169,6 @@ def test_small_parts_are_one_closed_body(part: str, tmp_path: Path) -> None:
     closed_body(part, tmp_path)
 
 
-def screws(part: str, folder: Path, *definitions: str) -> set[tuple[float, float]]:
-    """Places across, mm, of the round holes of a part that an M3 screw passes."""
-    out = folder / f"{part}.csg"
-    ran = openscad(out, f'part="{part}"', *definitions)
-    assert ran.returncode == 0, ran.stderr
-    place = r"\[1, 0, 0, ([-\d.e]+)\], \[0, 1, 0, ([-\d.e]+)\]"
-    hole = rf"{place}[^{{]*{{\s*cylinder\([^)]*r1 = {parameter('m3')[0] / 2:g},"
-    return {(float(x), float(y)) for x, y in re.findall(hole, out.read_text(encoding="utf-8"))}
-
-
-@needs_openscad
-@pytest.mark.parametrize(("panel", "size"), [("first-7-inch", (194.0, 110.0)), ("touch-display-2", (189.0, 120.0))])
-def test_the_panels_frame_stands_on_the_camera_plates_screws_beside_the_tray(
-    panel: str, size: tuple[float, float], tmp_path: Path
-) -> None:
-    (inner,), (wall,), (play,) = (parameter(name) for name in ("inner_r", "wall", "panel_play"))
-    long, across = (length + 2 * (play + wall) for length in size)
-    places = screws("panel_frame", tmp_path, f'panel="{panel}"')
-    assert len(places) == 4
-    # Of the camera plate they lie on a circle, a quarter turn apart; the frame is moved along its short side alone.
-    side = (inner + wall + 2.0) * math.sqrt(2.0)
-    along, beside = sorted({x for x, _ in places}), sorted({y for _, y in places})
-    assert along == pytest.approx([-side / 2, side / 2], abs=0.01)
-    assert beside[1] - beside[0] == pytest.approx(side, abs=0.01)
-    shift = sum(beside) / 2
-    # The tray stands 8 mm before the body: the frame's long wall ends before it, and the posts stand inside the walls.
-    assert shift + across / 2 < inner + wall + 8.0
-    assert abs(shift) + side / 2 < across / 2 - wall
-    assert long < 220.0, "the frame does not fit the bed of a common printer"
-
-
 @pytest.mark.slow
 @needs_openscad
 @pytest.mark.parametrize("part", sorted(set(PARTS) - set(QUICK) - {"assembly"}))
@@ -228,11 +194,6 @@ def test_large_parts_are_one_closed_body(part: str, tmp_path: Path) -> None:
         ("light_board_holes=12", "break out of the sleeve"),
         ("ball_pitch=1.5", "the balls stand too near"),
         ("ball_stands_out=1.2", "they fall out"),
-        ('panel="tablet"', "no frame for panel tablet; there is one for"),
-        ("post_height=12", "the long screws are longer than their holes"),
-        ("m3_long=35", "the long screws hold fewer than 6 mm"),
-        ("panel_ledge=9", "a clip covers what the panel shows"),
-        ('panels=[["first-7-inch", [120, 50]]]', "the posts stand outside the panel's frame"),
         ('part="lid"', "there is no part lid"),
     ],
 )
