@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from hal.decoding import decode_toml
 from hal.errors import BoardProfileError
 from hal.frame import AS_GRANTED, CameraSettings, StatedOrder
 from hal.optics_tables import BeamConfig, LensConfig
@@ -250,12 +251,12 @@ def load_board_profile(name_or_path: str | Path) -> BoardProfile:
     except OSError as error:
         raise BoardProfileError(f"{path}: cannot be read ({error.strerror}); name a profile or a .toml file") from error
     try:
-        profile = msgspec.toml.decode(data, type=BoardProfile)
+        profile = decode_toml(data, BoardProfile)
     except msgspec.ValidationError as error:
-        problem = explain_with_accepted(error, BoardProfile, msgspec.toml.decode(data))
+        problem = explain_with_accepted(error, BoardProfile, decode_toml(data, dict))
         raise BoardProfileError(f"{path}: {problem}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BoardProfileError(f"{path}: is not TOML: {error}") from error
+    except msgspec.DecodeError as error:
+        raise BoardProfileError(f"{path}: {error}: name a board profile") from error
     _check(profile, path)
     return profile
 

@@ -116,3 +116,30 @@ def test_a_wrong_argument_is_one_sentence(program: str, capsys: pytest.CaptureFi
         assert told.err.startswith(f"{program}: ")
         assert told.err.count("\n") == 1
         assert told.out == ""
+
+
+READS_A_FILE = {
+    "a board profile": "retroscan --board FILE.toml status",
+    "a frame set": "retrosync reconstruct FILE.toml --out results",
+    "a frame set to calibrate": "retrosync calibrate FILE.toml --out gel.calibration",
+    "a frame set for figures": "retrosync paper-figures FILE.toml --out pictures",
+    "a recipe": "retrosync measure results/coin --recipe FILE.toml",
+    "a recipe of the watch": "retrosync watch --library . --recipe FILE.toml",
+    "a report's template": "retrosync report results/coin --template FILE.toml --out report",
+    "a table": "retrosync gage-rr --table FILE.toml",
+}
+
+
+@pytest.mark.parametrize("name", READS_A_FILE)
+@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\0\0", 'name = "x"'.encode("utf-16")], ids=["picture", "UTF-16"])
+def test_a_file_that_is_not_text_is_one_sentence(
+    name: str, data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FILE.toml").write_bytes(data)
+    program, words = split(READS_A_FILE[name])
+    assert PROGRAMS[program][1](words) == 2
+    told = capsys.readouterr()
+    assert re.fullmatch(rf"{program}: FILE\.toml: is not [^\n]*text[^\n]*\n", told.err)
+    assert "codec" not in told.err
+    assert [path.name for path in tmp_path.iterdir()] == ["FILE.toml"]

@@ -17,6 +17,7 @@ import msgspec
 
 from device.errors import RecordError
 from device.io.folder import FileTooLarge, Folder, IrregularFile, open_regular
+from hal.decoding import decode_json
 from hal.validation import explain_validation
 
 CHUNK_BYTES: Final = 1 << 20
@@ -104,16 +105,16 @@ def decode_record(data: bytes, kind: type[RecordT], source: str | Path, remedy: 
     """
     known = kind.__struct_config__.tag
     try:
-        found = msgspec.json.decode(data, type=_Header).schema
+        found = decode_json(data, _Header).schema
         if found != known:
             raise RecordError(
                 f"{source}: its version is {found[:100]!r}, this program reads {known!r}: use a program that reads it"
             )
-        return msgspec.json.decode(data, type=kind)
+        return decode_json(data, kind)
     except msgspec.ValidationError as error:
         raise RecordError(f"{source}: {explain_validation(error)}: {remedy}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordError(f"{source}: is not valid JSON ({error}): {remedy}") from error
+    except msgspec.DecodeError as error:
+        raise RecordError(f"{source}: {error}: {remedy}") from error
 
 
 def sha256_bytes(data: bytes) -> str:

@@ -17,6 +17,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from device.bundles.fingerprint import Fingerprint
+from hal.decoding import decode_json
 from hal.frame import BayerOrder
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
@@ -129,7 +130,7 @@ def _facts(archive: zipfile.ZipFile, name: str) -> Facts:
     if entry.file_size > MAX_FACTS_BYTES:
         raise CalibrationFileError(f"{name}: is no calibration file: calibrate again")
     try:
-        return msgspec.json.decode(archive.read(entry), type=Facts)
+        return decode_json(archive.read(entry), Facts)
     except msgspec.MsgspecError as error:
         raise CalibrationFileError(
             f"{name}: is no calibration of this version of retrograph ({error}): calibrate again"

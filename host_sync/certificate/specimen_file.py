@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from hal.decoding import decode_toml
 from host_sync.errors import MeasurementError
 from host_sync.frames.frame_set_file import ImageNames
 from host_sync.measurement.recipe import Label, Length, Place, Rectangle
@@ -93,10 +94,10 @@ def read_specimen(path: Path) -> SpecimenFile:
         Names the file, the key, and what is wrong with it.
     """
     try:
-        specimen = msgspec.toml.decode(path.read_bytes(), type=SpecimenFile)
+        specimen = decode_toml(path.read_bytes(), SpecimenFile)
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a specimen's TOML file") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except msgspec.DecodeError as error:
         # A ValidationError is a DecodeError too; its text names the key.
         raise MeasurementError(f"{path}: {error}: see docs/certificate.md") from error
     _check(specimen, path)

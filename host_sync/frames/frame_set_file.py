@@ -8,6 +8,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from hal.decoding import decode_toml
 from hal.validation import explain_validation
 from host_sync.errors import FrameSetError
 
@@ -107,17 +108,15 @@ def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
 
 def _decode(path: Path) -> FileTable:
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=FileTable)
+        return decode_toml(path.read_bytes(), FileTable)
     except OSError as error:
         raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name a frameset.toml") from error
     except msgspec.ValidationError as error:
         problem = explain_validation(error)
         accepted = "; accepted: 'linear', 'srgb'" if problem.startswith("encoding: ") else ""
         raise FrameSetError(f"{path}: {problem}{accepted}") from error
-    except UnicodeDecodeError as error:
-        raise FrameSetError(f"{path}: is not TOML, for it holds no text in UTF-8: name a frameset.toml") from error
     except msgspec.DecodeError as error:
-        raise FrameSetError(f"{path}: is not TOML: {error}") from error
+        raise FrameSetError(f"{path}: {error}: name a frameset.toml") from error
 
 
 def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import csv
-import json
 import zipfile
 import zlib
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
+from hal.decoding import decode_json
 from host_sync.errors import FrameSetError
 from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
@@ -52,11 +53,13 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     facts: dict[str, object] = {}
     if (source / METADATA).is_file():
         try:
-            facts = json.loads((source / METADATA).read_text())
-        except (OSError, ValueError) as error:
-            raise FrameSetError(f"{source / METADATA}: is no JSON ({error}): annotate again") from error
-        if not isinstance(facts, dict):
-            raise FrameSetError(f"{source / METADATA}: is no table of facts: annotate again")
+            facts = decode_json((source / METADATA).read_bytes(), dict[str, object])
+        except OSError as error:
+            raise FrameSetError(f"{source / METADATA}: cannot be read ({error.strerror}): annotate again") from error
+        except msgspec.ValidationError as error:
+            raise FrameSetError(f"{source / METADATA}: is no table of facts: annotate again") from error
+        except msgspec.DecodeError as error:
+            raise FrameSetError(f"{source / METADATA}: {error}: annotate again") from error
     scale, radius_mm = facts.get("px_per_mm"), facts.get("probe_radius_mm")
     pitch_um = said.pixel_pitch_um or (1e3 / scale if isinstance(scale, int | float) and scale > 0 else None)
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import msgspec
 
 from device.io.atomic import replace_file
+from hal.decoding import decode_json
+from hal.validation import explain_validation
 from host_sync.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -58,11 +60,13 @@ def read_labels(root: Path) -> Labels:
         if not path.is_file():
             return Labels()
         data = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
-        return msgspec.json.decode(data, type=Labels)
+        return decode_json(data, Labels)
     except OSError as error:
         raise LibraryError(f"{path}: cannot be read ({error.strerror}): move it away") from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LibraryError(f"{path}: is damaged ({error}): mend it, or move it away") from error
+    except msgspec.ValidationError as error:
+        raise LibraryError(f"{path}: is damaged ({explain_validation(error)}): mend it, or move it away") from error
+    except msgspec.DecodeError as error:
+        raise LibraryError(f"{path}: {error}: mend it, or move it away") from error
 
 
 def label_scan(

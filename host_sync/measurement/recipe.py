@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from hal.decoding import decode_toml
 from hal.validation import split_validation
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import MAX_DEGREE
@@ -239,11 +240,11 @@ def recipe_of(data: bytes, source: str) -> Recipe:
     source : its name in errors
     """
     try:
-        recipe = msgspec.toml.decode(data, type=Recipe)
+        recipe = decode_toml(data, Recipe)
     except msgspec.ValidationError as error:
         raise MeasurementError(f"{source}: {_explained(error)}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(f"{source}: is not TOML: {error}") from error
+    except msgspec.DecodeError as error:
+        raise MeasurementError(f"{source}: {error}: name a recipe") from error
     return checked(recipe, source)
 
 

@@ -9,6 +9,7 @@ import cv2
 import msgspec
 import numpy as np
 
+from hal.decoding import decode_toml
 from hal.validation import split_validation
 from host_sync.errors import MeasurementError
 from host_sync.report.content import Picture
@@ -53,7 +54,7 @@ def read_template(path: Path) -> tuple[Template, Picture | None]:
         Names the file, the key, and what is accepted.
     """
     try:
-        template = msgspec.toml.decode(path.read_bytes(), type=Template)
+        template = decode_toml(path.read_bytes(), Template)
     except OSError as error:
         raise MeasurementError(
             f"{path}: cannot be read ({error.strerror}): name a report's template in TOML"
@@ -64,8 +65,8 @@ def read_template(path: Path) -> tuple[Template, Picture | None]:
         raise MeasurementError(
             f"{path}: {key}: {problem}; accepted keys are {known}; parts: {', '.join(PARTS)}"
         ) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(f"{path}: is not TOML: {error}") from error
+    except msgspec.DecodeError as error:
+        raise MeasurementError(f"{path}: {error}: name a report's template") from error
     if "numbers" not in template.parts:
         raise MeasurementError(f"{path}: parts: a report has numbers: add them")
     return template, _logo(path.parent / template.logo) if template.logo else None

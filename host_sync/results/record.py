@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array
+from hal.decoding import decode_json
 from hal.validation import explain_validation
 from host_sync.errors import UnreadableResult
 from host_sync.results.doubt import Doubt
@@ -266,13 +267,13 @@ def _decoded(path: Path) -> dict[str, Any]:
             )
         if path.stat().st_size > MAX_RECORD_BYTES:
             raise UnreadableResult(f"{path}: is larger than any record: reconstruct the scan again")
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        return decode_json(path.read_bytes(), dict[str, Any])
     except OSError as error:
         raise UnreadableResult(f"{path}: cannot be read ({error.strerror}): reconstruct the scan again") from error
     except msgspec.ValidationError as error:
         raise UnreadableResult(f"{path}: {explain_validation(error)}: reconstruct the scan again") from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UnreadableResult(f"{path}: is not JSON ({error}): reconstruct the scan again") from error
+    except msgspec.DecodeError as error:
+        raise UnreadableResult(f"{path}: {error}: reconstruct the scan again") from error
 
 
 def _well_typed(entries: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any]:
