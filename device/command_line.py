@@ -1,17 +1,21 @@
-"""What both command lines share: a table of commands with examples, completion, what is wrong with arguments.
+"""What both command lines share: commands with examples, help, completion, JSON, what is wrong with arguments.
 
 A command is named by "module:function" and imported when it is called or its help is shown.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-from cyclopts import App, CycloptsError, Parameter, UnknownCommandError
+from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownCommandError
+
+if TYPE_CHECKING:
+    from cyclopts.help import HelpPanel
 
 BAD_ARGUMENTS: Final = 2
 
@@ -31,16 +35,20 @@ class Command(NamedTuple):
 
 
 def make_app(name: str, purpose: str, exit_codes: str) -> App:
-    """A program without commands, which knows `--version` and `--install-completion`."""
+    """A program without commands, which knows `--version` and `--install-completion`.
+
+    A flag that is on by default names the option that switches it off; others have none.
+    """
     app = App(
         name=name,
         version=lambda: f"retrograph {version('retrograph')}",
         help=purpose,
         help_epilogue=exit_codes,
         help_format="plaintext",
-        default_parameter=Parameter(negative_iterable=()),
+        default_parameter=Parameter(negative=(), show_default=_shown_default),
         suppress_keyboard_interrupt=False,
     )
+    app.help_formatter = HelpFormatter(app)
     words = "Install completion for bash, zsh or fish; takes effect in a new shell."
     app.register_install_completion_command(help=words)
     return app
@@ -58,6 +66,66 @@ def add_commands(app: App, commands: Iterable[Command]) -> None:
         )
 
 
+def _shown_default(value: object) -> str | None:
+    """The default as help shows it; None for those that go without saying: nothing, off, and an empty list."""
+    if value is None or value is False or value == ():
+        return None
+    return "on" if value is True else str(value)
+
+
+class HelpFormatter:
+    """Help pages of cyclopts whose texts fill the line, and whose usage names the arguments.
+
+    A docstring's line ends are not the terminal's, so they become spaces; `[ARGS...]` becomes such as `[SCANS...]`.
+    Console, its options and texts are those of rich, which cyclopts hands over.
+    """
+
+    def __init__(self, app: App) -> None:
+        self._app = app
+
+    def __call__(self, console: Any, options: Any, panel: HelpPanel) -> None:
+        """Print a panel of commands, arguments or options."""
+        from cyclopts.help.formatters import DefaultFormatter  # here and below: only help needs it
+
+        for entry in panel.entries:
+            text = getattr(entry.description, "primary_renderable", None)
+            if text is not None:
+                entry.description.primary_renderable = type(text)(" ".join(text.plain.split()))
+        DefaultFormatter()(console, options, panel)
+
+    def render_usage(self, console: Any, options: Any, usage: Any) -> None:
+        """Print the usage, a text of rich or a string."""
+        from cyclopts.help.formatters import DefaultFormatter
+
+        words = str(usage).split()
+        if words[-1] in ("[ARGS]", "[ARGS...]"):
+            words[-1:] = self._optional_arguments(words[1:])
+            usage = type(usage)(" ".join(words) + "\n")
+        DefaultFormatter().render_usage(console, options, usage)
+
+    def _optional_arguments(self, words: Sequence[str]) -> list[str]:
+        """Optional arguments of the command that the words begin with."""
+        app = self._app
+        for word in words:
+            if word.startswith(("-", "[")) or word not in app:
+                break
+            app = app[word]
+        found = []
+        for argument in app.assemble_argument_collection():
+            kind = argument.field_info.kind
+            if argument.show and not argument.required and kind != kind.KEYWORD_ONLY:
+                found.append(f"[{argument.name.lstrip('-').upper()}{'...' if kind == kind.VAR_POSITIONAL else ''}]")
+        return found
+
+
+def print_json(document: object) -> None:
+    """Print a document to standard output as one line of JSON; paths and times become texts."""
+    import msgspec
+
+    sys.stdout.write(msgspec.json.encode(document, enc_hook=str).decode() + "\n")
+    sys.stdout.flush()
+
+
 def examples_text(examples: Sequence[str]) -> str:
     """The block of examples at the end of a command's help."""
     return "\n".join(["Examples:", *(f"  {line}" for line in examples)]) if examples else ""
@@ -67,6 +135,9 @@ def sentence(error: CycloptsError, app: App) -> str:
     """What is wrong with the arguments, as one line."""
     if isinstance(error, UnknownCommandError) and error.unused_tokens:
         return unknown_command(error.unused_tokens[0], app)  # its own words would import every command
+    if isinstance(error, MissingArgumentError) and error.argument is not None and error.argument.index is not None:
+        command = " ".join((app.name[0], *(error.command_chain or ())))
+        return f"{error.argument.name.lstrip('-').upper()} is missing: `{command} --help` explains it"
     return " ".join(str(error).split())
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -68,6 +70,8 @@ def test_a_wrong_example_does_not_parse() -> None:
         "retrosync measure -k 3",
         "retrosync nope",
         "retroscan focus --frames 0",
+        "retroscan list --no-json",
+        "retrosync list --no-json",
     ):
         with pytest.raises(CycloptsError):
             parse(wrong)
@@ -143,3 +147,79 @@ def test_a_file_that_is_not_text_is_one_sentence(
     assert re.fullmatch(rf"{program}: FILE\.toml: is not [^\n]*text[^\n]*\n", told.err)
     assert "codec" not in told.err
     assert [path.name for path in tmp_path.iterdir()] == ["FILE.toml"]
+
+
+def rows_of_panels(page: str) -> list[str]:
+    """The rows inside the frames of a help page."""
+    return [line[2:-2] for line in page.split("\n") if line.startswith("│ ")]
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("name", [*EVERY_NAME, "retroscan", "retrosync"])
+def test_texts_of_help_fill_their_lines(
+    name: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    program, words = split(name)
+    assert PROGRAMS[program][1]([*words, "--help"]) == 0
+    page = capsys.readouterr().out
+    assert max(map(len, page.split("\n"))) <= columns or "Examples" in page
+    rows = rows_of_panels(page)
+    assert rows
+    for row, following in pairwise(rows):
+        indent = len(following) - len(following.lstrip())
+        if indent >= 8 and row.strip() and not following[:indent].strip():
+            first_word = following.split()[0]
+            assert len(row.rstrip()) + 1 + len(first_word) > len(row), f"{row!r} has room for {first_word!r}"
+
+
+@pytest.mark.parametrize("name", EVERY_NAME)
+def test_usage_names_every_argument(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, words = split(name)
+    assert PROGRAMS[program][1]([*words, "--help"]) == 0
+    usage = capsys.readouterr().out.split("\n")[0]
+    assert usage.startswith("Usage: ")
+    assert "ARGS" not in usage
+    for argument in app_of(name).assemble_argument_collection():
+        if argument.show and argument.field_info.kind != argument.field_info.KEYWORD_ONLY:
+            assert argument.name.lstrip("-").upper() in usage
+
+
+@pytest.mark.parametrize("name", EVERY_NAME)
+def test_only_a_flag_that_is_on_has_an_option_to_switch_it_off(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, words = split(name)
+    assert PROGRAMS[program][1]([*words, "--help"]) == 0
+    shown = set(re.findall(r"--no-[a-z0-9-]+", capsys.readouterr().out.partition("Examples:")[0]))
+    on = {one.name for one in app_of(name).assemble_argument_collection() if one.field_info.default is True}
+    assert shown == {f"--no-{option.removeprefix('--')}" for option in on}
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("retrosync pull", "retrosync: SOURCE is missing: `retrosync pull --help` explains it\n"),
+        ("retrosync same-spot one", "retrosync: SECOND is missing: `retrosync same-spot --help` explains it\n"),
+        (
+            "retroscan calibrations use",
+            "retroscan: CALIBRATION_ID is missing: `retroscan calibrations use --help` explains it\n",
+        ),
+    ],
+)
+def test_a_missing_argument_is_named(line: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, words = split(line)
+    assert PROGRAMS[program][1](words) == 2
+    assert capsys.readouterr().err == sentence
+
+
+def test_both_programs_print_json_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scans").mkdir()
+    for line in (
+        f"retroscan --board twin --store {tmp_path} list --json",
+        f"retrosync list --library {tmp_path} --json",
+    ):
+        program, words = split(line)
+        assert PROGRAMS[program][1](words) == 0
+        told = capsys.readouterr().out
+        assert isinstance(json.loads(told), dict)
+        assert told.count("\n") == 1
+        assert ": " not in told

@@ -29,6 +29,7 @@ PORTABLE_HAL = {
     "hal",
     "hal.board_profile",
     "hal.clock",
+    "hal.decoding",
     "hal.errors",
     "hal.frame",
     "hal.interfaces",

@@ -52,13 +52,6 @@ def print_note(line: str) -> None:
     sys.stderr.flush()
 
 
-def print_json(document: Any) -> None:
-    """Print a document as one line of JSON."""
-    import msgspec
-
-    print_line(msgspec.json.encode(document).decode())
-
-
 def print_error(what: object) -> None:
     """Print an error or warning to standard error, after the program's name."""
     sys.stderr.write(f"retroscan: {what}\n")

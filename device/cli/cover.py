@@ -11,8 +11,9 @@ from cyclopts.validators import Number
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
-from device.cli.console import Count, Given, open_store, print_json, print_line, print_note, store_folder
+from device.cli.console import Count, Given, open_store, print_line, print_note, store_folder
 from device.cli.instrument_commands import Labels, annotations_of, cue_lift
+from device.command_line import print_json
 from device.guidance.cover_task import FIRST_PRESS, MAX_AREA_MM, CoverTask
 from device.guidance.covering import Stand
 from device.instrument.history import read_quick_look

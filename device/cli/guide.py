@@ -11,7 +11,8 @@ from device.acquisition.capture import capture
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
-from device.cli.console import Count, Given, Text, open_store, print_json, print_line, print_note, store_folder
+from device.cli.console import Count, Given, Text, open_store, print_line, print_note, store_folder
+from device.command_line import print_json
 from device.errors import RecordError
 from device.guidance.placement import Placement, Target
 from device.guidance.way_back import on_the_spot, placed, sentence

@@ -28,7 +28,6 @@ from device.cli.console import (
     Text,
     open_store,
     print_error,
-    print_json,
     print_line,
     print_note,
     store_folder,
@@ -36,6 +35,7 @@ from device.cli.console import (
 from device.cli.headless import run_headless
 from device.cli.pairing import import_inbox
 from device.cli.service import ServiceReport
+from device.command_line import print_json
 from device.errors import CaptureModeRefused
 from device.imaging.exposure import Brightness
 from device.instrument.calibration_ball import BALL_RADIUS_MM

@@ -6,7 +6,8 @@ from typing import Any
 
 from device.acquisition.gel_profile import profile_with_mounted_gel
 from device.acquisition.scanner import BYTES_PER_PIXEL
-from device.cli.console import Given, open_store, print_json, print_line
+from device.cli.console import Given, open_store, print_line
+from device.command_line import print_json
 from device.errors import DeviceError
 from device.instrument.history import ScanEntry, read_history
 from device.store.eviction import acknowledged_scans

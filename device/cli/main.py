@@ -34,11 +34,12 @@ app = make_app(
     "Scan surfaces with a gel at the push of a button. Without a command: the screens.",
     "Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.",
 )
-app.default_parameter = Parameter(negative=())
+app.usage = "retroscan [OPTIONS] [COMMAND]"
 app.meta.suppress_keyboard_interrupt = False
 add_commands(app, COMMANDS)
 calibrations = App(
     name="calibrations",
+    usage="retroscan calibrations [COMMAND] [OPTIONS]",
     help="List calibrations by instrument, gel and lights; use, roll back, import or export one.",
     help_epilogue=examples_text(("retroscan calibrations",)),
 )

@@ -8,14 +8,15 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from device.command_line import Folder
-from host_sync.cli.console import DONE, print_json, print_line, status_spinner
+from device.command_line import Folder, print_json
+from host_sync.cli.console import DONE, print_line, status_spinner
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import RECORD_FILE
 
 
 def alike_command(
     scan: str,
+    /,
     *,
     library: Folder | None = None,
     count: Annotated[int, Parameter(name=("--count", "-n"), validator=Number(gte=1))] = 5,

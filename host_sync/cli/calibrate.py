@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 def calibrate_command(
     source: str,
+    /,
     *,
     out: Folder,
     library: Folder | None = None,

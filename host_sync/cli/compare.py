@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from host_sync.results.reader import ResultSurface
 
 
-def compare_command(result: Path, other: Path) -> int:
+def compare_command(result: Path, other: Path, /) -> int:
     """Compare a result with another height map of the same pixels, such as the maker's TMD file of the scan.
 
     Parameters

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import msgspec
 from cyclopts import Parameter
 
 from host_sync.kernels.cache import holds_kernels, prune_cache
@@ -27,12 +26,6 @@ CONNECTION: Final = 3
 def print_line(line: str) -> None:
     """Write one line."""
     sys.stdout.write(printable(line) + "\n")
-
-
-def print_json(facts: object) -> None:
-    """Write facts as one JSON document; paths and times become texts."""
-    record = msgspec.json.encode(facts, enc_hook=str)
-    sys.stdout.write(msgspec.json.format(record, indent=2).decode() + "\n")
 
 
 def print_error(what: object, code: int) -> int:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.pairing.exchange import PAIRING_PORT
-from host_sync.cli.console import CONNECTION, DONE, print_error, print_json, print_line
+from host_sync.cli.console import CONNECTION, DONE, print_error, print_line
 from host_sync.errors import PairingError
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
 from host_sync.offload.resolve import MAX_PORT
@@ -40,6 +40,7 @@ def discover_command(*, seconds: float = 3.0) -> int:
 
 def pair_command(
     host: str | None = None,
+    /,
     *,
     code: str | None = None,
     card: Folder | None = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from host_sync.cli.console import DONE, OutputFile, print_line, renamed
 from host_sync.cli.measure import chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
@@ -78,9 +78,10 @@ def gage_command(
             print_line(f"  doubt: {words}")
     facts = {"number": what, "unit": unit, "doubts": doubts, "schema": "retrograph.gage/1"}
     record = msgspec.to_builtins(found) | facts
-    for path in (Path("-") if json else None, json_file):
-        if path is not None:
-            write_text(path, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
+    if json:
+        print_json(record)
+    if json_file is not None:
+        write_text(json_file, msgspec.json.format(msgspec.json.encode(record), indent=2).decode())
     return DONE
 
 

@@ -21,6 +21,7 @@ SET_FILE: Final = "frameset.toml"
 def import_command(
     kind: Kind,
     source: Folder,
+    /,
     *,
     out: Folder | None = None,
     pixel_pitch_um: float | None = None,

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.errors import DeviceError
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_json, print_line, status_spinner
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, status_spinner
 from host_sync.cli.devices import known_devices
 from host_sync.errors import HostError
 from host_sync.library.index import Hit, Query, damaged_bundles, search

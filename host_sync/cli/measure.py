@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 from cyclopts import Parameter
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.errors import DeviceError
 from device.io.atomic import check_output, write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
@@ -114,9 +114,8 @@ def measure_command(
         if not alone:
             for line in (*as_text(found).splitlines(), ""):
                 print_line(line)
-    for path in (Path("-") if json else None, json_file):
-        if path is not None:
-            _write_json(done, path, with_trend=trend is not None)
+    if json or json_file is not None:
+        _write_json(done, json_file, on_output=json, with_trend=trend is not None)
     if csv is not None:
         _write_csv(done, csv)
     if trend is not None:
@@ -194,12 +193,15 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = T
                 yield words if words.startswith(str(folder)) else f"{folder}: {words}"
 
 
-def _write_json(done: Sequence[Measurement], path: Path, *, with_trend: bool) -> None:
+def _write_json(done: Sequence[Measurement], path: Path | None, *, on_output: bool, with_trend: bool) -> None:
     from host_sync.measurement.measurement_text import as_record
     from host_sync.measurement.trend import trend_record
 
     records = [as_record(one) for one in done] + ([trend_record(done)] if with_trend else [])
-    write_text(path, msgspec.json.format(msgspec.json.encode(records), indent=2).decode())
+    if on_output:
+        print_json(records)
+    if path is not None:
+        write_text(path, msgspec.json.format(msgspec.json.encode(records), indent=2).decode())
 
 
 def _write_csv(done: Sequence[Measurement], path: Path) -> None:

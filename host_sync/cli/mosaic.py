@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.io.atomic import check_replaceable
-from host_sync.cli.console import DONE, PARTLY, print_json, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.measure import result_folders
 from host_sync.errors import MosaicError
 from host_sync.mosaic.record import MOSAIC_FILE

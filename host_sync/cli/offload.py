@@ -40,6 +40,7 @@ MAX_PATIENCE_S: Final = 3600.0
 
 def pull_command(
     source: str,
+    /,
     *,
     library: Folder | None = None,
     at: str | None = None,
@@ -122,7 +123,7 @@ def sync_command(*names: str, library: Folder | None = None, verify: bool = Fals
     return PARTLY if DONE in codes and max(codes) > DONE else max(codes)
 
 
-def push_command(source: str, calibration: str, *, library: Folder | None = None, at: str | None = None) -> int:
+def push_command(source: str, calibration: str, /, *, library: Folder | None = None, at: str | None = None) -> int:
     """Put a calibration of the library into a device's inbox; the device verifies it on import.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.io.atomic import check_output
 from host_sync.batch.cluster import connected
 from host_sync.batch.scan_outcome import ScanOutcome
@@ -22,7 +22,6 @@ from host_sync.cli.console import (
     DONE,
     PARTLY,
     print_error,
-    print_json,
     print_line,
     renamed,
     status_spinner,
@@ -231,6 +230,7 @@ def _print_errors(outcome: ScanOutcome) -> None:
 
 def paper_figures(
     name: str | None = None,
+    /,
     *,
     out: Path,
     library: Path | None = None,

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from device.command_line import Folder
+from device.command_line import Folder, print_json
 from device.io.atomic import check_replaceable
-from host_sync.cli.console import DONE, print_json, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import ViewError
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import RECORD_FILE
@@ -24,6 +24,7 @@ COVERAGE: Final = 2.0
 def same_spot_command(
     first: str,
     second: str,
+    /,
     *,
     out: Folder | None = None,
     library: Folder | None = None,

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -31,6 +32,7 @@ Tell = Callable[[str, int | None, int | None], None]
 
 def video(
     sequence: Path,
+    /,
     *,
     calibration: str | None = None,
     out: Path,
@@ -38,9 +40,9 @@ def video(
     encoding: Encoding | None = None,
     rate_hz: float | None = None,
     method: MethodName | None = None,
-    weighted: bool = True,
-    mp4: bool = True,
-    gif: bool = True,
+    weighted: Annotated[bool, Parameter(negative="--no-weighted")] = True,
+    mp4: Annotated[bool, Parameter(negative="--no-mp4")] = True,
+    gif: Annotated[bool, Parameter(negative="--no-gif")] = True,
     force: bool = False,
 ) -> int:
     """Reconstruct every frame of a sequence and draw the moving relief.

@@ -7,6 +7,9 @@ import sys
 import webbrowser
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from device.command_line import Folder
 from host_sync.cli.console import DONE, print_error, print_line
@@ -15,12 +18,13 @@ from host_sync.library.library import default_library
 
 def view_command(
     what: Folder | None = None,
+    /,
     *,
     frames: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
     cache: Folder | None = None,
-    browser: bool = True,
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
 ) -> int:
     """Show scans in a browser: relight, turn, profiles, comparison. Ctrl-C ends it.
 

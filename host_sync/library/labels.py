@@ -13,7 +13,6 @@ import msgspec
 
 from device.io.atomic import replace_file
 from hal.decoding import decode_json
-from hal.validation import explain_validation
 from host_sync.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -63,10 +62,8 @@ def read_labels(root: Path) -> Labels:
         return decode_json(data, Labels)
     except OSError as error:
         raise LibraryError(f"{path}: cannot be read ({error.strerror}): move it away") from error
-    except msgspec.ValidationError as error:
-        raise LibraryError(f"{path}: is damaged ({explain_validation(error)}): mend it, or move it away") from error
     except msgspec.DecodeError as error:
-        raise LibraryError(f"{path}: {error}: mend it, or move it away") from error
+        raise LibraryError(f"{path}: is damaged ({error}): mend it, or move it away") from error
 
 
 def label_scan(
