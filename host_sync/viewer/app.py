@@ -15,7 +15,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from device.errors import DeviceError
@@ -56,8 +56,13 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         headers = {"Cache-Control": "no-cache", "ETag": tag}
         return Response(status_code=304, headers=headers) if kept else Response(data, media_type=media, headers=headers)
 
+    def mark(_: Request) -> Response:
+        """A browser asks for it on the way in, before the page names its own."""
+        return RedirectResponse("/page/mark.svg", 301)
+
     routes = [
         Route("/", file),
+        Route("/favicon.ico", mark),
         Route("/page/{name:path}", file),
         Route("/api/list", _answering(lambda request: _list(service, request))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),

@@ -60,11 +60,11 @@ class ScanScreen(InstrumentScreen):
         Binding("i", "number", "number parts, or no longer", show=False),
         Binding("r", "retake", "retake"),
         Binding("b", "code", "part's name by QR code or barcode", show=False),
-        Binding("w", "area", "cover a wide area", show=False),
         Binding("a", "auto", "auto"),
         Binding("m", "mode", "one frame, precise, each light, or a movie", show=False),
         Binding("z", "zero", "zero"),
         Binding("d", "demonstrate", "press"),
+        Binding("w", "area", "cover an area"),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:

@@ -43,9 +43,9 @@ class ScansScreen(InstrumentScreen):
         Binding("p", "profile", "profile"),
         Binding("x,delete", "delete", "delete", key_display="x"),
         Binding("z", "undo", "undo"),
-        Binding("w", "way_back", "way back to this spot", show=False),
         Binding("slash", "find", "find", key_display="/"),
         Binding("s", "sort", "sort"),
+        Binding("w", "way_back", "way back"),
         Binding("v", "view", show=False),
     ]
 

@@ -191,3 +191,9 @@ def test_on_loopback_only_the_random_name_is_known_and_else_addresses_and_the_na
     host: str, header: str, known: bool
 ) -> None:
     assert Access(host, 80, random_name="abc").knows_host(header) is known
+
+
+def test_the_mark_that_browsers_ask_for_on_their_own_is_there(served: Any) -> None:
+    status, headers, _ = served.get("/favicon.ico")
+    assert (status, headers["location"]) == (301, "/page/mark.svg")
+    assert served.get(headers["location"])[0] == 200
