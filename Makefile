@@ -8,7 +8,7 @@ SYSTEM_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-system
 # What `make image` keeps between builds: Debian for arm64 and the wheels; 1 GB, 3 while it is at work.
 IMAGE_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-image
 # Of the housing; and where `make step` keeps Open CASCADE's Python binding, 400 MB.
-EVERY_PART := body led_holder gel_frame camera_plate tray saddle cap plate block
+EVERY_PART := body led_holder gel_frame camera_plate tray saddle panel_frame panel_post panel_clip cap plate block
 STEP_TOOL ?= .step-tool
 
 SHELL := /bin/bash

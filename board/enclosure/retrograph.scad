@@ -3,10 +3,12 @@
 //   openscad -D 'part="body"' -D 'board="pi5-imx296"' -o body.stl board/enclosure/retrograph.scad
 //
 // board: pi5-imx296, pi4-imx477 (for pi4-imx477-binned too). Another magnification is another height: print its own body.
-// part: body, led_holder (print 3), gel_frame, camera_plate, tray, saddle, cap, plate (machine it, do not print it), block (cast
-// or machine it of acrylic and polish it), assembly (to look at, cut open).
+// part: body, led_holder (print 3), gel_frame, camera_plate, tray, saddle, panel_frame, panel_post (print 4), panel_clip (print 4),
+// cap, plate (machine it, do not print it), block (cast or machine it of acrylic and polish it), assembly (to look at, cut open;
+// with panel_shown=true under its panel).
 part = "assembly";
 board = "pi5-imx296";
+panel_shown = false;        // in the assembly
 
 /* [Optics: what the board profile and the lens say] */
 // Of each board: pixel of the sensor in um; pitch at the skin in um (sensor.pixel_pitch_um of the profile); columns and
@@ -92,6 +94,9 @@ seat_r = inner_r - wall;                                            // where the
 screw_r = (seat_r + outer_r) / 2;
 tray_from = 18;
 tray_at = [38, 98];
+tray_face = outer_r + 8;                                            // its back, from the body's axis
+tray_length = 133;
+plate_thread = 10;                                                  // depth of the threads under the camera's plate
 boss_height = 8;
 plate_thickness = 2 * ball_r - ball_stands_out;                     // the balls stand on the glass below it
 frame_above_skin = 0.5;
@@ -124,6 +129,8 @@ assert(ball_stands_out >= indentation + 0.2, "the plate touches the skin before 
 assert(ball_stands_out <= ball_r, "the plate holds less than half of each ball: they fall out");
 assert(ball_pitch > 2 * ball_r * sin(40) + 0.8, "the balls stand too near for the skin to come down between them");
 assert((balls.x - 1) * ball_pitch + 2 * ball_r < field.x + 2, "the grid is wider than the field");
+
+include <panel.scad>
 
 // --- parts -------------------------------------------------------------------------------------------------------------
 
@@ -167,7 +174,7 @@ module body() {
                 union() {
                     translate([0, 0, gel_thickness]) cylinder(r = outer_r, h = body_top - gel_thickness);
                     translate([0, 0, body_top - 6]) cylinder(r = outer_r + 6, h = 6);
-                    for (z = tray_at) translate([0, -7, z - 7]) cube([outer_r + 8, 14, 14]);
+                    for (z = tray_at) translate([0, -7, z - 7]) cube([tray_face, 14, 14]);
                 }
                 cylinder(r = seat_r, h = block_top + 6);
                 translate([0, 0, block_top + 6]) cylinder(r = inner_r, h = body_top);
@@ -186,8 +193,8 @@ module body() {
         translate([-4, -60, body_top - 22]) cube([8, 60, 10]);                        // cables
         // From outside, and no way through: light must not come in here.
         for (z = tray_at) translate([inner_r + 0.6, 0, z]) rotate([0, 90, 0]) cylinder(r = m3_tapped / 2, h = 20);
-        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, body_top - 10])
-            cylinder(r = m3_tapped / 2, h = 12);
+        for (a = [0:90:270]) rotate(a + 45) translate([outer_r + 2, 0, body_top - plate_thread])
+            cylinder(r = m3_tapped / 2, h = plate_thread + 2);
     }
 }
 
@@ -219,7 +226,7 @@ pi_holes = [for (x = [48.5, 48.5 + 58], y = [8.5, 8.5 + 49]) [x, y]];
 module tray() {
     difference() {
         union() {
-            cube([133, 66, 2.4]);
+            cube([tray_length, 66, 2.4]);
             for (at = concat(carrier_holes, pi_holes)) translate(at) cylinder(r = 3.2, h = boss_height);
         }
         for (at = concat(carrier_holes, pi_holes)) translate([at.x, at.y, -1])
@@ -299,10 +306,16 @@ module assembly() {
     color("lightblue", 0.5) block();
     color("silver") translate([-gel_side / 2, -gel_side / 2, 0]) cube([gel_side, gel_side, gel_thickness]);
     for (i = [0:2]) color(["red", "green", "blue"][i]) along_ray(azimuths[i]) translate([0, 0, facet_at]) led_holder();
-    color("darkgreen") translate([outer_r + 8, -33, tray_from]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
-    color("olive") translate([-outer_r - 8, 0, strap_at]) rotate([0, 90, 0]) saddle();
+    color("darkgreen") placed_tray();
+    color("olive") placed_saddle();
     color("tan") camera();
+    if (panel_shown) {
+        panel_seat();
+        color("midnightblue") panel_glass();
+    }
 }
+module placed_tray() translate([tray_face, -33, tray_from]) rotate([0, -90, 0]) mirror([0, 0, 1]) tray();
+module placed_saddle() translate([-outer_r - 8, 0, strap_at]) rotate([0, 90, 0]) saddle();
 
 if (part == "body") body();
 else if (part == "led_holder") led_holder();
@@ -310,8 +323,12 @@ else if (part == "gel_frame") gel_frame();
 else if (part == "camera_plate") camera_plate();
 else if (part == "tray") tray();
 else if (part == "saddle") saddle();
+else if (part == "panel_frame") panel_frame();
+else if (part == "panel_post") panel_post();
+else if (part == "panel_clip") panel_clip();
 else if (part == "cap") cap();
 else if (part == "plate") plate();
 else if (part == "block") block();
 else if (part == "assembly") assembly();
+else if (part == "panel_overlap") panel_overlap();                     // empty
 else assert(false, str("there is no part ", part));

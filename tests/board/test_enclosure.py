@@ -12,8 +12,21 @@ import pytest
 from hal.board_profile import load_board_profile
 
 SOURCE = Path(__file__).parents[2] / "board" / "enclosure" / "retrograph.scad"
-PARTS = ("body", "led_holder", "gel_frame", "camera_plate", "tray", "saddle", "cap", "plate", "block", "assembly")
-QUICK = ("led_holder", "gel_frame", "saddle", "cap", "block")
+SEAT = ("panel_frame", "panel_post", "panel_clip")
+PARTS = (
+    "body",
+    "led_holder",
+    "gel_frame",
+    "camera_plate",
+    "tray",
+    "saddle",
+    *SEAT,
+    "cap",
+    "plate",
+    "block",
+    "assembly",
+)
+QUICK = ("led_holder", "gel_frame", "saddle", "panel_post", "panel_clip", "cap", "block")
 
 PIXEL_UM = {"IMX296": 3.45, "IMX477": 1.55}
 """Makers' data of the sensors, unbinned."""

@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "board" / "enclosure" / "retrograph.scad"
 WRITER = ROOT / ".ci" / "step" / "step_write.py"
 TOOL = Path(os.environ.get("STEP_TOOL", ROOT / ".step-tool")) / "bin" / "python"
-QUICK = ("led_holder", "gel_frame", "saddle", "cap", "block")
-SLOW = ("camera_plate", "tray", "body")
+QUICK = ("led_holder", "gel_frame", "saddle", "panel_post", "panel_clip", "cap", "block")
+SLOW = ("camera_plate", "tray", "panel_frame", "body")
 MANY_BORES = "plate"
 """Its STL takes minutes."""
 CUBE = "cube(size = [1, 1, 1], center = false);\n"

@@ -32,6 +32,17 @@ def euros(board: str, page: str) -> tuple[int, int]:
     return sum(least for least, _ in ranges), sum(most for _, most in ranges)
 
 
+def seated_panel(page: str) -> dict[str, str]:
+    """Rows that a panel on its seat adds, and the price class of each."""
+    return {what: price for what, price, boards in ROW.findall(page) if boards == "with `--screen panel`"}
+
+
+def panel_euros(page: str) -> tuple[int, int]:
+    """Least and most that a panel and its seat cost, in euros."""
+    ranges = [CLASS_EUROS[price] for price in seated_panel(page).values()]
+    return sum(least for least, _ in ranges), sum(most for _, most in ranges)
+
+
 def _table(page: str) -> Iterator[str]:
     yield "| board | rows | total | handheld weighs |"
     yield "|---|---|---|---|"

@@ -13,6 +13,9 @@ import numpy as np
 from tests.drawings.board.block import Block
 
 ACRYLIC_G_CM3: Final = 1.19
+PETG_G_CM3: Final = 1.27
+PANEL_G: Final = 280.0 + 97.0 + 13.0
+"""The first 7-inch panel, its printed seat by its volume, and screws and foam tape."""
 
 CARRIED_G: Final[dict[str, dict[str, float]]] = {
     "computer": {"pi4-imx477": 46, "pi5-imx296": 46},
