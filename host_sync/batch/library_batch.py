@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 from device.bundles.scan import ScanBundle, read_scan
@@ -14,6 +14,7 @@ from device.errors import DeviceError
 from device.io.os_errors import explain_os_error
 from host_sync.batch.cluster import Unfinished, outcomes_on_cluster
 from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.work_folder import work_folder
 from host_sync.batch.worker_count import default_workers, usable_cores, usable_memory
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
@@ -141,7 +142,7 @@ def reconstruct_scans(
         for task, outcome in outcomes_of(tasks, work, workers, first_alone=first_alone):
             yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Lost) else outcome
 
-    return _with_calibrations(scans, job, by_processes)
+    return _with_calibrations(scans, job, by_processes, work.root)
 
 
 def reconstruct_on_cluster(
@@ -159,34 +160,34 @@ def reconstruct_on_cluster(
         for task, outcome in outcomes_on_cluster(client, tasks, work, shared):
             yield ScanOutcome(task.scan.name, reason=outcome.reason) if isinstance(outcome, Unfinished) else outcome
 
-    return _with_calibrations(scans, job, by_cluster, place=work.root)
+    return _with_calibrations(scans, job, by_cluster, work.root)
 
 
 def _with_calibrations(
     scans: Sequence[ScanBundle],
     job: LibraryReconstructor,
     run: Callable[[Iterable[ScanTask], Path], Iterator[ScanOutcome]],
-    place: Path | None = None,
+    place: Path,
 ) -> Iterator[ScanOutcome]:
     """What became of every scan, with calibrations in files of a temporary folder.
 
     run : gets tasks, and that folder
-    place : of that folder; by default the system's
+    place : of that folder
     """
     refused: list[ScanOutcome] = []
-    try:
-        temporary = TemporaryDirectory(prefix=".retrosync-", dir=place)
-    except OSError as error:
-        reason = f"no temporary folder for calibrations can be made {explain_os_error(error)}"
-        yield from (ScanOutcome(scan.scan_id, reason=reason) for scan in scans)
-        return
-    with temporary as folder:
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(work_folder(place))
+        except OSError as error:
+            reason = f"no temporary folder for calibrations can be made in {place} {explain_os_error(error)}"
+            yield from (ScanOutcome(scan.scan_id, reason=reason) for scan in scans)
+            return
 
         def tasks() -> Iterator[ScanTask]:
             for scan in scans:
                 try:
                     kept = job.calibration_of(scan)
-                    path = Path(folder) / f"{kept.facts.calibration_id}.calibration"
+                    path = folder / f"{kept.facts.calibration_id}.calibration"
                     if not path.exists():
                         kept.write(path)
                 except (DeviceError, HostError) as error:
@@ -194,7 +195,7 @@ def _with_calibrations(
                 else:
                     yield ScanTask(scan.directory, path)
 
-        for outcome in run(tasks(), Path(folder)):
+        for outcome in run(tasks(), folder):
             yield outcome
             while refused:
                 yield refused.pop(0)

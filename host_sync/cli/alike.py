@@ -9,9 +9,10 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.command_line import Folder, print_json
-from host_sync.cli.console import DONE, print_line, status_spinner
+from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import RECORD_FILE
+from host_sync.text import some_of
 
 
 def alike_command(
@@ -23,6 +24,8 @@ def alike_command(
     json: bool = False,
 ) -> int:
     """Find the surfaces of a library that look most like one; shifted and turned presses of it too.
+
+    Exit code 1 says that scans could not be compared, as they have no results or those cannot be read.
 
     Parameters
     ----------
@@ -44,12 +47,18 @@ def alike_command(
         from host_sync.likeness.search import alike
 
         answer = alike(folder, held.root, count, tell)
+    failed = [f"not compared: {name}: {reason}" for name, reason in answer.unreadable]
+    if answer.without_results:
+        names = some_of(answer.without_results)
+        failed.append(f"not compared, without results: {names}: run retrosync reconstruct --library {held.root}")
+    for words in failed:
+        print_error(words, PARTLY)
     if json:
         print_json(answer)
-        return DONE
+        return PARTLY if failed else DONE
     for one in answer.found:
         print_line(f"{one.distance:7.2f}  {one.scan}  {one.folder}")
     print_line(f"{answer.compared} surfaces compared; the less the number in front, the more alike")
     for name, reason in answer.left_out:
         print_line(f"not compared: {name}: {reason}")
-    return DONE
+    return PARTLY if failed else DONE

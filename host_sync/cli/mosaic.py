@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from device.command_line import Folder, print_json
 from device.io.atomic import check_replaceable
-from host_sync.cli.console import DONE, PARTLY, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.measure import result_folders
-from host_sync.errors import MosaicError
 from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.results.files import RECORD_FILE
 
@@ -28,7 +27,8 @@ def mosaic_command(
 ) -> int:
     """Stitch overlapping presses of one object into one height map, which measure, view, report and export take.
 
-    Exit code 1 says that presses were left out, as no overlap joins them to the others.
+    Exit code 1 says that presses were left out: no overlap joins them to the others, they have no results, or those
+    cannot be read.
 
     Parameters
     ----------
@@ -45,10 +45,12 @@ def mosaic_command(
     json
         Print mosaic.json instead of the summary.
     """
-    folders = []
+    folders: list[Path] = []
+    left_out: list[str] = []
     for found in result_folders(scans, library):
         if isinstance(found, str):
-            raise MosaicError(found)
+            left_out.append(found)
+            continue
         if (found / MOSAIC_FILE).is_file() and found not in scans and not (library and scans):
             continue  # an earlier mosaic beside its presses
         folders.append(found)
@@ -57,19 +59,22 @@ def mosaic_command(
         tell_of_compiling()
         tell("loading compiled code")
         from host_sync.mosaic.layout import read_layout
-        from host_sync.mosaic.presses import presses_of
+        from host_sync.mosaic.presses import check_together, presses_of
         from host_sync.mosaic.stitch import stitch
         from host_sync.results.record import read_record
 
-        presses = presses_of(folders, out, library)
+        presses = presses_of(folders, out, library, left_out)
+        check_together(presses, left_out)
         known = None if layout is None else read_layout(layout, presses, within_mm)
-        record = stitch(presses, out, layout=known, tell=tell)
+        record = stitch(presses, out, layout=known, left_out=left_out, tell=tell)
+    for sentence in record.unusable:
+        print_error(f"left out: {sentence}", PARTLY)
     if json:
         print_json(record)
     else:
         for line in _summary(record, out, read_record(out).warnings):
             print_line(line)
-    return PARTLY if record.left_out else DONE
+    return PARTLY if record.left_out or record.unusable else DONE
 
 
 def _summary(record: MosaicRecord, out: Path, doubts: Sequence[str]) -> Iterator[str]:

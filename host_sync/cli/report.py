@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,17 +58,42 @@ def report_command(
     chosen = chosen_recipe(recipe, {})
     style, logo = _template(template)
     folders = result_folders(results, library)
+    with _output_folder(out):
+        _check_free([out / NUMBERS_FILE], replace=force)
+        report = _report_on_all if population else _report_on_each
+        return report(folders, chosen, style, logo, out, force=force)
+
+
+@contextmanager
+def _output_folder(out: Path) -> Iterator[None]:
+    """Makes the folder, and removes it where nothing was written to it."""
     try:
+        is_new = not out.exists()
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultError(f"{out} cannot be written ({error.strerror}): choose another place") from error
-    _check_free([out / NUMBERS_FILE], replace=force)
-    if population:
-        return _report_on_all(folders, chosen, style, logo, out, force=force)
+    try:
+        yield
+    finally:
+        if is_new:
+            with suppress(OSError):
+                out.rmdir()  # which refuses one that holds files
+
+
+def _report_on_each(
+    folders: Sequence[Path | str],
+    recipe: Recipe,
+    style: Template | None,
+    logo: Picture | None,
+    out: Path,
+    *,
+    force: bool,
+) -> int:
+    """Write a report on each result; returns the exit code."""
     done = []
     failed = False
     taken: set[str] = set()
-    for found in measured(folders, chosen):
+    for found in measured(folders, recipe):
         if isinstance(found, str):
             failed = True
             print_error(found, PARTLY)

@@ -10,12 +10,13 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float32Array, MaskArray
-from host_sync.errors import MosaicError
+from host_sync.errors import MosaicError, UnreadableResult
 from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.registration.poses import reduced
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result
 from host_sync.results.record import ResultRecord, read_record
+from host_sync.text import some_of
 
 REDUCED_PX: Final = 480
 """Rows or columns of the reduced height map, at most."""
@@ -95,23 +96,34 @@ def press_of(folder: Path, library: Path | None = None) -> Press:
     return Press(name, record, read)
 
 
-def presses_of(folders: Sequence[Path], out: Path, library: Path | None = None) -> list[Press]:
+def presses_of(
+    folders: Sequence[Path], out: Path, library: Path | None = None, left_out: list[str] | None = None
+) -> list[Press]:
     """The presses whose results are in the folders.
 
     out : where their mosaic will be written
     library : as for `press_of`
+    left_out : receives a sentence for each result without a readable record; None raises the first
 
     Raises
     ------
     MosaicError
         One is a mosaic itself, or the mosaic would replace a press or lie among the library's scans.
     UnreadableResult
-        There is no readable record.
+        There is no readable record, and `left_out` is None.
     """
     _check_apart(folders, out)
     if library is not None and (library / "scans").resolve() in out.resolve().parents:
         raise MosaicError(f"{out}: lies in the library's scans, which hold results of one scan each: name another")
-    return [press_of(folder, library) for folder in folders]
+    presses = []
+    for folder in folders:
+        try:
+            presses.append(press_of(folder, library))
+        except UnreadableResult as error:
+            if left_out is None:
+                raise
+            left_out.append(str(error))
+    return presses
 
 
 def _check_apart(folders: Iterable[Path], out: Path) -> None:
@@ -127,8 +139,10 @@ def _check_apart(folders: Iterable[Path], out: Path) -> None:
         raise MosaicError(f"{out}: holds a result that is no mosaic: name another folder")
 
 
-def check_together(presses: list[Press]) -> None:
+def check_together(presses: Sequence[Press], left_out: Sequence[str] = ()) -> None:
     """Refuse presses that no mosaic can be made of.
+
+    left_out : why others cannot be used, for the message
 
     Raises
     ------
@@ -136,7 +150,8 @@ def check_together(presses: list[Press]) -> None:
         There are fewer than two, two have one name, or their pixel pitches or sizes differ.
     """
     if len(presses) < 2:
-        raise MosaicError("a mosaic needs two presses or more: name their results")
+        what = f"; left out: {some_of(left_out)}" if left_out else ": name their results"
+        raise MosaicError(f"a mosaic needs two presses or more{what}")
     names = [press.name for press in presses]
     for name in names:
         if names.count(name) > 1:
@@ -146,7 +161,7 @@ def check_together(presses: list[Press]) -> None:
         if abs(press.record.pixel_pitch_um / pitch_um - 1.0) > SAME_PITCH:
             raise MosaicError(
                 f"{press.name}: has a pixel pitch of {press.record.pixel_pitch_um:g} µm and {names[0]} one of "
-                f"{pitch_um:g} µm: presses of one mosaic need one pitch"
+                f"{pitch_um:g} µm: presses of one mosaic need one pitch, so stitch those of each pitch by themselves"
             )
         if press.shape != presses[0].shape:
             raise MosaicError(
@@ -172,3 +187,15 @@ def small_of(press: Press) -> Small:
     if fields.sigma_um is not None:
         sigma_um = np.nan_to_num(reduced(fields.sigma_um, step))
     return Small(z_um, sigma_um, step, press.shape, fields.sigma_um is not None)
+
+
+def read_small(presses: Sequence[Press], tell: Callable[[str], None]) -> tuple[dict[int, Small], list[str]]:
+    """The presses that can be used, reduced, by number; and a sentence for each other one."""
+    small, left_out = {}, []
+    for number, press in enumerate(presses):
+        tell(f"reading: {number + 1} of {len(presses)}")
+        try:
+            small[number] = small_of(press)
+        except (MosaicError, UnreadableResult) as error:
+            left_out.append(str(error))
+    return small, left_out

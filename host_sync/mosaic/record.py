@@ -68,6 +68,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     root : the press that uncertainties of places are relative to
     left_out : presses that no link joins to the others
+    unusable : a sentence for each press that was asked for and has no results, or none that can be read
     stretch_median : median of the links' stretch, and the median of its absolute value; None without links
     span_um, span_sigma_um : distance of the two presses farthest apart, and its standard uncertainty from the links
     covered_share : fraction of the mosaic's pixels with a height
@@ -82,6 +83,7 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
     root: str
     presses: tuple[PlaceRecord, ...]
     left_out: tuple[str, ...] = ()
+    unusable: tuple[str, ...] = ()
     links: tuple[LinkRecord, ...] = ()
     stretch_median: float | None = None
     stretch_spread: float | None = None

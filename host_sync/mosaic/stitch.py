@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from host_sync.mosaic.links import RIVALLED, verified
 from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.overlaps import Layout, candidates
 from host_sync.mosaic.plan import Plan
-from host_sync.mosaic.presses import Press, check_together, small_of
+from host_sync.mosaic.presses import Press, Small, check_together, read_small, small_of
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.repetition import repeats_px
 from host_sync.mosaic.writing import mosaic_record, write_mosaic
@@ -30,18 +30,28 @@ def stitch(
     out: Path,
     *,
     layout: Layout | None = None,
+    left_out: Sequence[str] = (),
     tell: Tell = lambda _: None,
 ) -> MosaicRecord:
     """The mosaic of the presses, written to the directory `out` as a result; returns its record.
 
+    left_out : a sentence for each press that is missing among `presses`; those that cannot be read are added
+
     Raises
     ------
     MosaicError
-        The presses do not go together, or no two of them overlap.
+        The presses do not go together, fewer than two can be read, or no two of them overlap.
     OutputError
         The place cannot be written; what stood there stands.
     """
-    plan = planned(presses, layout=layout, tell=tell)
+    check_together(presses, left_out)
+    small, unread = read_small(presses, tell)
+    unusable = (*left_out, *unread)
+    presses = [presses[number] for number in small]
+    check_together(presses, unusable)
+    if layout is not None:
+        layout = Layout(layout.places_px[list(small)], layout.within_px)
+    plan = _plan(presses, list(small.values()), layout, tell)
     numbers = sorted(plan.places)
     members = [presses[number] for number in numbers]
     places = [plan.places[number] for number in numbers]
@@ -51,7 +61,7 @@ def stitch(
             members, places, plan.levels, canvas, folder, lambda done: tell(f"blending: {done} of {len(members)}")
         )
         tell("writing")
-        record = mosaic_record(out.name, presses, plan, canvas, blended.covered)
+        record = mosaic_record(out.name, presses, plan, canvas, blended.covered, unusable)
         write_mosaic(folder, out.name, members, record, canvas, blended)
     return record
 
@@ -59,10 +69,11 @@ def stitch(
 def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = lambda _: None) -> Plan:
     """Where the presses lie and how they are levelled; errors as for `stitch`."""
     check_together(presses)
-    small = []
-    for number, press in enumerate(presses):
-        tell(f"reading: {number + 1} of {len(presses)}")
-        small.append(small_of(press))
+    return _plan(presses, [small_of(press) for press in presses], layout, tell)
+
+
+def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell: Tell) -> Plan:
+    """The plan of presses that were read."""
     tell("looking for overlaps")
     period_px = repeats_px(small)
     if period_px is not None and layout is None:

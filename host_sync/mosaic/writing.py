@@ -23,13 +23,12 @@ from host_sync.render.relief_sheet import write_relief
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import EXTRAPOLATED_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE
 from host_sync.results.record import HeightScale, ResultRecord, encode_record
+from host_sync.text import some_of
 
 METHOD: Final = "mosaic"
 PICTURE_PX: Final = 1600
 SAMPLES: Final = 1_000_000
 SEAM_SIGMAS: Final = 2.0
-NAMED: Final = 3
-"""Presses or seams that one warning names."""
 
 
 def write_mosaic(
@@ -50,8 +49,13 @@ def write_mosaic(
         path.unlink()
 
 
-def mosaic_record(name: str, presses: list[Press], plan: Plan, canvas: Canvas, covered: float) -> MosaicRecord:
-    """What is known of the mosaic's places and links."""
+def mosaic_record(
+    name: str, presses: list[Press], plan: Plan, canvas: Canvas, covered: float, unusable: Sequence[str] = ()
+) -> MosaicRecord:
+    """What is known of the mosaic's places and links.
+
+    unusable : why presses that were asked for are not among `presses`
+    """
     pitch_um = presses[0].record.pixel_pitch_um
     stretches = [link.stretch for link, used in zip(plan.links, plan.adjusted.used, strict=True) if used]
     stretches = [value for value in stretches if np.isfinite(value)]
@@ -66,6 +70,7 @@ def mosaic_record(name: str, presses: list[Press], plan: Plan, canvas: Canvas, c
         root=presses[plan.adjusted.root].name,
         presses=tuple(_place_records(presses, plan, canvas)),
         left_out=tuple(press.name for number, press in enumerate(presses) if number not in plan.places),
+        unusable=tuple(unusable),
         links=tuple(_link_records(presses, plan)),
         stretch_median=float(np.median(stretches)) if stretches else None,
         stretch_spread=float(np.median(np.abs(stretches))) if stretches else None,
@@ -190,33 +195,29 @@ def _extreme(z_um: Float32Array, which: np.ufunc) -> float | None:
 def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
     """Why to distrust the mosaic, and what its presses warn of."""
     if mosaic.left_out:
-        yield f"left out, as no overlap was found: {_named(mosaic.left_out)}"
+        yield f"left out, as no overlap was found: {some_of(mosaic.left_out)}"
+    if mosaic.unusable:
+        yield f"left out: {some_of(mosaic.unusable)}"
     linked = {name for link in mosaic.used for name in (link.first, link.second) if link.loops > 0}
     alone = [place.name for place in mosaic.presses if place.name not in linked]
     if alone:
-        yield f"the place of {_named(alone)} rests on overlaps that no other overlap confirms"
+        yield f"the place of {some_of(alone)} rests on overlaps that no other overlap confirms"
     if mosaic.period_um is not None:
         yield (
             f"the relief repeats every {mosaic.period_um * 1e-3:.2g} mm: places may be off by that, as the "
             "layout is no closer than half of it"
         )
     if mosaic.without_sigma:
-        yield f"uncertainty is unknown, as it is of {_named(mosaic.without_sigma)}"
+        yield f"uncertainty is unknown, as it is of {some_of(mosaic.without_sigma)}"
     steps = [link for link in mosaic.used if (link.seam_sigmas or 0.0) > SEAM_SIGMAS]
     steps.sort(key=lambda one: -(one.seam_sigmas or 0.0))
     if steps:
         seams = [f"{one.first} and {one.second} ({one.seam_um:.3g} µm, {one.seam_sigmas:.1f} σ)" for one in steps]
-        yield f"heights differ by more than {SEAM_SIGMAS:g} σ where presses overlap: {_named(seams)}"
+        yield f"heights differ by more than {SEAM_SIGMAS:g} σ where presses overlap: {some_of(seams)}"
     counts: dict[str, list[str]] = {}
     for press in members:
         for words in press.record.warnings:
             if not words.startswith("no zero"):
                 counts.setdefault(words, []).append(press.name)
     for words, names in counts.items():
-        yield f"{words} ({_named(names)})"
-
-
-def _named(names: Sequence[str]) -> str:
-    """Some of the names, and how many more there are."""
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+        yield f"{words} ({some_of(names)})"

@@ -31,7 +31,7 @@ from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Surface
 from host_sync.calibration_file.calibrator import calibration_of
-from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER
 from tests.benchmarks.mosaic.ruler import ReliefMap
 from tests.benchmarks.mosaic.same_spot import DEPTH_UM, Dented, Outcome, judged, metal_map, tell, write
@@ -57,11 +57,17 @@ class Gel:
 
     def press(self, surface: Surface, centre_mm: tuple[float, float], turn_rad: float, depth_mm: float) -> HeightMap:
         """The reconstructed surface of one press."""
+        return self.reconstructed(surface, centre_mm, turn_rad, depth_mm).height
+
+    def reconstructed(
+        self, surface: Surface, centre_mm: tuple[float, float], turn_rad: float, depth_mm: float
+    ) -> Reconstruction:
+        """The same with its uncertainty."""
         with self._hardware:
             self._bench.place(Press(surface, centre_mm, turn_rad, depth_mm))
             frame = capture(self._hardware, CaptureSettings.of_board(self._hardware))
             self._bench.place(None)
-        return reconstruct(demosaic(frame), self._calibration, "press").height
+        return reconstruct(demosaic(frame), self._calibration, "press")
 
 
 def _profile(number: int) -> BoardProfile:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -108,17 +107,14 @@ class Unwritable:
         raise OutputError(f"{path.name} cannot be written (No space left on device): choose another place")
 
 
-def test_a_full_temporary_folder_is_said_of_every_scan(
-    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_temporary_folder_is_said_of_every_scan(library: Library, tmp_path: Path) -> None:
     scans, work = library.scans().bundles, ScanWork(library.root)
     job = cast("LibraryReconstructor", Unwritable())
     found = list(reconstruct_scans(scans, work, job, 2))
     assert [one.scan for one in found] == [scan.scan_id for scan in scans]
     assert all("No space left" in (one.reason or "") for one in found)
 
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "absent"))
-    found = list(reconstruct_scans(scans, work, job, 2))
+    found = list(reconstruct_scans(scans, ScanWork(tmp_path / "absent"), job, 2))
     assert [one.scan for one in found] == [scan.scan_id for scan in scans]
     assert all("no temporary folder" in (one.reason or "") for one in found)
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from mosaic_presses import PITCH_UM, Target, errors_px, grid_places, press_of_map, pressed, rough_target
 
-from device.surface.fields import Float32Array
+from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
@@ -67,17 +69,22 @@ def truth_on(record: MosaicRecord, target: Target, truth: list[Motion], shape: t
     return np.asarray(seen, np.float32)
 
 
+def errors_um(z_um: Float32Array, true_um: Float32Array) -> tuple[Float32Array, MaskArray]:
+    """Errors of the heights but for a plane, shape (N,), and where heights are known, shape (H, W)."""
+    error = z_um - true_um
+    row, column = np.meshgrid(*(np.arange(size) for size in error.shape), indexing="ij")
+    known = np.isfinite(error)
+    design = np.stack([np.ones(known.sum()), row[known], column[known]], axis=-1)
+    return error[known] - design @ np.linalg.lstsq(design, error[known], rcond=None)[0], known
+
+
 def test_heights_are_the_targets_to_the_stated_uncertainty(
     mosaic: tuple[Path, MosaicRecord], target: Target, truth: list[Motion]
 ) -> None:
     out, record = mosaic
     result = read_result(out)
     assert result.height.pitch_um == PITCH_UM
-    error = result.height.z_um - truth_on(record, target, truth, result.height.z_um.shape)
-    row, column = np.meshgrid(*(np.arange(size) for size in error.shape), indexing="ij")
-    known = np.isfinite(error)
-    design = np.stack([np.ones(known.sum()), row[known], column[known]], axis=-1)
-    rest = error[known] - design @ np.linalg.lstsq(design, error[known], rcond=None)[0]
+    rest, known = errors_um(result.height.z_um, truth_on(record, target, truth, result.height.z_um.shape))
     assert result.sigma_um is not None
     assert np.array_equal(np.isfinite(result.sigma_um), known)
     assert rest.std() < 1.3  # one press has 1 µm
@@ -138,3 +145,47 @@ def test_presses_that_do_not_go_together_are_refused(stranger: Press, target: Ta
     empty = press_of_map("empty", np.full(SHAPE, np.nan, np.float32))
     with pytest.raises(MosaicError, match="empty: holds too few heights"):
         planned([stranger, empty])
+
+
+def on_two_calibrations(target: Target, truth: list[Motion], gains: tuple[float, float]) -> list[Press]:
+    """Presses whose calibrations take turns: one is three times as uncertain, and each has a gain of its own."""
+    random = np.random.default_rng(6)
+    found = []
+    for number, place in enumerate(truth):
+        which, sigma_um = number % 2, (1.0, 3.0)[number % 2]
+        z_um = pressed(target, place, SHAPE, random, sigma_um) * np.float32(gains[which])
+        press = press_of_map(f"p{number}", z_um, sigma_um)
+        found.append(
+            replace(press, record=msgspec.structs.replace(press.record, calibration_id=f"calibration-{which}"))
+        )
+    return found
+
+
+def test_presses_of_two_calibrations_become_one_with_seams_within_their_uncertainty(
+    target: Target, truth: list[Motion], tmp_path: Path
+) -> None:
+    record = stitch(on_two_calibrations(target, truth, (1.0, 1.0)), tmp_path / "whole")
+    assert (record.left_out, record.rejected) == ((), ())
+    across = [link for link in record.used if int(link.first[1:]) % 2 != int(link.second[1:]) % 2]
+    assert len(across) >= 12
+    for link in across:
+        # 1 and 3 µm: the σ of a seam is that of both, neither far too large nor too small; levels take some of it.
+        assert link.seam_sigmas is not None
+        assert 0.2 < link.seam_sigmas < 2.0
+    result = read_result(tmp_path / "whole")
+    assert result.record.calibration_id == "calibration-0 calibration-1"
+    assert not any("heights differ" in doubt.reason for doubt in result.doubts)
+    assert result.sigma_um is not None
+    rest, known = errors_um(result.height.z_um, truth_on(record, target, truth, result.height.z_um.shape))
+    sigmas = rest / result.sigma_um[known]
+    assert np.mean(np.abs(sigmas) < 2.0) > 0.9
+    assert np.sqrt(np.mean(sigmas**2)) > 0.3  # nor is σ far too large
+
+
+def test_calibrations_that_differ_by_more_than_their_uncertainty_are_a_doubt(
+    target: Target, truth: list[Motion], tmp_path: Path
+) -> None:
+    record = stitch(on_two_calibrations(target, truth, (1.0, 1.2)), tmp_path / "whole")
+    assert max(link.seam_sigmas or 0.0 for link in record.used) > 2.0
+    doubts = [doubt.reason for doubt in read_result(tmp_path / "whole").doubts]
+    assert any("heights differ by more than 2 σ where presses overlap" in words for words in doubts)
