@@ -2,7 +2,7 @@
 
 import sys
 
-from host_sync.cli.main import main
+from host_sync.cli.start import main
 
 if __name__ == "__main__":
     sys.exit(main())

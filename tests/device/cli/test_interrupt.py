@@ -16,12 +16,19 @@ def interrupt(event, details):
     global wanted
     if event == "import" and details[0] == wanted:
         wanted = None
-        signal.raise_signal(signal.SIGINT)
-from device.cli.start import main
+        signal.raise_signal(signal.{signal})
+from {package}.cli.start import main
 sys.addaudithook(interrupt)
 sys.exit(main(sys.argv[1:]))
 """
-"""Sends itself Ctrl-C when it imports the module named first."""
+"""Sends itself a signal when it imports the module named first."""
+
+
+def stopped_at(module: str, package: str, *arguments: str, number: str = "SIGINT") -> tuple[int, str]:
+    program = PROGRAM.format(package=package, signal=number)
+    command = [sys.executable, "-c", program, module, *arguments]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
+    return ended.returncode, ended.stderr
 
 
 @pytest.mark.parametrize(
@@ -29,9 +36,22 @@ sys.exit(main(sys.argv[1:]))
     ["device.cli.main", "device.errors", "hal.errors", "msgspec", "numpy", "cv2", "device.acquisition.selftest"],
 )
 def test_an_interrupted_import_ends_in_a_sentence(module: str, tmp_path: Path) -> None:
-    arguments = [sys.executable, "-c", PROGRAM, module, "--board", "twin", "--store", str(tmp_path), "run"]
-    ended = subprocess.run(arguments, check=False, capture_output=True, text=True, timeout=60.0)
-    assert (ended.returncode, ended.stderr) == (130, "retroscan: stopped\n")
+    run = ("--board", "twin", "--store", str(tmp_path), "run")
+    assert stopped_at(module, "device", *run) == (130, "retroscan: stopped\n")
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("module", ["host_sync.cli.main", "device.errors", "cyclopts"])
+def test_so_does_the_workstations(module: str, number: str) -> None:
+    assert stopped_at(module, "host_sync", "status", number=number) == (130, "retrosync: stopped\n")
+
+
+@pytest.mark.parametrize("module", ["msgspec", "numpy", "cv2", "host_sync.frames.frame_set"])
+def test_a_command_that_is_interrupted_in_its_own_imports_says_so(module: str, tmp_path: Path) -> None:
+    image = tmp_path / "image.png"
+    image.write_bytes(b"")
+    said = stopped_at(module, "host_sync", "reconstruct", str(image), "--out", str(tmp_path / "out"))
+    assert said == (130, "retrosync: stopped: unfinished results are not kept\n")
 
 
 class Dropping:
