@@ -198,8 +198,9 @@ class Scanner:
         Raises
         ------
         StoreError, FrameNotConfirmed, HalError
-            As for `capture` and `publish`.
+            As for `check_room`, `capture` and `publish`.
         """
+        self.check_room(mode)
         assessed = self.assess(self.capture(may_lift, mode))
         if assessed.awaits_lift:
             self._look_at_untouched_skin()
@@ -223,16 +224,13 @@ class Scanner:
         return self.health.measure_shares(alone, self._frame_under({}))
 
     def capture(self, may_lift: Callable[[], None] = lambda: None, mode: CaptureMode = "single") -> RawCapture:
-        """Capture one press into memory; nothing is stored before `publish`.
+        """Capture one press into memory; nothing is stored before `publish`, for which `check_room` makes room.
 
         Raises
         ------
-        StoreError
-            There is no room for it.
         FrameNotConfirmed, HalError
             No frame could be taken.
         """
-        self.check_room(mode)
         captured = capture_precisely(self._hardware, self._plan, mode, self.health.measure_press)
         may_lift()
         return RawCapture(captured, self._hardware.power.read())

@@ -170,7 +170,7 @@ class ScanQueue:
         """Capture a press into memory; None if it was refused (already reported)."""
         now_ns = self._hardware.clock.monotonic_ns()
         before, is_touch = self._states.state, self._spot.is_on
-        if not (scanner := self._admitted()):
+        if not (scanner := self._admitted(stores=not is_touch)):
             return None
         latency_ms = (now_ns - began_ns) * 1e-6
         if latency_ms <= MAX_CUE_DELAY_MS:
@@ -351,8 +351,8 @@ class ScanQueue:
         elif taken:
             self.submit(taken)
 
-    def _admitted(self) -> Scanner | None:
-        """The scanner if a press can be taken now; otherwise the refusal is reported."""
+    def _admitted(self, *, stores: bool) -> Scanner | None:
+        """The scanner if a press can be taken now, with room where it `stores` one; else the refusal is reported."""
         if len(self._works) >= MAX_IN_WORK:
             self._stop_waiting()
         if len(self._works) >= MAX_IN_WORK:
@@ -360,7 +360,8 @@ class ScanQueue:
             return None
         try:
             scanner = self._scanner()
-            self._states.update(scans_left=scanner.check_room(self._states.state.settings.capture))
+            if stores:
+                self._states.update(scans_left=scanner.check_room(self._states.state.settings.capture))
         except StoreError as error:
             self.refuse("full", str(error))
         except (NoCalibration, DeviceError) as error:

@@ -104,3 +104,20 @@ def test_a_scan_without_a_quick_look_is_refused(play: Callable[..., None], root:
         assert stage.instrument.state.spot is None
 
     play(scenario, root)
+
+
+def test_a_full_store_still_leads_back(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await searched(stage)
+        await stage.press("f", *["down"] * 7, "enter")
+        stage.bench.place(MOVED)
+        await stage.live(3)
+        await stage.push()
+        assert "mm right and" in stage.instrument.state.spot.sentence
+        await stage.press("escape")
+        await stage.live()
+        await stage.push()
+        assert "has no room for another scan" in stage.instrument.state.sentence
+        assert stage.instrument.state.scans_stored == 1
+
+    play(scenario, root, is_demo=True)
