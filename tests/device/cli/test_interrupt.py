@@ -12,6 +12,7 @@ from device.shutdown import signals_as_keyboard_interrupt
 PROGRAM = """
 import signal, sys
 wanted = sys.argv.pop(1)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 def interrupt(event, details):
     global wanted
     if event == "import" and details[0] == wanted:
@@ -21,7 +22,7 @@ from {package}.cli.start import main
 sys.addaudithook(interrupt)
 sys.exit(main(sys.argv[1:]))
 """
-"""Sends itself a signal when it imports the module named first."""
+"""Sends itself a signal when it imports the module named first; whoever started it may have had Ctrl-C ignored."""
 
 
 def stopped_at(module: str, package: str, *arguments: str, number: str = "SIGINT") -> tuple[int, str]:
