@@ -181,7 +181,7 @@ def test_the_command_prints_verdicts_and_fails_with_them(
         recipe_text(Recipe(circle=(RIM,), tolerance=(ToleranceTable(of="rim", number="width", low=1.0),)))
     )
     assert main(["measure", str(folder), "--recipe", str(recipe), "--json"]) == 1
-    assert '"failed": ["rim: width"]' in capsys.readouterr().out.replace("\n", "").replace("  ", "")
+    assert '"failed":["rim: width"]' in capsys.readouterr().out
 
 
 def test_a_circle_wider_than_the_field_is_refused_before_it_is_sampled() -> None:
