@@ -41,7 +41,7 @@ def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
     require_terminal()
     folder = store or simulated.store_folder or default_store().with_name(folder_name(simulated.board))
     prepare(folder, simulated.board)
-    hardware, disk = open_hardware(profile, SystemClock()), DemoDisk()
+    hardware, disk = open_hardware(profile, SystemClock()), DemoDisk(folder)
     instrument = Instrument(hardware, BundleStore(folder, hardware.clock, statvfs=disk))
     return show_screens(instrument, hardware, folder, DemoFaults(instrument, disk))
 

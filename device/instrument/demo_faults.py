@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Literal
 
 from device.instrument.instrument import Instrument
+from device.store.store import RESERVE_BYTES
 from hal.interfaces import FaultName
 
 DemoFault = FaultName | Literal["storage"]
@@ -26,19 +28,39 @@ DEMO_FAULTS: Final[tuple[tuple[DemoFault, str], ...]] = (
 
 
 class DemoDisk:
-    """The disk of a store, which can be shown as full."""
+    """The disk of a store, which can be shown as full: then only what is removed from the store makes room.
 
-    def __init__(self) -> None:
-        self.is_full = False
+    Parameters
+    ----------
+    store : folder of the store
+    """
+
+    def __init__(self, store: Path) -> None:
+        self._store = store
+        self._held_bytes: int | None = None
+
+    def fill(self, on: bool) -> None:
+        """Show the disk as full from now on, the system's reserve excluded, or as it is."""
+        self._held_bytes = _held_bytes(self._store) if on else None
 
     def __call__(self, path: Path) -> os.statvfs_result:
-        """As `os.statvfs`, without free blocks while full."""
+        """As `os.statvfs`; while full, free are the reserve and what was removed from the store since."""
         found = os.statvfs(path)
-        if not self.is_full:
+        if self._held_bytes is None:
             return found
+        freed = self._held_bytes - _held_bytes(self._store)
         fields = list(found)
-        fields[3] = fields[4] = 0  # free blocks, for the system and for everybody
+        fields[3] = fields[4] = max(RESERVE_BYTES + freed, 0) // found.f_frsize  # for the system and for everybody
         return os.statvfs_result(fields)
+
+
+def _held_bytes(folder: Path) -> int:
+    """Size of all files under a folder, bytes; those that vanish meanwhile count nothing."""
+    total = 0
+    for path in folder.rglob("*"):
+        with suppress(OSError):
+            total += path.lstat().st_size if not path.is_dir() else 0
+    return total
 
 
 class DemoFaults:
@@ -60,6 +82,6 @@ class DemoFaults:
         self.active ^= {name}
         on = name in self.active
         if name == "storage":
-            self._disk.is_full = on
+            self._disk.fill(on)
         else:
             self._instrument.set_fault(name, on)

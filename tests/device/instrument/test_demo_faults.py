@@ -45,7 +45,7 @@ def demonstrated(instrument: Instrument, name: str) -> VerdictRecord | str:
 
 @pytest.fixture
 def demo_store(calibrated: BundleStore, hardware: Hardware) -> tuple[BundleStore, DemoDisk]:
-    disk = DemoDisk()
+    disk = DemoDisk(calibrated.root)
     return BundleStore(calibrated.root, hardware.clock, boot_id="b0075e1f", statvfs=disk), disk
 
 
@@ -83,6 +83,21 @@ def test_battery_and_storage_raise_their_alarms(hardware: Hardware, demo_store: 
         assert any("no room" in alarm for alarm in instrument.state.alarms)
 
 
+def test_a_full_store_is_exported_to_a_stick(
+    hardware: Hardware, demo_store: tuple[BundleStore, DemoDisk], tmp_path: Path
+) -> None:
+    store, disk = demo_store
+    stick = tmp_path / "stick"
+    stick.mkdir()
+    with Instrument(hardware, store, stick=lambda: stick) as instrument:
+        assert isinstance(demonstrated(instrument, "coin"), VerdictRecord)
+        DemoFaults(instrument, disk).toggle("storage")
+        refused = demonstrated(instrument, "coin")
+        assert isinstance(refused, str)
+        exported = instrument.export_to_stick()
+        assert (exported.verified, exported.copied, exported.failed) == (1, 1, ())
+
+
 class WatchedClock(VirtualClock):
     """A virtual clock that calls `watch` whenever time passes."""
 
@@ -98,7 +113,7 @@ class WatchedClock(VirtualClock):
 def test_a_stall_is_one_steady_sentence_within_a_second_and_leaves_nothing_behind(
     small_twin: BoardProfile, calibrated_root: Path, tmp_path: Path
 ) -> None:
-    clock, disk = WatchedClock(), DemoDisk()
+    clock, disk = WatchedClock(), DemoDisk(tmp_path / "store")
     hardware = twin_hardware(build(small_twin, clock))
     shutil.copytree(calibrated_root, tmp_path / "store")
     store = BundleStore(tmp_path / "store", clock, boot_id="b0075e1f", statvfs=disk)

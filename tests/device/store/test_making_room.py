@@ -69,9 +69,17 @@ def test_deleted_scans_go_after_those_with_a_receipt_and_one_at_a_time(
     assert deleted(store) == {ids[0], ids[2], ids[4]}
     assert store.make_room(2 * SCAN_BYTES) == []
     assert deleted(store) == {ids[2], ids[4]}
-    assert store.make_room(1 << 40) == []
-    assert deleted(store) == set()
     assert {scan.scan_id for scan in store.scans().bundles} == {ids[1], ids[3]}
+
+
+def test_nothing_is_removed_where_all_of_it_would_not_be_enough(tmp_path: Path, publish_scan: PublishScan) -> None:
+    store, scans = full_store(tmp_path / "store", publish_scan, 4)
+    receipt_for(store, scans[3])
+    delete_scan(store.root, scans[0].scan_id)
+    assert store.make_room(1 << 40) == []
+    assert deleted(store) == {scans[0].scan_id}
+    assert len(store.scans().bundles) == 3
+    restore_scan(store.root, scans[0].scan_id)
 
 
 def test_what_a_press_would_free_is_counted_and_stays(tmp_path: Path, publish_scan: PublishScan) -> None:

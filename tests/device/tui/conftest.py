@@ -158,7 +158,7 @@ def play(bench: SimulatedScene, no_ambient_colour_wishes: None) -> Callable[...,
         machine: Machine | None = None,
     ) -> None:
         async def on_stage() -> None:
-            disk = DemoDisk()
+            disk = DemoDisk(root)
             store = BundleStore(root, bench.clock, boot_id="b0075e1f", statvfs=disk)
             pairing = PairingSetup(port=0, host_key=host_key, keys=root.parent)
             with Instrument(twin_hardware(bench), store, pairing=pairing, machine=machine) as instrument:
