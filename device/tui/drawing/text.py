@@ -62,6 +62,11 @@ def percent_text(fraction: float | None) -> str:
     return "-" if fraction is None else f"{fraction:.0%}"
 
 
+def signed_percent(change: float) -> str:
+    """A relative change to a tenth of a per cent with its sign; one that rounds to 0 has none that is below."""
+    return f"{round(change, 3) + 0.0:+.1%}"
+
+
 def gauge_text(name: str, fraction: float | None, columns: int, words: str | None = None) -> str:
     """A name, a bar and a number in `columns`, such as "contact ■■■■····  52%"; `words` replaces the number."""
     label, number = f"{name:<9}", f"{words or percent_text(fraction):>6}"

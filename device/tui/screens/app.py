@@ -212,7 +212,9 @@ class RetroscanApp(App[str]):
             binding = active.binding
             if binding.action in FRAMEWORK_ACTIONS:
                 continue
-            if active.enabled and (what := binding.description or KEYS_IN_WORDS.get(binding.action, "")):
+            if active.enabled and (
+                what := binding.tooltip or binding.description or KEYS_IN_WORDS.get(binding.action, "")
+            ):
                 keys.setdefault(self.get_key_display(binding), what)
         self.push_screen(KeysDialog(list(keys.items())))
 

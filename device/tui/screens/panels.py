@@ -14,7 +14,7 @@ from device.imaging.focus import FocusReading
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import CalibrationState, CheckState, HealthState, InstrumentState, PairingState
 from device.tui.drawing.advice import screen_advice
-from device.tui.drawing.text import age_text, clock_text, gauge_text, hanging, percent_text, shortened
+from device.tui.drawing.text import age_text, clock_text, gauge_text, hanging, percent_text, shortened, signed_percent
 from hal.interfaces import PowerReading
 
 _LABEL: Final = 12
@@ -36,11 +36,11 @@ def instrument_panel(
     calibration, gel = state.calibration, state.gel
     error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
     left = "unknown" if state.scans_left is None else f"room for {state.scans_left} more"
-    stored = "" if state.scans_stored is None else f"{state.scans_stored} scans, "
+    stored = "" if state.scans_stored is None else f"{_counted(state.scans_stored)}, "
     lines = [
         ("Device", f"{state.device_id} ({state.board})"),
         *_network_lines(network, columns),
-        ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {gel.presses} times"),
+        ("Gel", f"{gel.gel_id}, {gel.slab_thickness_mm:g} mm, pressed {_times(gel.presses)}"),
         ("Skin", skin_text(state.health)),
         (
             "Calibration",
@@ -57,6 +57,14 @@ def instrument_panel(
     return _labelled(lines, columns)
 
 
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _counted(scans: int) -> str:
+    return "1 scan" if scans == 1 else f"{scans} scans"
+
+
 def _version(calibration: CalibrationState) -> str:
     return "" if calibration.version is None else f", version {calibration.version} ({calibration.slot})"
 
@@ -64,12 +72,12 @@ def _version(calibration: CalibrationState) -> str:
 def _brightness_lines(calibration: CalibrationState) -> list[tuple[str, str]]:
     """How much of the sensor's range the calibration uses, if recorded."""
     found = calibration.brightness
-    return [] if found is None else [("Brightness", found.warning or found.sentence)]
+    return [] if found is None else [("Brightness", screen_advice(found.warning or found.sentence))]
 
 
 def lights_text(health: HealthState) -> str:
     """How much each light has changed since calibration."""
-    seen = [f"{name} {change:+.1%}" for name, change in health.light_change.items() if change is not None]
+    seen = [f"{name} {signed_percent(change)}" for name, change in health.light_change.items() if change is not None]
     if not seen:
         return "not measured yet: lift off, so that untouched skin is visible"
     return f"{', '.join(seen)} since calibration"
@@ -222,7 +230,7 @@ def calibration_text(calibration: CalibrationState) -> str:
 
 
 def _room(state: InstrumentState) -> str:
-    return "" if state.scans_left is None else f"{state.scans_left} scans left"
+    return "" if state.scans_left is None else f"{_counted(state.scans_left)} left"
 
 
 def _battery(power: PowerReading) -> str:

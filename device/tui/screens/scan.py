@@ -15,6 +15,7 @@ from textual.widget import Widget
 from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
 from device.guidance.cover_task import MAX_AREA_MM
+from device.guidance.reading import Advice
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import Activity, AreaState, InstrumentState, LastScan, SpotState
@@ -41,6 +42,12 @@ _MODE_WORDS: Final[dict[CaptureMode, str]] = {
 
 AREA_HINT: Final = f"At most {MAX_AREA_MM:.0f} mm each way. Enter: next field · Escape: cancel"
 
+TOUCHES: Final[dict[Advice, str]] = {
+    "press": "Touch the object lightly.",
+    "press more": "Hold still and push the button: a light touch is enough.",
+}
+"""Advice while the way back to a spot is looked for, in place of that for a scan."""
+
 _ELSEWHERE: Final[dict[Activity, str]] = {
     "calibrating": "A calibration is under way: key 2 shows it.",
     "balancing": "The exposure is being balanced: key 4 shows it.",
@@ -61,10 +68,10 @@ class ScanScreen(InstrumentScreen):
         Binding("r", "retake", "retake"),
         Binding("b", "code", "part's name by QR code or barcode", show=False),
         Binding("a", "auto", "auto"),
+        Binding("w", "area", "area", tooltip="cover an area larger than the field"),
         Binding("m", "mode", "one frame, precise, each light, or a movie", show=False),
         Binding("z", "zero", "zero"),
         Binding("d", "demonstrate", "press"),
-        Binding("w", "area", "cover an area"),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:
@@ -295,12 +302,14 @@ def cue_text(state: InstrumentState) -> str:
         return _ELSEWHERE[state.activity]
     if state.activity != "ready":
         return f"{state.activity.capitalize()} ..."
-    if state.scans_left == 0:
+    if state.scans_left == 0 and state.spot is None:
         return f"{NO_ROOM[0].upper()}{NO_ROOM[1:]}."
     if state.calibration.calibration_id is None:
         return "Not calibrated: open Calibrate (key 2, or hold the button)."
     if state.live is None:
         return "Push the button to switch the lights on."
+    if state.spot and state.live.reading.advice in TOUCHES:
+        return TOUCHES[state.live.reading.advice]
     sign = "> " if _is_ready(state) else ""
     return f"{sign}{screen_advice(state.live.reading.sentence)}"
 
@@ -311,5 +320,5 @@ def idle_sentence(state: InstrumentState) -> str:
 
 
 def _is_ready(state: InstrumentState) -> bool:
-    has_room = state.activity == "ready" and state.scans_left != 0
+    has_room = state.activity == "ready" and (state.scans_left != 0 or state.spot is not None)
     return has_room and state.live is not None and state.live.reading.advice == "ready"

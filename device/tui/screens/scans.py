@@ -39,13 +39,13 @@ class ScansScreen(InstrumentScreen):
         Binding("g", "mark('good')", "good"),
         Binding("b", "mark('bad')", "bad"),
         Binding("u", "mark('')", "unmark", show=False),
-        Binding("n", "note", "note"),
         Binding("p", "profile", "profile"),
         Binding("x,delete", "delete", "delete", key_display="x"),
+        Binding("w", "way_back", "spot", tooltip="way back to this scan's spot"),
+        Binding("n", "note", "note"),
         Binding("z", "undo", "undo"),
         Binding("slash", "find", "find", key_display="/"),
         Binding("s", "sort", "sort"),
-        Binding("w", "way_back", "way back"),
         Binding("v", "view", show=False),
     ]
 

@@ -137,6 +137,22 @@ def test_a_line_with_room_has_every_hint(play: Callable[..., None], root: Path) 
     play(scenario, root, is_demo=True)
 
 
+def test_way_back_and_area_are_in_the_bottom_line_and_in_words_under_the_question_mark(
+    play: Callable[..., None], root: Path
+) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.object_pressed()
+        assert " w area " in stage.lines()[-1]
+        await stage.press("question_mark", "end")
+        assert "cover an area larger than the field" in stage.text()
+        await stage.press("escape", "3")
+        assert " w spot " in stage.lines()[-1]
+        await stage.press("question_mark", "end")
+        assert "way back to this scan's spot" in stage.text()
+
+    play(scenario, root)
+
+
 def test_a_small_terminal_is_named(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         assert "too small, needs 40x16" in stage.text()

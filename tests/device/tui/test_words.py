@@ -1,14 +1,17 @@
 """The few words that a screen has room for."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
 from device.calibration.acceptance import Check
+from device.imaging.exposure import Brightness
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
 from device.tui.drawing.cells import colour_depth
-from device.tui.drawing.text import age_text, check_lines, coverage_lines, gauge_text, shortened
-from device.tui.screens.panels import state_text
+from device.tui.drawing.text import age_text, check_lines, coverage_lines, gauge_text, shortened, signed_percent
+from device.tui.screens.panels import ProgramInfo, instrument_panel, state_text
 from hal.interfaces import PowerReading
 
 
@@ -104,3 +107,19 @@ def test_before_the_first_ball_nothing_is_covered() -> None:
 
 def test_text_that_does_not_fit_ends_in_an_ellipsis() -> None:
     assert [shortened("sphere", columns) for columns in (6, 4, 1)] == ["sphere", "sph…", "…"]
+
+
+@pytest.mark.parametrize(("change", "text"), [(-0.0004, "+0.0%"), (0.0, "+0.0%"), (-0.0006, "-0.1%"), (0.02, "+2.0%")])
+def test_a_change_that_rounds_to_nothing_has_no_minus(change: float, text: str) -> None:
+    assert signed_percent(change) == text
+
+
+def test_the_instruments_facts_count_once_and_name_what_the_screens_can_do(tmp_path: Path) -> None:
+    balance = replace(state().calibration, brightness=Brightness((0.5, 0.5, 0.5), (0.95, 0.9, 0.9)))
+    known = state(calibration=balance, gel=GelState("gel", 2.5, 1), scans_stored=1, scans_left=1)
+    text = instrument_panel(known, ProgramInfo("0.1.0", tmp_path), None, 200, datetime(2026, 11, 23, tzinfo=UTC))
+    assert "pressed once" in text
+    assert "1 scan, room for 1 more" in text
+    assert "balance it (key 4, Exposure)" in text
+    assert "retroscan calibrate" not in text
+    assert "1 scan left" in state_text(known, 200)
