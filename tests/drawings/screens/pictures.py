@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import math
 import os
+import shutil
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from device.acquisition.calibrate import calibrate
@@ -23,6 +25,9 @@ from device.tui.screens.panels import ProgramInfo
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock
 from hal.factory import open_hardware
+from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.hardware import twin_hardware
+from tests.device.tui.test_way_back import AT_START
 from tests.drawings.screens.terminal_picture import terminal_picture
 
 SIZE = (100, 30)
@@ -31,6 +36,13 @@ UNTOUCHED_STEPS = 30
 """Live frames of untouched skin before a press, in which the lights are measured."""
 
 STILL_STEPS = 40
+
+AREA_MM = ("40", "20")
+PRESSES_MM = (-11.0, -1.0)
+"""An area and where its first presses are, of an object that reaches beyond it."""
+
+TOUCH_MM = (14.0, 2.0)
+"""Where the object is under the touch whose way back to the first press is shown."""
 
 
 @dataclass
@@ -87,6 +99,36 @@ async def play(instrument: Instrument, root: Path, depth: ColourDepth, out: Path
         player.save("screen-calibrate")
 
 
+async def cover(instrument: Instrument, root: Path, bench: SimulatedScene, out: Path) -> None:
+    """Cover an area larger than the field with two presses; then look for the way back to the first."""
+    app = RetroscanApp(instrument, ProgramInfo("0.1.0", root), "full", bench.profile.sensor, True, updates_per_s=None)
+    async with app.run_test(size=SIZE) as pilot:
+        player = Player(app, instrument, out)
+        await player.live(UNTOUCHED_STEPS)
+        await pilot.press("w", *AREA_MM[0], "enter", *AREA_MM[1], "enter")
+        await player.live(2)
+        for right_mm in PRESSES_MM:
+            bench.place(replace(AT_START, centre_mm=(-right_mm, 0.0)))
+            await player.live(3)
+            await pilot.press("space")
+            await player.live(2)
+            bench.place(None)
+            bench.clock.sleep(1.0)
+            await player.live(UNTOUCHED_STEPS)
+        await pilot.pause()
+        player.save("screen-cover-area")
+        await pilot.press("escape", "3")
+        await app.workers.wait_for_complete()
+        await pilot.press("end", "w")
+        await app.workers.wait_for_complete()
+        bench.place(replace(AT_START, centre_mm=TOUCH_MM, turn_rad=math.radians(4.0)))
+        await player.live(3)
+        await pilot.press("space")
+        await player.live(2)
+        await pilot.pause()
+        player.save("screen-way-back")
+
+
 def main() -> None:
     """Write the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -102,6 +144,11 @@ def main() -> None:
         for depth in ("full", "sixteen"):
             with Instrument(open_hardware(profile, clock), BundleStore(root, clock)) as instrument:
                 asyncio.run(play(instrument, root, depth, out))
+        bench = build(profile, clock)
+        covered = Path(folder) / "covered"
+        shutil.copytree(root, covered, ignore=shutil.ignore_patterns("scans"))
+        with Instrument(twin_hardware(bench), BundleStore(covered, clock)) as instrument:
+            asyncio.run(cover(instrument, covered, bench, out))
 
 
 if __name__ == "__main__":
