@@ -225,7 +225,7 @@ class BundleStore:
         """Remove scans with a receipt, oldest first, until `size_bytes` fit; returns their ids.
 
         What workstations left beyond their allowance goes first. Deleted scans go last, oldest first and no more than
-        needed: they may have no copy elsewhere. No scan is removed where all of them together would not be enough.
+        needed: they may have no copy elsewhere. None of them goes where all together would not be enough.
 
         Raises
         ------
@@ -238,10 +238,9 @@ class BundleStore:
 
         with self._translating("written"), locked_directory(self.root):
             tidy_shared_folders(self.root, {name for kind in MANIFESTS for name in bundle_ids(self.root, kind)})
-            if self.scans_left_after_removal(size_bytes) < 1:
-                return []
             freed = evict_acknowledged(self.root, enough)
-            purge_oldest(self.root, enough)
+            if self.scans_left_after_removal(size_bytes) > 0:
+                purge_oldest(self.root, enough)
         return freed
 
     def import_inbox(self) -> list[InboxItem]:
