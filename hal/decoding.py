@@ -24,18 +24,18 @@ def decode_toml(data: bytes, kind: type[T]) -> T:
     msgspec.DecodeError
         It is not TOML; the message is a clause such as "is not TOML: it is not text in UTF-8".
     """
-    return _decoded(lambda text: msgspec.toml.decode(text, type=kind), data, "TOML")
+    text = data.removeprefix(BOM_UTF8)
+    return _decoded(lambda: msgspec.toml.decode(text, type=kind), text, "TOML")
 
 
 def decode_json(data: bytes, kind: type[T]) -> T:
-    """The record in JSON; errors as for `decode_toml`."""
-    return _decoded(lambda text: msgspec.json.decode(text, type=kind), data, "JSON")
+    """The record in JSON, which programs write and begin without a mark; errors as for `decode_toml`."""
+    return _decoded(lambda: msgspec.json.decode(data, type=kind), data, "JSON")
 
 
-def _decoded(decode: Callable[[bytes], T], data: bytes, form: str) -> T:
-    text = data.removeprefix(BOM_UTF8)
+def _decoded(decode: Callable[[], T], text: bytes, form: str) -> T:
     try:
-        return decode(text)
+        return decode()
     except msgspec.ValidationError:
         raise
     except RecursionError as error:
