@@ -52,7 +52,12 @@ export class Player {
   async turn(page) {
     this.page = page;
     this.show();
-    await this.onpage(page);
+    this.element.setAttribute("aria-busy", "true");
+    try {
+      await this.onpage(page);
+    } finally {
+      if (this.page === page) this.element.setAttribute("aria-busy", "false");
+    }
   }
 
   show() {

@@ -37,6 +37,18 @@ def drag(page: Any, start: tuple[float, float], end: tuple[float, float]) -> Non
     page.mouse.up()
 
 
+def middle_of(page: Any, selector: str) -> tuple[float, float]:
+    """Middle of an element of the overlay, read in one step: each drawing replaces all its elements."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return tuple(
+        page.evaluate(
+            "selector => { const box = document.querySelector(selector).getBoundingClientRect();"
+            " return [box.x + box.width / 2, box.y + box.height / 2]; }",
+            selector,
+        )
+    )
+
+
 def numbers(page: Any, name: str) -> dict[str, str]:
     """Numbers of an item by their names."""
     item = page.locator(f".item:has(input[aria-label='Name of {name}'])" if name != "surface" else ".item:has(h2)")
@@ -99,11 +111,12 @@ def test_undo_goes_back_and_redo_forward(served: Any, visit: Callable[..., Any])
     page.wait_for_selector(".item:has(input[aria-label='Name of line 1'])", state="detached")
     page.keyboard.press("Control+Shift+z")
     page.wait_for_selector(".item:has(input[aria-label='Name of line 1'])")
+    calm(page)
     before = page.get_by_label("to right", exact=True).input_value()
-    handle = page.locator("[data-handle='profile:0:1']").bounding_box()
-    page.mouse.move(handle["x"] + 7, handle["y"] + 7)
+    x, y = middle_of(page, "[data-handle='profile:0:1']")
+    page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(handle["x"] + 47, handle["y"] + 7, steps=3)
+    page.mouse.move(x + 40, y, steps=3)
     page.mouse.up()
     assert float(page.get_by_label("to right", exact=True).input_value()) > float(before)
 

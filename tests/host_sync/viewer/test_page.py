@@ -90,6 +90,7 @@ def test_zoomed_in_each_pixel_is_one_square_of_its_own_brightness(
     page.get_by_role("button", name="1:1").click()
     for _ in range(6):
         page.get_by_role("button", name="+", exact=True).click()
+    page.wait_for_selector(".stage[data-level='0']")
     settle(page)
     shown = stage_picture(page)[..., 0].astype(float)
     z_um = tifffile.imread(results / "hill" / "height_um.tif")
@@ -212,12 +213,12 @@ def test_a_video_shows_its_frames(served: Any, visit: Callable[..., Any]) -> Non
     page.get_by_role("button", name="Through the middle").click()
     page.wait_for_selector(".drawer:not([hidden])")
     page.get_by_label("Frame", exact=True).fill("0")
-    page.wait_for_selector(".player output:text('1 of 5')")
+    page.wait_for_selector(".player[aria-busy=false] output:text('1 of 5')")
     page.locator(".surface canvas").focus()
+    settle(page)
     before = stage_picture(page)
     page.get_by_label("Frame", exact=True).fill("4")
-    page.wait_for_selector(".player output:text('5 of 5')")
-    page.wait_for_load_state("networkidle")
+    page.wait_for_selector(".player[aria-busy=false] output:text('5 of 5')")
     settle(page)
     middle = np.s_[100:300, 250:500]
     assert np.abs(stage_picture(page)[middle].astype(int) - before[middle]).mean() > 5.0
