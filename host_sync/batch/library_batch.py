@@ -20,6 +20,7 @@ from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.kernels.cache import holds_kernels
+from host_sync.kernels.kept_memory import kept_memory
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
@@ -116,11 +117,12 @@ def reconstruct_all(
 
 def one_by_one(scans: Sequence[ScanBundle], job: LibraryReconstructor) -> Iterator[ScanOutcome]:
     """What became of every scan, in this process."""
-    for scan in scans:
-        try:
-            yield _reconstructed(job, scan)
-        except (DeviceError, HostError) as error:
-            yield ScanOutcome(scan.scan_id, reason=str(error))
+    with kept_memory():
+        for scan in scans:
+            try:
+                yield _reconstructed(job, scan)
+            except (DeviceError, HostError) as error:
+                yield ScanOutcome(scan.scan_id, reason=str(error))
 
 
 def reconstruct_scans(

@@ -14,6 +14,7 @@ from multiprocessing import connection, get_context
 from typing import Final, Generic, TypeVar
 
 from device.shutdown import keep_types_at_exit
+from host_sync.kernels.kept_memory import kept_memory
 
 ATTEMPTS: Final = 3
 """A task whose process died so many times is given up."""
@@ -141,16 +142,17 @@ def _serve(pipe: connection.Connection, setup: Callable[[], Callable[[Task], Out
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_types_at_exit()
     work = setup()
-    while True:
-        try:
-            task = pipe.recv()
-        except EOFError:
-            return
-        outcome = work(task)
-        try:
-            pipe.send(outcome)
-        except BrokenPipeError:
-            return
+    with kept_memory():
+        while True:
+            try:
+                task = pipe.recv()
+            except EOFError:
+                return
+            outcome = work(task)
+            try:
+                pipe.send(outcome)
+            except BrokenPipeError:
+                return
 
 
 @contextmanager

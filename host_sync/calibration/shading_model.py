@@ -167,7 +167,7 @@ def intensity_and_slope_change(
     steepness = np.sqrt(1.0 + square)
     light = 1.0 + np.einsum("nct,nt->nc", coefficients, slope_terms(p, q))
     light += raised[..., 0] + raised[..., 1] * p[:, None] + raised[..., 2] * q[:, None]
-    change = np.einsum("nct,ntd->ncd", coefficients, _term_changes(p, q)) + raised[..., 1:]
+    change = np.matmul(coefficients, _term_changes(p, q)) + raised[..., 1:]
     lit = light > 0.0
     intensity = np.where(lit, light, 0.0) / steepness[:, None]
     slope = np.stack([p, q], axis=-1)[:, None, :]

@@ -24,7 +24,6 @@ SMALL_PX: Final = 1 << 17
 
 BANDS_PER_THREAD: Final = 6
 
-Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
@@ -59,8 +58,8 @@ class BackgroundCall(Generic[Result]):
     It uses one thread. If the caller itself has only one, the call runs when it is started.
     """
 
-    def __init__(self, function: Callable[[Argument], Result], argument: Argument) -> None:
-        self._call: Callable[[], Result] = partial(function, argument)
+    def __init__(self, function: Callable[..., Result], *arguments: Any) -> None:
+        self._call: Callable[[], Result] = partial(function, *arguments)
         self._wait: Callable[[], Result] | None = None
 
     def start(self) -> Callable[[], Result]:

@@ -12,7 +12,7 @@ Frames of each light alone show where it does not arrive, whatever heights say: 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -24,6 +24,9 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Mas
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
 from host_sync.integration.zero_level import elevation_over_datum_px
+from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.reconstruction.elevation_correction import cell_means
 
 WIDEST_CELLS: Final = 256
@@ -93,11 +96,9 @@ class ShadowCorrection:
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""
-        rows, columns = gradients.p.shape
-        for values, change in ((gradients.p, self.p), (gradients.q, self.q)):
-            values += _enlarged(change, self.cell)[:rows, :columns]
-        weight = np.float32(1.0) - np.float32(1.0 - self.weight) * _enlarged(self.shadow, self.cell)
-        np.multiply(gradients.weight, weight[:rows, :columns], out=gradients.weight)
+        less = np.float32(self.weight - 1.0) * self.shadow
+        planes = bordered(np.stack([self.p, self.q, less]))
+        parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
@@ -265,7 +266,6 @@ def _two_light_slopes(
     leaks : of the shading model
     """
     slope, trust = prior.copy(), np.where(hidden, 0.0, 1.0)
-    identity = np.eye(2) / PRIOR_SIGMA**2
     for step in range(STEPS):
         foretold, change = intensity_and_slope_change(coefficients, slope[:, 0], slope[:, 1], raised)
         if step >= FREE_STEPS:
@@ -274,12 +274,25 @@ def _two_light_slopes(
         # A hidden light is missing from the other channels too, as far as their filters pass it.
         lost = (1.0 - trust) * np.maximum(foretold - intensity, 0.0)
         foretold = foretold - leaks * (lost.sum(axis=1, keepdims=True) - lost)
-        gram = np.einsum("nc,ncd,nce->nde", weight, change, change) + identity
-        moment = np.einsum("nc,ncd->nd", weight * (intensity - foretold), change) - (slope - prior) / PRIOR_SIGMA**2
-        move = np.linalg.solve(gram, moment[..., None])[..., 0]
+        move = _least_squares(change, weight, intensity - foretold, prior - slope)
         length = np.linalg.norm(move, axis=1, keepdims=True)
         slope += move * np.minimum(1.0, MAX_STEP / np.maximum(length, 1e-9))
     return slope, trust.min(axis=1)
+
+
+def _least_squares(
+    change: Float64Array, weight: Float64Array, missing: Float64Array, back: Float64Array
+) -> Float64Array:
+    """Step (N, 2) that explains missing intensity (N, 3) best, with known slopes `back` away."""
+    prior = 1.0 / PRIOR_SIGMA**2
+    by_p, by_q = change[..., 0], change[..., 1]
+    pp, pq, qq = (
+        np.einsum("nc,nc->n", weight * one, other) for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q))
+    )
+    along_p, along_q = (np.einsum("nc,nc->n", weight * missing, one) for one in (by_p, by_q))
+    along_p, along_q = along_p + prior * back[:, 0], along_q + prior * back[:, 1]
+    pp, qq = pp + prior, qq + prior
+    return np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1) / (pp * qq - pq * pq)[:, None]
 
 
 def _trust(intensity: Float64Array, foretold: Float64Array) -> Float64Array:
@@ -305,7 +318,17 @@ def _of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64
     return np.stack(channels, axis=-1).astype(np.float64)
 
 
-def _enlarged(change: Float32Array, cell: int) -> Float32Array:
-    """What changes at every pixel of the cells."""
-    size = (change.shape[1] * cell, change.shape[0] * cell)
-    return np.asarray(cv2.resize(change, size, interpolation=cv2.INTER_LINEAR), np.float32)
+@njit(cache=True, nogil=True)
+def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
+    """Add the first two planes of cells to slopes, and the third's share of the weight to it, in rows."""
+    upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
+    expanded = -1
+    for r in range(first, last):
+        top, share = cells_above(r, cell, planes.shape[1])
+        if top != expanded:
+            expand_cells(planes, top, cell, upper, step)
+            expanded = top
+        for c in range(p.shape[1]):
+            p[r, c] += upper[0, c] + share * step[0, c]
+            q[r, c] += upper[1, c] + share * step[1, c]
+            weight[r, c] += weight[r, c] * (upper[2, c] + share * step[2, c])

@@ -15,7 +15,9 @@ import numpy as np
 from device.surface.fields import Float32Array, GradientField, MaskArray
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.integration.datum import cell_sums
+from host_sync.integration.smoother import CONTRACT
 from host_sync.integration.zero_level import elevation_over_datum_px
+from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 
@@ -91,40 +93,32 @@ def cell_means(
 
 
 def _by_term(z_px: Float32Array, factors: Float32Array) -> Float32Array:
-    """z times factors, one plane a term, with the border cells once more around them: shape (9, h + 2, w + 2)."""
-    planes = np.moveaxis(z_px[..., None] * factors, -1, 0)
-    return np.ascontiguousarray(np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode="edge"), np.float32)
+    """z times factors as bordered planes of cells, one a term: shape (9, h + 2, w + 2)."""
+    return bordered(np.moveaxis(z_px[..., None] * factors, -1, 0))
 
 
 @njit(cache=True, nogil=True)
 def _correct(p: Any, q: Any, planes: Any, cell: int, first: int, last: int) -> None:
-    """Correct the rows `first` to `last` - 1; between the cells' middles what is added runs straight."""
-    terms, columns, cells = len(planes), p.shape[1], planes.shape[2]
-    here, step = np.empty((terms, cells), np.float32), np.zeros((terms, cells), np.float32)
-    per_cell, middle = np.float32(1.0 / cell), 0.5 * (cell - 1)
+    """Correct the rows `first` to `last` - 1."""
+    upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
+    expanded = -1
     for r in range(first, last):
-        at = (r - middle) / cell + 1.0
-        top = min(max(int(at), 0), planes.shape[1] - 2)
-        share = np.float32(at - top)
-        for term in range(terms):
-            upper, lower = planes[term, top], planes[term, top + 1]
-            for j in range(cells):
-                here[term, j] = upper[j] + share * (lower[j] - upper[j])
-            for j in range(cells - 1):
-                step[term, j] = (here[term, j + 1] - here[term, j]) * per_cell
-        for j in range(cells - 1):
-            begin = (j - 1) * cell + middle
-            start, end = max(int(np.ceil(begin)), 0), min(int(np.ceil(begin + cell)), columns)
-            if end > start:
-                _correct_run(p[r, start:end], q[r, start:end], here[:, j], step[:, j], np.float32(start - begin))
+        top, share = cells_above(r, cell, planes.shape[1])
+        if top != expanded:
+            expand_cells(planes, top, cell, upper, step)
+            expanded = top
+        _correct_row(p[r], q[r], upper, step, share)
 
 
-@njit(cache=True)
-def _correct_run(p: Any, q: Any, here: Any, step: Any, offset: Any) -> None:
-    t0, t1, t2, t3, t4, t5, t6, t7, t8 = here
-    d0, d1, d2, d3, d4, d5, d6, d7, d8 = step
-    for k in range(p.size):
-        x, y, n = p[k], q[k], offset + np.float32(k)
-        brighter = (t0 + n * d0) + (t1 + n * d1) * x + (t2 + n * d2) * y
-        p[k] = x - ((t3 + n * d3) + (t4 + n * d4) * x + (t5 + n * d5) * y - brighter * x)
-        q[k] = y - ((t6 + n * d6) + (t7 + n * d7) * x + (t8 + n * d8) * y - brighter * y)
+@njit(cache=True, fastmath=CONTRACT)
+def _correct_row(p: Any, q: Any, upper: Any, step: Any, share: Any) -> None:
+    for c in range(p.size):
+        x, y = p[c], q[c]
+        brighter = upper[0, c] + share * step[0, c]
+        brighter += (upper[1, c] + share * step[1, c]) * x + (upper[2, c] + share * step[2, c]) * y
+        across = upper[3, c] + share * step[3, c]
+        across += (upper[4, c] + share * step[4, c]) * x + (upper[5, c] + share * step[5, c]) * y
+        down = upper[6, c] + share * step[6, c]
+        down += (upper[7, c] + share * step[7, c]) * x + (upper[8, c] + share * step[8, c]) * y
+        p[c] = x - (across - brighter * x)
+        q[c] = y - (down - brighter * y)

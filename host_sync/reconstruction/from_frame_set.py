@@ -16,6 +16,7 @@ from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
 from host_sync.frames.linear_light import read_frame
+from host_sync.kernels.kept_memory import kept_memory
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.results.doubts import stated_doubts
@@ -49,6 +50,7 @@ def chosen_scans(frame_set: FrameSet, names: Sequence[str]) -> list[ScanSpec]:
     return [known[name] for name in names] if names else list(frame_set.scans)
 
 
+@kept_memory()
 def reconstruct_frame_set(
     frame_set: FrameSet,
     out: Path,

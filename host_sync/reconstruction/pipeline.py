@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
@@ -16,16 +16,20 @@ from host_sync.denoising.blur_correction import without_blur
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
+from host_sync.gradients.surface_slope_kernel import surface_slopes
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
 from host_sync.johnson2009.model import integrate_forward_difference
+from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
-from host_sync.reconstruction.slope_reading import raise_on_warnings, read_slopes
+from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck
 from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     NOISE_KEPT,
+    HeightUncertainty,
     flat_bias,
     height_uncertainty,
     nonintegrable_residual,
@@ -80,6 +84,7 @@ class Reconstruction:
         return float(np.isnan(self.height.z_um).mean())
 
 
+@kept_memory()
 def reconstruct(
     frame: LinearFrame | RawFrame,
     calibration: Calibration,
@@ -105,7 +110,7 @@ def reconstruct(
     """
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
-    intensity, shadow, warnings = reading.first.intensity, reading.first.shadow, reading.warnings
+    intensity, warnings = reading.first.intensity, reading.warnings
     gradients, shrinkage = reading.gradients, calibration.shrinkage
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
@@ -121,44 +126,31 @@ def reconstruct(
     if datum.is_relative:
         warnings += [NO_ZERO]
     height = datum.level(height)
-    p, q = surface_slopes(height)
-    error = slope_error_of(calibration, chosen)
-    contradiction = nonintegrable_residual(gradients, p, q)
-    resting = flat_bias(calibration.inverse.map)
-    replicas = calibration.inverse.replicas if chosen == "direct" else ()
-    unsure = calibration_uncertainty(intensity, replicas, reduced_size(p.shape))
-    known = height_uncertainty(
-        height,
-        gradients,
-        contradiction,
-        error,
-        resting,
-        datum,
-        known_scale_share(calibration),
-        calibration=unsure,
-        shadow=None if shadow is None else shadow.sigma(reduced_size(p.shape)),
-    )
-    kept = noise.shrunk_kept if noise else NOISE_KEPT
-    steepness_sigma = slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
-    other = None
+    slopes = surface_slopes(height)
+    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum)
+    uncertainty.start()
+    shown, other = height, None
     if shrinkage is not None:
         raw_gradients = reading.raw_gradients()
         other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
         if detail == "raw":
-            steepness_sigma = raw_slope_sigma(steepness_sigma, p, q, calibration.slope_noise)
-            height, other, gradients = other, height, raw_gradients
-            p, q = surface_slopes(height)
+            shown, other, gradients = other, height, raw_gradients
+    p, q = slopes if shown is height else surface_slopes(shown)
+    strange = extrapolated(intensity, calibration.inverse.map, p, q)
+    known, slopes_sigma = uncertainty.result()
+    if shown is not height:
+        slopes_sigma = raw_slope_sigma(slopes_sigma, *slopes, noise)
     return Reconstruction(
         method=chosen,
-        height=height,
+        height=shown,
         sigma_um=known.sigma_um,
         samples_um=known.samples_um,
         p=p,
         q=q,
-        slope_sigma=steepness_sigma,
+        slope_sigma=slopes_sigma,
         gradients=gradients,
         integration=integration,
-        extrapolated=extrapolated(intensity, calibration.inverse.map, p, q),
+        extrapolated=strange,
         clipped_share=float(intensity.clipped.mean()),
         warnings=tuple(warnings),
         frame_checks=checks,
@@ -166,6 +158,42 @@ def reconstruct(
         detail="raw" if shrinkage is None else detail,
         other=other,
     )
+
+
+def _uncertainty(
+    height: HeightMap,
+    slopes: tuple[Float32Array, Float32Array],
+    gradients: GradientField,
+    reading: SlopeReading,
+    datum: Datum,
+) -> tuple[HeightUncertainty, Float32Array]:
+    """What is not known of heights, and the standard uncertainty of either slope.
+
+    height : with shrunk detail, levelled to the datum
+    slopes : of it
+    gradients : as they were integrated
+    """
+    p, q = slopes
+    first = reading.first
+    calibration, shadow, noise = first.calibration, first.shadow, first.calibration.slope_noise
+    size = reduced_size(p.shape)
+    error = slope_error_of(calibration, reading.method)
+    contradiction = nonintegrable_residual(gradients, p, q)
+    replicas = calibration.inverse.replicas if reading.method == "direct" else ()
+    unsure = calibration_uncertainty(first.intensity, replicas, size)
+    known = height_uncertainty(
+        height,
+        gradients,
+        contradiction,
+        error,
+        flat_bias(calibration.inverse.map),
+        datum,
+        known_scale_share(calibration),
+        calibration=unsure,
+        shadow=None if shadow is None else shadow.sigma(size),
+    )
+    kept = noise.shrunk_kept if noise else NOISE_KEPT
+    return known, slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
 
 
 def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:

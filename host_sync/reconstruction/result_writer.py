@@ -74,19 +74,21 @@ def write_result(
             kind = other_detail(reconstruction.detail)
             fields[OTHER_HEIGHT_FILES[kind]] = (reconstruction.other.z_um, f"height with {kind} detail, um")
         with ThreadPoolExecutor(WRITERS) as writers:
-            jobs = [writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name)]
+            # The longest ones first, so that both writers end together.
+            jobs = [
+                writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um),
+                writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name),
+            ]
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
             jobs.append(writers.submit(write_mask, folder / EXTRAPOLATED_FILE, reconstruction.extrapolated))
             if not reconstruction.datum.is_relative:
                 jobs.append(writers.submit(write_mask, folder / UNTOUCHED_FILE, reconstruction.datum.skin))
-            jobs.append(writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um))
+            record = result_record(name, reconstruction, calibration)
             for job in jobs:
                 job.result()
         detail_record = None if band is None else _write_detail(folder, reconstruction.height, band, name)
-        record = msgspec.structs.replace(
-            result_record(name, reconstruction, calibration), **(facts or {}), detail=detail_record
-        )
+        record = msgspec.structs.replace(record, **(facts or {}), detail=detail_record)
         (folder / RECORD_FILE).write_bytes(encode_record(record))
 
 
@@ -116,6 +118,7 @@ def write_samples(path: Path, reconstruction: Reconstruction, pitch_um: float) -
         samples_um,
         photometric="minisblack",
         compression="zlib",
+        compressionargs={"level": 1},
         predictor=True,
         description=f"height errors that the data allow, um, one page a draw; pixel pitch {reduced_um:g} um",
         metadata=None,

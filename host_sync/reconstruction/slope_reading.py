@@ -16,6 +16,7 @@ from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.johnson2009.model import estimate_gradients
+from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
 from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
 from host_sync.reconstruction.elevation_correction import correct_elevation
@@ -28,6 +29,7 @@ class ChannelReading:
     """What three channels of a frame say.
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
+    raw_estimate : slopes of the former before hidden lights are left out; None where both are the same
     """
 
     calibration: Calibration
@@ -36,6 +38,7 @@ class ChannelReading:
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
     shadow: ShadowCorrection | None
+    raw_estimate: BackgroundCall[GradientField] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +66,13 @@ class SlopeReading:
         return joined([group.gradients for group in self.groups], self.left_out)
 
     def raw_gradients(self) -> GradientField:
-        """The same with the frame's noise in them."""
+        """The same with the frame's noise in them, to be asked for once; the same arrays where nothing was shrunk."""
         found = []
         for group in self.groups:
-            gradients = estimate(group.raw, group.calibration, self.method)
+            if group.raw_estimate is None:
+                found.append(group.gradients)
+                continue
+            gradients = group.raw_estimate.result()
             if group.shadow is not None:
                 group.shadow.apply(gradients)
             found.append(gradients)
@@ -128,11 +134,15 @@ def _read_channels(
     warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
     raise_on_warnings(warnings, name, force=force)
     gradients = estimate(intensity, calibration, method)
+    raw_estimate = None
+    if shrinkage is not None:
+        raw_estimate = BackgroundCall(estimate, raw, calibration, method)
+        raw_estimate.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     shadow = _cast_shadow(gradients, intensity, calibration, method, alone)
     if shadow is not None:
         shadow.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, shadow), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, shadow, raw_estimate), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:

@@ -17,6 +17,8 @@ from unittest.mock import patch
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import demosaic
 from host_sync.calibration.calibrate import Calibration
+from host_sync.kernels.jit import get_num_threads, set_num_threads
+from host_sync.kernels.kept_memory import kept_memory
 from host_sync.reconstruction import pipeline as stages
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
@@ -43,7 +45,7 @@ STAGES = {
     "raw detail": ("raw_detail.with_raw_detail",),
     "integration": ("integrate.integrate",),
     "level": ("zero_level.find_datum", "zero_level.level"),
-    "slopes of the surface": ("fields.surface_slopes",),
+    "slopes of the surface": ("surface_slope_kernel.surface_slopes",),
     "sigma map": (
         "height_error.flat_bias",
         "height_error.nonintegrable_residual",
@@ -54,8 +56,8 @@ STAGES = {
     "extrapolation": ("extrapolation.extrapolated",),
     "results on disk": ("result_writer.write_result",),
 }
-"""Stages by the functions that do them, with their modules. Times are cumulated times of the profiler, which are
-somewhat too long because it traces every call."""
+"""Stages by the functions that do them, with their modules. Times are cumulated times of the profiler on one thread, for
+with several ones stages run beside each other; they are somewhat too long because it traces every call."""
 
 
 def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
@@ -79,9 +81,13 @@ def run_pipeline(calibration: Calibration, folder: Path, shape: Shape, runs: int
         "with": lambda: _scan_to_results(raw, full, folder),
         "without": lambda: _without_sigma(raw, full, folder, known),
     }
-    figures = side_by_side(methods, runs)
-    profile = cProfile.Profile()
-    profile.runcall(_scan_to_results, raw, full, folder)
+    with kept_memory():  # as in a batch, from the second scan on
+        figures = side_by_side(methods, runs)
+        profile = cProfile.Profile()
+        threads = get_num_threads()
+        set_num_threads(1)
+        profile.runcall(_scan_to_results, raw, full, folder)
+        set_num_threads(threads)
     return figures["with"] | {
         "megapixels": shape[0] * shape[1] / 1e6,
         "first_ms": first_ms,

@@ -1,0 +1,52 @@
+"""Values at the middles of cells, brought to every pixel of a row inside a kernel: between the middles they run
+straight, and beyond the outermost ones they stay.
+
+What two rows of cells hold is first brought to every column. All rows of pixels between their middles then take it, so
+that a pixel costs one product a value.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from device.surface.fields import Float32Array
+from host_sync.kernels.jit import njit
+
+
+def bordered(planes: Float32Array) -> Float32Array:
+    """Planes of cells (T, h, w) with the border cells once more around them: contiguous, shape (T, h + 2, w + 2)."""
+    return np.ascontiguousarray(np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode="edge"), np.float32)
+
+
+@njit(cache=True)
+def cells_above(row: int, cell: int, count: int) -> Any:
+    """Index of the bordered row of cells whose middle lies above a row of pixels, and its share of the way down."""
+    at = (row - 0.5 * (cell - 1)) / cell + 1.0
+    top = min(max(int(at), 0), count - 2)
+    return top, np.float32(at - top)
+
+
+@njit(cache=True)
+def expand_cells(planes: Any, top: int, cell: int, upper: Any, step: Any) -> None:
+    """Bring a bordered row of cells to every column.
+
+    planes : float32 array of shape (T, h + 2, w + 2)
+    upper, step : float32 arrays of shape (T, columns), receive row `top` and by how much the next one is larger
+    """
+    columns, cells = upper.shape[1], planes.shape[2]
+    per_cell, middle = np.float32(1.0 / cell), 0.5 * (cell - 1)
+    for term in range(len(planes)):
+        above, below = planes[term, top], planes[term, top + 1]
+        for j in range(cells - 1):
+            begin = (j - 1) * cell + middle
+            start, end = max(int(np.ceil(begin)), 0), min(int(np.ceil(begin + cell)), columns)
+            offset = np.float32(start - begin)
+            here, across = above[j], (above[j + 1] - above[j]) * per_cell
+            down = below[j] - here
+            turn = (below[j + 1] - below[j]) * per_cell - across
+            for c in range(start, end):
+                along = offset + np.float32(c - start)
+                upper[term, c] = here + along * across
+                step[term, c] = down + along * turn

@@ -1,0 +1,30 @@
+"""Cells brought to pixels inside a kernel: as OpenCV enlarges them."""
+
+import cv2
+import numpy as np
+import pytest
+
+from device.surface.fields import Float32Array
+from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
+
+
+def enlarged(planes: Float32Array, cell: int, shape: tuple[int, int]) -> Float32Array:
+    """Planes (T, h, w) at every pixel: float32 array of shape (T, H, W)."""
+    around = bordered(planes)
+    upper, step = (np.empty((len(planes), shape[1]), np.float32) for _ in range(2))
+    out = np.empty((len(planes), *shape), np.float32)
+    for row in range(shape[0]):
+        top, share = cells_above(row, cell, around.shape[1])
+        expand_cells(around, top, cell, upper, step)
+        out[:, row] = upper + share * step
+    return out
+
+
+@pytest.mark.parametrize(("cell", "cut"), [(1, 0), (2, 0), (3, 2), (8, 5), (8, 7)])
+def test_every_pixel_is_as_in_an_enlarged_picture(cell: int, cut: int) -> None:
+    planes = np.random.default_rng(cell).standard_normal((2, 5, 7)).astype(np.float32)
+    rows, columns = 5 * cell, 7 * cell
+    found = enlarged(planes, cell, (rows - cut, columns - cut))
+    for plane, here in zip(planes, found, strict=True):
+        expected = cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_LINEAR)
+        np.testing.assert_allclose(here, expected[: rows - cut, : columns - cut], atol=2e-6)
