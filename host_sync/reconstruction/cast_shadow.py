@@ -292,7 +292,8 @@ def _least_squares(
     along_p, along_q = (np.einsum("nc,nc->n", weight * missing, one) for one in (by_p, by_q))
     along_p, along_q = along_p + prior * back[:, 0], along_q + prior * back[:, 1]
     pp, qq = pp + prior, qq + prior
-    return np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1) / (pp * qq - pq * pq)[:, None]
+    move = np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1)
+    return np.asarray(move / (pp * qq - pq * pq)[:, None])
 
 
 def _trust(intensity: Float64Array, foretold: Float64Array) -> Float64Array:

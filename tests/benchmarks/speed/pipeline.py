@@ -56,8 +56,11 @@ STAGES = {
     "extrapolation": ("extrapolation.extrapolated",),
     "results on disk": ("result_writer.write_result",),
 }
-"""Stages by the functions that do them, with their modules. Times are cumulated times of the profiler on one thread, for
-with several ones stages run beside each other; they are somewhat too long because it traces every call."""
+"""Stages by the functions that do them, with their modules.
+
+Times are cumulated times of the profiler on one thread: with several ones stages run beside each other. They are
+somewhat too long because it traces every call.
+"""
 
 
 def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:

@@ -185,7 +185,7 @@ TIMEOUT_MS = 60_000
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in a browser, whose processes nobody schedules, fail when they fail twice; the summary names every rerun."""
+    """Tests in a browser, a program with a schedule of its own, fail when they fail twice; summaries name reruns."""
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.flaky(reruns=1))
