@@ -29,17 +29,18 @@ def cells_above(row: int, cell: int, count: int) -> Any:
 
 
 @njit(cache=True)
-def expand_cells(planes: Any, top: int, cell: int, upper: Any, step: Any) -> None:
-    """Bring a bordered row of cells to every column.
+def expand_cells(planes: Any, top: int, cell: int, first: int, upper: Any, step: Any) -> None:
+    """Bring a bordered row of cells to the columns from `first` on.
 
     planes : float32 array of shape (T, h + 2, w + 2)
     upper, step : float32 arrays of shape (T, columns), receive row `top` and by how much the next one is larger
     """
     columns, cells = upper.shape[1], planes.shape[2]
-    per_cell, middle = np.float32(1.0 / cell), 0.5 * (cell - 1)
+    per_cell, middle = np.float32(1.0 / cell), 0.5 * (cell - 1) - first
+    left, right = max(int(-middle / cell), 0), min(int((columns - middle) / cell) + 2, cells - 1)
     for term in range(len(planes)):
         above, below = planes[term, top], planes[term, top + 1]
-        for j in range(cells - 1):
+        for j in range(left, right):
             begin = (j - 1) * cell + middle
             start, end = max(int(np.ceil(begin)), 0), min(int(np.ceil(begin + cell)), columns)
             offset = np.float32(start - begin)

@@ -327,7 +327,7 @@ def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last
     for r in range(first, last):
         top, share = cells_above(r, cell, planes.shape[1])
         if top != expanded:
-            expand_cells(planes, top, cell, upper, step)
+            expand_cells(planes, top, cell, 0, upper, step)
             expanded = top
         for c in range(p.shape[1]):
             p[r, c] += upper[0, c] + share * step[0, c]

@@ -30,6 +30,9 @@ ROUNDS: Final = 2
 HIGHEST_SHARE: Final = 0.3
 """Elevation, as a share of the lights' height, beyond which the response, linear near the skin, is not followed."""
 
+RUN: Final = 256
+"""Columns at a time: what they are corrected by stays in the first-level cache."""
+
 
 def correct_elevation(gradients: GradientField, response: ElevationResponse) -> None:
     """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W)."""
@@ -100,18 +103,24 @@ def _by_term(z_px: Float32Array, factors: Float32Array) -> Float32Array:
 @njit(cache=True, nogil=True)
 def _correct(p: Any, q: Any, planes: Any, cell: int, first: int, last: int) -> None:
     """Correct the rows `first` to `last` - 1."""
-    upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
-    expanded = -1
-    for r in range(first, last):
-        top, share = cells_above(r, cell, planes.shape[1])
-        if top != expanded:
-            expand_cells(planes, top, cell, upper, step)
-            expanded = top
-        _correct_row(p[r], q[r], upper, step, share)
+    columns = p.shape[1]
+    upper, step = np.empty((len(planes), RUN), np.float32), np.empty((len(planes), RUN), np.float32)
+    begin = first
+    while begin < last:
+        top, _ = cells_above(begin, cell, planes.shape[1])
+        end = begin + 1
+        while end < last and cells_above(end, cell, planes.shape[1])[0] == top:
+            end += 1
+        for start in range(0, columns, RUN):
+            part = slice(start, min(start + RUN, columns))
+            expand_cells(planes, top, cell, start, upper, step)
+            for r in range(begin, end):
+                _correct_run(p[r, part], q[r, part], upper, step, cells_above(r, cell, planes.shape[1])[1])
+        begin = end
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def _correct_row(p: Any, q: Any, upper: Any, step: Any, share: Any) -> None:
+def _correct_run(p: Any, q: Any, upper: Any, step: Any, share: Any) -> None:
     for c in range(p.size):
         x, y = p[c], q[c]
         brighter = upper[0, c] + share * step[0, c]

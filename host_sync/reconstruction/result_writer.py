@@ -74,16 +74,13 @@ def write_result(
             kind = other_detail(reconstruction.detail)
             fields[OTHER_HEIGHT_FILES[kind]] = (reconstruction.other.z_um, f"height with {kind} detail, um")
         with ThreadPoolExecutor(WRITERS) as writers:
-            # The longest ones first, so that both writers end together.
-            jobs = [
-                writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um),
-                writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name),
-            ]
+            jobs = [writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name)]
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
             jobs.append(writers.submit(write_mask, folder / EXTRAPOLATED_FILE, reconstruction.extrapolated))
             if not reconstruction.datum.is_relative:
                 jobs.append(writers.submit(write_mask, folder / UNTOUCHED_FILE, reconstruction.datum.skin))
+            jobs.append(writers.submit(write_samples, folder / SAMPLES_FILE, reconstruction, calibration.pitch_um))
             record = result_record(name, reconstruction, calibration)
             for job in jobs:
                 job.result()
@@ -117,9 +114,6 @@ def write_samples(path: Path, reconstruction: Reconstruction, pitch_um: float) -
         path,
         samples_um,
         photometric="minisblack",
-        compression="zlib",
-        compressionargs={"level": 1},
-        predictor=True,
         description=f"height errors that the data allow, um, one page a draw; pixel pitch {reduced_um:g} um",
         metadata=None,
     )

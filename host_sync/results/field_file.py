@@ -132,9 +132,9 @@ def read_mask(path: Path, shape: tuple[int, ...]) -> MaskArray:
 
 
 def write_mask(path: Path, mask: MaskArray) -> None:
-    """Write a mask of shape (H, W) as a PNG of one channel, white where it holds."""
-    values: NDArray[np.uint8] = np.where(mask, np.uint8(255), np.uint8(0))
-    done, encoded = cv2.imencode(".png", values)
+    """Write a mask of shape (H, W) as a PNG of one bit a pixel, white where it holds."""
+    values: NDArray[np.uint8] = np.asarray(mask, np.bool_).view(np.uint8) * np.uint8(255)
+    done, encoded = cv2.imencode(".png", values, [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1])
     assert done  # noqa: S101 - encoding to memory fails only without memory
     path.write_bytes(encoded.tobytes())
 

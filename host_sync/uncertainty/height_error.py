@@ -151,7 +151,7 @@ def height_uncertainty(
     size = reduced_size(gradients.p.shape)
     reduction = columns / size[0]
     spread = _drawn_spread(gradients, contradiction, error, size)
-    z_small = _shrunk(np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)), size)
+    z_small = _shrunk(_zero_unless(np.isfinite(height.z_um), height.z_um), size)
     seen = _seen(gradients, size)
     square = seen[0] ** 2 + seen[1] ** 2
     # Skin at another elevation than the balls' may be read too steep, and so may what is as steep as their rims.
@@ -224,8 +224,13 @@ def _drawn_spread(
 
 def _seen(gradients: GradientField, size: tuple[int, int]) -> SlopePair:
     """Slopes on the reduced field, 0 where there are none."""
-    p, q = (_shrunk(np.where(gradients.valid, slope, np.float32(0.0)), size) for slope in (gradients.p, gradients.q))
+    p, q = (_shrunk(_zero_unless(gradients.valid, slope), size) for slope in (gradients.p, gradients.q))
     return p, q
+
+
+def _zero_unless(known: MaskArray, values: Float32Array) -> Float32Array:
+    """The values, 0 where they are not known."""
+    return values if known.all() else np.where(known, values, np.float32(0.0))
 
 
 def _rim(square: Float32Array, error: SlopeError) -> Float32Array:

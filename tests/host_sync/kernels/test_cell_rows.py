@@ -1,5 +1,7 @@
 """Cells brought to pixels inside a kernel: as OpenCV enlarges them."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -7,16 +9,20 @@ import pytest
 from device.surface.fields import Float32Array
 from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
 
+RUN = 11
+"""Columns that are expanded at a time."""
+
 
 def enlarged(planes: Float32Array, cell: int, shape: tuple[int, int]) -> Float32Array:
     """Planes (T, h, w) at every pixel: float32 array of shape (T, H, W)."""
     around = bordered(planes)
-    upper, step = (np.empty((len(planes), shape[1]), np.float32) for _ in range(2))
     out = np.empty((len(planes), *shape), np.float32)
     for row in range(shape[0]):
         top, share = cells_above(row, cell, around.shape[1])
-        expand_cells(around, top, cell, upper, step)
-        out[:, row] = upper + share * step
+        for first, end in pairwise([*range(0, shape[1], RUN), shape[1]]):
+            upper, step = (np.full((len(planes), end - first), np.nan, np.float32) for _ in range(2))
+            expand_cells(around, top, cell, first, upper, step)
+            out[:, row, first:end] = upper + share * step
     return out
 
 
