@@ -14,8 +14,8 @@ SCANS_A_WORKER: Final = 4
 BYTES_A_WORKER: Final = 400_000_000
 """What a process takes for libraries and compiled code, before any frame."""
 
-BYTES_A_PIXEL: Final = 70
-"""What it takes besides for each pixel: 17 arrays of float32, and the raw frame."""
+BYTES_A_PIXEL: Final = 105
+"""What it takes besides for each pixel: 25 arrays of float32, and the raw frame."""
 
 PROC: Final = Path("/proc")
 CGROUPS: Final = Path("/sys/fs/cgroup")
