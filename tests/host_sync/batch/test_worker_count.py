@@ -21,7 +21,7 @@ GB = 10**9
         (8, 8, None, 2),
         (100, 8, None, 8),
         (100, 8, 100 * GB, 8),
-        (100, 8, 6 * GB, 2),  # 1.26 GB each, and as much for the process that starts them
+        (100, 8, 6 * GB, 2),  # 1.7 GB each, and as much for the process that starts them
         (100, 8, 2 * GB, 1),
         (100, 8, 0, 1),
         (0, 8, 6 * GB, 1),
