@@ -64,12 +64,17 @@ def handheld(height_error_share: float) -> dict[str, Any]:
     return {"handheld": {"2028x1520": {"total": {"min_ms": 9.0}} | look}}
 
 
+def scan(height_error_share: float) -> dict[str, Any]:
+    return {"pipeline": {"4056x3040": {"min_ms": 2300.0, "megapixels": 12.3, "height_error_share": height_error_share}}}
+
+
 @pytest.mark.parametrize(
     ("name", "right", "wrong"),
     [
         ("weighted_over_pyamg", beside_pyamg(1.003), beside_pyamg(1.02)),
         ("gradients_over_network", slopes(0.0), slopes(0.01)),
         ("video_weighted_fps", video(0.003), video(0.5)),
+        ("pipeline_whole_s", scan(0.05), scan(0.8)),
         ("handheld_ms", handheld(0.155), handheld(0.17)),
     ],
 )

@@ -19,6 +19,7 @@ from device.quick_look.solver import QuickLookModel, quick_look
 from device.surface.fields import Float32Array, Float64Array, GradientField
 from device.surface.poisson_dct import integrate_dct
 from tests.benchmarks.speed.fresh import fresh
+from tests.benchmarks.speed.height_error import error_share
 from tests.benchmarks.speed.plan import Plan, Shape, named
 from tests.benchmarks.speed.timing import side_by_side
 
@@ -62,8 +63,8 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     difference = np.hypot(slopes.p - exact.p, slopes.q - exact.q)[exact.valid]
     figures["slope_difference_mean"] = float(difference.mean())
     truth = _reduced(np.load(folder / f"coin-{named(shape)}.npy"), model.binning)
-    figures["height_error_share"] = _error_share(quick_look(binned, model).height.z_um, truth)
-    figures["untabulated_height_error_share"] = _error_share(_heights(exact) * model.binning, truth)
+    figures["height_error_share"] = error_share(quick_look(binned, model).height.z_um, truth)
+    figures["untabulated_height_error_share"] = error_share(_heights(exact) * model.binning, truth)
     figures["height_size"] = named(binned.shape)
     figures["needs_numba"] = "numba" in sys.modules
     return figures
@@ -80,8 +81,3 @@ def _reduced(truth_px: Float32Array, binning: int) -> Float64Array:
     rows, columns = (size // binning for size in truth_px.shape)
     cells = truth_px[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
     return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
-
-
-def _error_share(z_px: Float32Array, truth_px: Float64Array) -> float:
-    """Root mean square error of a height map relative to that of the true relief, each with mean zero."""
-    return float((z_px - truth_px).std() / truth_px.std())

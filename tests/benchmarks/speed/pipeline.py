@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
+
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import demosaic
 from host_sync.calibration.calibrate import Calibration
@@ -24,6 +26,7 @@ from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.uncertainty.height_error import HeightUncertainty
 from tests.benchmarks.speed.fresh import forget_peak, fresh, peak_mb
+from tests.benchmarks.speed.height_error import error_share
 from tests.benchmarks.speed.plan import Plan, Shape, named
 from tests.benchmarks.speed.specimen import resampled
 from tests.benchmarks.speed.timing import Stopwatch, side_by_side
@@ -80,6 +83,7 @@ def run_pipeline(calibration: Calibration, folder: Path, shape: Shape, runs: int
     watch = Stopwatch()
     known = watch.run(lambda: _scan_to_results(raw, full, folder))
     first_ms, peak = watch.runs_ms.pop(), peak_mb()
+    truth_px = np.load(folder / f"coin-{named(shape)}.npy")
     methods = {
         "with": lambda: _scan_to_results(raw, full, folder),
         "without": lambda: _without_sigma(raw, full, folder, known),
@@ -95,6 +99,7 @@ def run_pipeline(calibration: Calibration, folder: Path, shape: Shape, runs: int
         "megapixels": shape[0] * shape[1] / 1e6,
         "first_ms": first_ms,
         "peak_mb": peak,
+        "height_error_share": error_share(known.height.z_um / np.float32(full.pitch_um), truth_px),
         "stages_ms": _stages_ms(profile),
         "without sigma": figures["without"],
     }

@@ -23,6 +23,7 @@ from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.lights.known_lamps import KnownLamps
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0
@@ -74,6 +75,10 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
     finer = reference.shape[1] / calibration.flat_field.shape[1]
     inverse = replace(calibration.inverse, map=at_size(calibration.inverse.map, reference.shape))
     error, flat_field = calibration.slope_error, make_flat_field(reference)
+    elevation, lamps = calibration.elevation, calibration.lamps
+    if elevation is not None:
+        per_px = np.float32(1.0 / finer)
+        elevation = replace(elevation, brightening=per_px * elevation.brightening, slanting=per_px * elevation.slanting)
     return replace(
         calibration,
         flat_field=flat_field,
@@ -83,6 +88,8 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
         slope_error=msgspec.structs.replace(
             error, patch_px=error.patch_px * finer, elevation=error.elevation.enlarged(finer)
         ),
+        elevation=elevation,
+        lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
     )
 
 
