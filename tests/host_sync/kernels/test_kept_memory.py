@@ -1,10 +1,10 @@
 """Freed memory stays with the process inside a block, and only there."""
 
 import platform
+import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from host_sync.kernels import kept_memory as module
@@ -12,6 +12,7 @@ from host_sync.kernels.kept_memory import kept_memory
 
 GLIBC = sys.platform == "linux" and platform.libc_ver()[0] == "glibc"
 MEGABYTES = 200
+ROOT = Path(__file__).parents[3]
 
 
 class Library:
@@ -35,21 +36,39 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
     return one
 
 
-def resident_mb() -> float:
-    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    (value,) = (line.split()[1] for line in lines if line.startswith("VmRSS"))
-    return int(value) / 1024
+# In a process of its own: one that ran other tests holds free memory already.
+PROGRAM = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from host_sync.kernels.kept_memory import kept_memory
+
+
+def resident_mb():
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024
+
+
+figures = [resident_mb()]
+with kept_memory():
+    for _ in range(2):
+        values = np.ones(int(sys.argv[1]) << 17)
+        del values
+    figures.append(resident_mb())
+figures.append(resident_mb())
+print(*figures)
+"""
 
 
 @pytest.mark.skipif(not GLIBC, reason="only the GNU C library has these settings")
 def test_a_freed_array_stays_inside_and_goes_afterwards() -> None:
-    before = resident_mb()
-    with kept_memory():
-        for _ in range(2):
-            values = np.ones(MEGABYTES << 17)
-            del values
-        assert resident_mb() > before + 0.9 * MEGABYTES
-    assert resident_mb() < before + 0.5 * MEGABYTES
+    run = [sys.executable, "-c", PROGRAM, str(MEGABYTES)]
+    said = subprocess.run(run, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    before, inside, after = map(float, said.split())
+    assert inside > before + 0.9 * MEGABYTES
+    assert after < before + 0.5 * MEGABYTES
 
 
 def test_the_last_of_nested_blocks_returns_memory(library: Library) -> None:
