@@ -41,6 +41,13 @@ MIN_BRIGHTNESS: Final = 0.2
 MIN_VOLUME: Final = 1e-6
 """Of three directions; where they lie in one plane closer than this the equations say nothing."""
 
+VOLUME_SHARE: Final = 0.15
+"""The same as a share of the median over the field, and never of the other sign: beyond the outermost balls polynomials
+of place may let three directions fall into one plane, where pixel noise was read as slopes of any size."""
+
+VOLUME_PLACES: Final = 9
+"""Places along each side of the field at which the median is taken."""
+
 _DEGREES: Final = {len(position_exponents(degree)): degree for degree in (OLD_PLACE_DEGREE, PLACE_DEGREE)}
 
 
@@ -76,10 +83,19 @@ class NearLightModel:
         """Degree in position of its directions."""
         return _DEGREES[len(self.directions)]
 
+    @property
+    def min_volume(self) -> float:
+        """Volume of the directions, with its sign, below which it is not taken to fall."""
+        axis = np.linspace(-1.0, 1.0, VOLUME_PLACES)
+        place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        directions = np.tensordot(monomials(place, self.degree), self.directions.astype(np.float64), axes=1)
+        median = float(np.median(np.cross(directions[:, 0], directions[:, 1]).sum(axis=1))) + 0.0  # no zero has a sign
+        return float(np.copysign(max(VOLUME_SHARE * abs(median), MIN_VOLUME), median))
+
     def seen(self, intensity: Float32Array, place: Float64Array) -> Float32Array:
         """Slopes p, q and brightness 1 / s of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
         directions = np.tensordot(monomials(place, self.degree), self.directions.astype(np.float64), axes=1)
-        return _solved(intensity, directions[:, 0], directions[:, 1])
+        return _solved(intensity, directions[:, 0], directions[:, 1], self.min_volume)
 
     def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
         """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
@@ -128,13 +144,17 @@ def lit_by(intensity: Float32Array, slope: Float64Array) -> Float64Array:
     return np.asarray(intensity * np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True)) - 1.0)
 
 
-def _solved(intensity: Float32Array, across: Float64Array, down: Float64Array) -> Float32Array:
-    """p, q, 1 / s of shape (N, 3) by Cramer's rule; `across` and `down`, (N, 3), are a's components by channel."""
+def _solved(intensity: Float32Array, across: Float64Array, down: Float64Array, least: float) -> Float32Array:
+    """p, q, 1 / s of shape (N, 3) by Cramer's rule; `across` and `down`, (N, 3), are a's components by channel.
+
+    least : as of `NearLightModel.min_volume`
+    """
     ones = np.ones(3)
     volume = np.cross(across, down)
     whole = volume.sum(axis=1)
-    whole = np.where(np.abs(whole) < MIN_VOLUME, MIN_VOLUME, whole)
-    brightness = np.maximum((intensity * volume).sum(axis=1) / whole, MIN_BRIGHTNESS)
+    whole = np.maximum(whole, least) if least > 0.0 else np.minimum(whole, least)
+    # So written that untouched skin has brightness 1 where the volume is held up too.
+    brightness = np.maximum(1.0 + ((intensity - 1.0) * volume).sum(axis=1) / whole, MIN_BRIGHTNESS)
     p = (intensity * np.cross(down, ones)).sum(axis=1) / (whole * brightness)
     q = (intensity * np.cross(ones, across)).sum(axis=1) / (whole * brightness)
     return np.stack([p, q, brightness], axis=1).astype(np.float32)

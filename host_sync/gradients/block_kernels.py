@@ -11,7 +11,7 @@ import numpy as np
 
 from device.inverse_map.feature_scaling import DARK_OFFSET
 from device.inverse_map.model import DISAGREEMENT, REST_WIDTH, TRUSTED_EXCESS
-from device.inverse_map.near_light import MIN_BRIGHTNESS, MIN_VOLUME
+from device.inverse_map.near_light import MIN_BRIGHTNESS
 from device.surface.fields import Float32Array
 from host_sync.gradients.fourier_kernel import add_fourier_terms
 from host_sync.gradients.polynomial_kernel import write_polynomial
@@ -143,12 +143,15 @@ def take_off_bump(colours: Any, start: int, above: Any, below: Any, share: Any, 
 
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
-def load_near(colours: Any, near: Any, run: Any) -> None:
+def load_near(colours: Any, near: Any, least: np.float32, run: Any) -> None:
     """Write p, q and brightness of a matt skin under near lights (`NearLightModel.seen`); 1 beyond the row's end.
 
     near : float32 array of shape (2, 3, 4), the lights' directions by component, channel and power of the column
+    least : as of `NearLightModel.min_volume`
     """
     red, green, blue = colours
+    sign = ONE if least > ZERO else -ONE
+    least = sign * least
     p, q, brightness, across = run[_COLOURS], run[_COLOURS + 1], run[_COLOURS + 2], run[_ACROSS]
     for k in range(red.size):
         i0, i1, i2, x = red[k], green[k], blue[k], across[k]
@@ -156,8 +159,9 @@ def load_near(colours: Any, near: Any, run: Any) -> None:
         b0, b1, b2 = _at(near[1, 0], x), _at(near[1, 1], x), _at(near[1, 2], x)
         v0, v1, v2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         whole = v0 + v1 + v2
-        whole = np.float32(MIN_VOLUME) if abs(whole) < np.float32(MIN_VOLUME) else whole
-        bright = max((i0 * v0 + i1 * v1 + i2 * v2) / whole, np.float32(MIN_BRIGHTNESS))
+        whole = sign * max(sign * whole, least)
+        brighter = (i0 - ONE) * v0 + (i1 - ONE) * v1 + (i2 - ONE) * v2
+        bright = max(ONE + brighter / whole, np.float32(MIN_BRIGHTNESS))
         per = ONE / (whole * bright)
         p[k] = (i0 * (b1 - b2) + i1 * (b2 - b0) + i2 * (b0 - b1)) * per
         q[k] = (i0 * (a2 - a1) + i1 * (a0 - a2) + i2 * (a1 - a0)) * per

@@ -76,6 +76,7 @@ class SlopeKernel:
         self._limits = _limits(inverse_map.curve)
         self._own = _tabled(inverse_map.own, inverse_map.own_fraction)
         self._near = _NO_LIGHTS if near is None else near.field.by_powers()
+        self._min_volume = np.float32(0.0 if near is None else near.field.min_volume)
         self._lit = self._own if light is None else _tabled(light.curve, light.share)
         self._root = _absent(self._own) if root is None else _tabled(root.curve, root.share)
         self._light = _DARK if light is None else _by_column(light.field.nodes, inverse_map.shape[1])
@@ -98,6 +99,7 @@ class SlopeKernel:
             self._limits,
             self._own,
             self._near,
+            self._min_volume,
             self._lit,
             self._light,
             self._root,
@@ -190,14 +192,15 @@ def _light_at_rest(inverse_map: InverseMap) -> Float32Array:
 @njit(cache=True, nogil=True)
 def _evaluate(
     values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, limits: Float32Array,
-    own: _Curve, near: Float32Array, lit: _Curve, light: Float32Array, root: _Curve, rest: Float32Array,
-    bias: Float32Array, bump: Float32Array,
+    own: _Curve, near: Float32Array, min_volume: np.float32, lit: _Curve, light: Float32Array, root: _Curve,
+    rest: Float32Array, bias: Float32Array, bump: Float32Array,
     p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
 
     limits : of the colours that tell whether a pixel lies within the training data
     near : directions of lights for a curve `own` that reads near lights' slopes, or empty: it reads intensity
+    min_volume : of these directions
     light : by places and columns for the curve `lit`, or empty
     root : the curve that reads the root of intensity
     rest : minus what the curve `lit`, its share in it, reads on untouched skin, by places and columns
@@ -238,7 +241,7 @@ def _evaluate(
                 gather_u(run, root.share, len(light) == 0)
             begin_at_zero(run)
             if len(near):
-                load_near(seen, near_along, run)
+                load_near(seen, near_along, min_volume, run)
             else:
                 load(seen, run)
             take_variables(run, own.limits)

@@ -66,8 +66,28 @@ def test_rows_are_read_as_single_pixels_are() -> None:
 def test_darkness_and_lights_in_one_plane_still_give_numbers() -> None:
     near = NearLightModel(np.zeros((6, 2, 3), np.float32))
     seen = near.seen(np.zeros((2, 3), np.float32), np.zeros((2, 2)))
-    assert np.isfinite(seen).all()
-    np.testing.assert_allclose(seen[:, 2], MIN_BRIGHTNESS)
+    np.testing.assert_allclose(seen, [[0.0, 0.0, 1.0]] * 2)
+    samples, slope, _ = scattered(2000, 0.5, 0)
+    dark = NearLightModel.of(samples, slope, SHAPE).seen(np.zeros((2, 3), np.float32), np.zeros((2, 2)))
+    assert np.isfinite(dark).all()
+    np.testing.assert_allclose(dark[:, 2], MIN_BRIGHTNESS)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_directions_that_fall_into_one_plane_beyond_the_balls_do_not_amplify_noise(swapped: bool) -> None:
+    directions = np.zeros((10, 2, 3), np.float32)
+    directions[0] = [[1.0, -0.5, -0.5], [0.0, 0.9, -0.9]]
+    directions[1, 1, 1:] = -0.9, 0.9  # by x: the volume is 0 at the field's right border and changes its sign there
+    near = NearLightModel(directions[..., ::-1].copy() if swapped else directions)
+    assert (near.min_volume < 0.0) == swapped
+    noise = 0.01 * np.random.default_rng(0).standard_normal((1000, 3)).astype(np.float32)
+    for x in (0.99, 1.0, 1.01):
+        seen = near.seen(1.0 + noise, np.tile((x, 0.0), (1000, 1)))
+        assert np.abs(seen[:, :2]).max() < 0.3
+        np.testing.assert_allclose(seen[:, 2], 1.0, atol=0.1)
+        np.testing.assert_allclose(
+            near.seen(np.ones((1, 3), np.float32), np.array([[x, 0.0]])), [[0.0, 0.0, 1.0]], atol=1e-6
+        )
 
 
 def test_a_file_returns_it_and_one_that_holds_none_says_so() -> None:

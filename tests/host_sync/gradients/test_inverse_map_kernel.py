@@ -105,6 +105,24 @@ def test_a_slope_on_which_curves_disagree_weighs_less() -> None:
     assert float(np.median(loud.weight[loud.valid] / quiet.weight[quiet.valid])) < 0.7
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_directions_that_fall_into_one_plane_are_read_alike(swapped: bool) -> None:
+    inverse = map_of(by_slopes=True)
+    assert inverse.near is not None
+    directions = inverse.near.field.directions.copy()
+    directions[1] -= (
+        1.2 * directions[0]
+    )  # by the column's place: the volume is zero within the field, and changes its sign
+    if swapped:
+        directions = directions[..., ::-1].copy()
+    near = NearLightModel(directions)
+    assert (near.min_volume < 0.0) == swapped
+    inverse, image = replace(inverse, near=replace(inverse.near, field=near)), image_of()
+    found, expected = evaluate(inverse, image), inverse.gradients(image)
+    np.testing.assert_allclose(found.p, expected.p, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found.q, expected.q, rtol=1e-3, atol=1e-3)
+
+
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 5, 6])
 def test_every_degree_is_read_alike(degree: int) -> None:
     inverse = replace(map_of(), curve=curve_of(degree, 2, wavy=degree == 2))
