@@ -329,7 +329,7 @@ def read_press(frame: RawFrame, flat_field: Float32Array, radius_mm: float, prof
         reasons = "; ".join(sorted({ball.reason for ball in search.rejected}))
         complaint = f"no usable ball found ({reasons})" if reasons else "no ball found"
         return PressReading(None, (), rejected, complaint)
-    samples = gather_samples([(intensity, search.found)]).enlarged(BINNING)
+    samples = gather_samples([(intensity, search.found)], to_teach=True).enlarged(BINNING)
     shadows = shadow_radii_mm(intensity, search.found, [light.position_mm for light in profile.lights], pitch_mm)
     return PressReading(AcceptedPress(frame, balls, rejected, samples, shadows), balls, rejected, "")
 
@@ -345,4 +345,5 @@ def joined_samples(presses: Sequence[AcceptedPress]) -> BallSamples:
         column=np.concatenate([part.column for part in samples]),
         row=np.concatenate([part.row for part in samples]),
         ball=np.concatenate([part.ball + offset for part, offset in zip(samples, first[:-1], strict=True)]),
+        quiet=np.concatenate([part.taught for part in samples]),
     )

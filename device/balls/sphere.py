@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from device.balls.quiet_intensity import quiet_intensity
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array
@@ -49,6 +50,7 @@ class BallSamples:
     p, q : float32 arrays of shape (N,), slope of the sphere
     column, row : float32 arrays of shape (N,), pixel position
     ball : int array of shape (N,), index of the ball that a pixel belongs to
+    quiet : intensity with its noise averaged (`quiet_intensity`), of its shape; None where that was not done
     """
 
     intensity: Float32Array
@@ -57,6 +59,24 @@ class BallSamples:
     column: Float32Array
     row: Float32Array
     ball: NDArray[np.intp]
+    quiet: Float32Array | None = None
+
+    @property
+    def taught(self) -> Float32Array:
+        """What maps are taught with: intensity with its noise averaged where that was done."""
+        return self.intensity if self.quiet is None else self.quiet
+
+    def select(self, rows: NDArray[np.intp]) -> BallSamples:
+        """Some of the samples; balls keep their numbers."""
+        return BallSamples(
+            self.intensity[rows],
+            self.p[rows],
+            self.q[rows],
+            self.column[rows],
+            self.row[rows],
+            self.ball[rows],
+            None if self.quiet is None else self.quiet[rows],
+        )
 
     def enlarged(self, factor: float) -> BallSamples:
         """The same samples at their places in a frame with `factor` times as many pixels in each direction."""
@@ -71,8 +91,10 @@ def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[
     return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
 
 
-def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]]) -> BallSamples:
+def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]], *, to_teach: bool = False) -> BallSamples:
     """Samples of every faithful pixel inside the contact of every ball of every press, in order.
+
+    to_teach : average their noise too, for a map that they are to teach
 
     Raises
     ------
@@ -88,13 +110,15 @@ def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]]) ->
             faithful = image.faithful_at((row, column))
             row, column = row[faithful], column[faithful]
             slopes = sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32))
-            parts.append((image.values[row, column], *slopes, column.astype(np.float32), row.astype(np.float32)))
+            seen = image.values[row, column]
+            quiet = quiet_intensity(seen, row, column, ball.contact_radius_px) if to_teach else seen
+            parts.append((seen, *slopes, column.astype(np.float32), row.astype(np.float32), quiet))
             owners.append(np.full(column.size, number))
             number += 1
     if not parts:
         raise CalibrationError("no ball was found in any calibration press: press a ball of known radius and try again")
-    intensity, p, q, columns, rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners))
+    intensity, p, q, columns, rows, quiet = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners), quiet if to_teach else None)
 
 
 def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

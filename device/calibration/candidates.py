@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, MutableMapping
+from collections.abc import Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from device.balls.sphere import BallSamples
-from device.calibration.cross_validation import FoldedRidge, GroupedRidgeCV
+from device.calibration.cross_validation import FoldedRidge, GroupedRidgeCV, balanced_errors
 from device.calibration.product_features import ProductFeatures
 from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity
@@ -27,6 +27,16 @@ from device.surface.stereographic import slope_from_stereographic, stereographic
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 PENALTY_STRIDE: Final = 3
+NOISE_KEPT: Final = 0.44
+"""What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
+
+Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.44 of the
+standard deviation (the mean over all frequencies of the product of their transfer functions). So much of it counts when
+forms and penalties are judged.
+"""
+
+PENALTY_TIE: Final = 1.0025
+"""Errors that near to the least are alike: of their penalties the smallest is taken, which flattens least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +123,8 @@ class RegressorFit:
     ridge : its features, less those of untouched skin where it is `flat`, at the pixels of balls
     flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
     skin : foretells the gentle slopes that it is anchored at; None of one that is not, or takes them as they are
+    error_as_seen : held-out error at its penalty on pixels as they are seen, with their noise, in slope; NaN where it
+        was not judged
     """
 
     colours: FeatureScaler
@@ -122,6 +134,7 @@ class RegressorFit:
     ridge: GroupedRidgeCV
     flat: bool = True
     skin: GentleSkin | None = None
+    error_as_seen: float = np.nan
 
     def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
         """The leverage of its features among those of the living balls, 0 for untouched skin; arguments as for the
@@ -130,7 +143,8 @@ class RegressorFit:
         For a learner that does not read light.
         """
         root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
-        found = Leverage.of(root, self.ridge.features.powers(np.flatnonzero(alive[self.ridge.ball]), root))
+        seen = self.ridge.seen or self.ridge.features  # a scan's pixels are noisy, and so are those it is held against
+        found = Leverage.of(root, seen.powers(np.flatnonzero(alive[self.ridge.ball]), root))
         scaled = found.root * self.form.term_scale()[:, None]
         if self.flat:
             scaled = flat_at_rest(self._bare, scaled, self.reading)
@@ -198,8 +212,17 @@ def fit_regressor(
         read = 0.5 * (above + below)
         anchor = share * read.T @ read, share * read.T @ stereographic_from_slope(*slope.T)
     prior = _matt_prior(colours, form) if near else None
-    ridge = GroupedRidgeCV(features(seen, place), samples.ball, prior, anchor)
+    taught, *others = (features(_seen(intensity, place, reading), place) for intensity in _with_less_noise(samples))
+    ridge = GroupedRidgeCV(taught, samples.ball, prior, anchor, *others)
     return RegressorFit(colours, form, reading, penalty, ridge, flat, skin)
+
+
+def _with_less_noise(samples: BallSamples) -> list[Float32Array]:
+    """Intensities (N, 3) without noise, with all of it, and with as much as a surface keeps; one if all are alike."""
+    if samples.quiet is None:
+        return [samples.intensity]
+    kept = samples.quiet + np.float32(NOISE_KEPT) * (samples.intensity - samples.quiet)
+    return [samples.quiet, samples.intensity, kept]
 
 
 def _gentle_skin() -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -296,10 +319,10 @@ class Lesson:
 
     def _gain_error(self, learner: RegressorFit) -> float:
         """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
-        everyone = np.ones(self.count, bool)
-        (u,) = learner.ridge.held_out([learner.penalty], self.slope, np.ones(len(self.slope)), everyone)
+        folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
+        read = slope_from_stereographic(folds.held_out([learner.penalty], judged=True)[0])
         gentle = np.linalg.norm(self.slope, axis=1) < GENTLE_SLOPE
-        gains = gains_of_balls(slope_from_stereographic(u)[gentle], self.slope[gentle], self.samples.ball[gentle])
+        gains = gains_of_balls(read[gentle], self.slope[gentle], self.samples.ball[gentle])
         return float(np.sqrt(((gains - 1.0) ** 2).mean())) if gains.size else 0.0
 
     def _best_trial(self, forms: Iterable[RegressorForm], reading: Reading | None) -> _Trial:
@@ -336,19 +359,23 @@ class _Trial:
     def attempt(self, numbers: Iterable[int]) -> None:
         """Try these penalties, as far as there are any that were not tried."""
         tried = [number for number in numbers if 0 <= number < len(PENALTIES) and number not in self.errors]
-        held_out = np.stack(self.folds.held_out([PENALTIES[number] for number in tried]))
-        lesson = self.lesson
-        found = _balanced_errors(lesson.samples, slope_from_stereographic(held_out), lesson.slope)
-        self.errors.update(zip(tried, found, strict=True))
+        if tried:
+            self.errors.update(zip(tried, self._errors(tried, judged=True), strict=True))
+
+    def _errors(self, numbers: Sequence[int], *, judged: bool) -> list[float]:
+        held_out = np.stack(self.folds.held_out([PENALTIES[number] for number in numbers], judged=judged))
+        return balanced_errors(self.lesson.samples.ball, slope_from_stereographic(held_out), self.lesson.slope)
 
     def at_best_penalty(self) -> tuple[RegressorFit, float]:
-        """The learner with the penalty of least held-out error among the best so far and those beside it, and that
-        error.
+        """The learner with the penalty of least held-out error among the best so far and those beside it, or a smaller
+        one whose error is alike, and that error.
         """
         least = self._least()
         self.attempt(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))
-        least = self._least()
-        return replace(self.learner, penalty=PENALTIES[least]), self.errors[least]
+        alike = PENALTY_TIE * self.errors[self._least()]
+        least = min((number for number, error in self.errors.items() if error <= alike), default=self._least())
+        (as_seen,) = self._errors([least], judged=False)
+        return replace(self.learner, penalty=PENALTIES[least], error_as_seen=as_seen), self.errors[least]
 
     def _least(self) -> int:
         return min(self.errors, key=lambda number: self.errors[number])
@@ -365,13 +392,3 @@ def _of_samples(
 
 def _seen(intensity: Float32Array, place: Float64Array, reading: Reading | None) -> Float32Array:
     return intensity if reading is None else reading.seen(intensity, place)
-
-
-def _balanced_errors(samples: BallSamples, slopes: Float64Array, truth: Float64Array) -> list[float]:
-    """Mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not count."""
-    errors = slopes - truth
-    for ball in np.unique(samples.ball):
-        rows = np.flatnonzero(samples.ball == ball)
-        own = errors[:, rows]
-        errors[:, rows] = own - np.median(own, axis=1, keepdims=True)
-    return [float(np.abs(error).mean()) for error in errors]

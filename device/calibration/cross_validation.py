@@ -21,7 +21,10 @@ FOLDS: Final = 5
 class GroupedRidgeCV:
     """The features of one polynomial at the pixels of balls.
 
-    features : of N pixels, F of them
+    features : of N pixels, F of them, which are learned from
+    seen : the same of the pixels as they are seen, with their noise, from which held-out slopes are read; None where
+        both are the same
+    judged : the same with as much noise as a surface keeps, from which forms and penalties are judged; None likewise
     ball : int array of shape (N,), the ball that each pixel belongs to
     prior : float64 array of shape (F, 2), coefficients that the penalty draws towards; None for 0
     anchor : Gram matrix (F, F) and moments (F, 2), less those of the prior, of pixels that are learned beside all
@@ -32,6 +35,8 @@ class GroupedRidgeCV:
     ball: NDArray[np.intp]
     prior: Float64Array | None = None
     anchor: tuple[Float64Array, Float64Array] | None = None
+    seen: ProductFeatures | None = None
+    judged: ProductFeatures | None = None
 
     def solve(self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Float64Array:
         """Coefficients of shape (F, 2) learned from the living balls.
@@ -132,15 +137,32 @@ class FoldedRidge:
     fold: NDArray[np.intp]
     others: list[tuple[Float64Array, Float64Array]]
 
-    def held_out(self, penalties: Sequence[float]) -> list[Float64Array]:
-        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds."""
+    def held_out(self, penalties: Sequence[float], *, judged: bool = False) -> list[Float64Array]:
+        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds.
+
+        judged : of the pixels with as much noise as a surface keeps
+        """
+        features = (self.ridge.judged if judged else self.ridge.seen) or self.ridge.features
         predictions = np.zeros((len(penalties), len(self.fold), 2))
         for number, (gram, moment) in enumerate(self.others):
             rows = np.flatnonzero(self.fold == number)
             solutions = [self.ridge.solution(gram, moment, penalty) for penalty in penalties]
-            together = self.ridge.features.times(rows, np.concatenate(solutions, axis=1))
+            together = features.times(rows, np.concatenate(solutions, axis=1))
             predictions[:, rows] = together.reshape(len(rows), len(penalties), 2).swapaxes(0, 1)
         return list(predictions)
+
+
+def balanced_errors(ball: NDArray[np.intp], slopes: Float64Array, truth: Float64Array) -> list[float]:
+    """Mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not count.
+
+    ball : int array of shape (N,), index of the ball that a pixel belongs to
+    """
+    errors = slopes - truth
+    for number in np.unique(ball):
+        rows = np.flatnonzero(ball == number)
+        own = errors[:, rows]
+        errors[:, rows] = own - np.median(own, axis=1, keepdims=True)
+    return [float(np.abs(error).mean()) for error in errors]
 
 
 def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:

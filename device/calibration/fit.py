@@ -288,8 +288,9 @@ def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) 
     if ("near", True) in found:
         near, near_error = found["near", True]
         if near_error < NEAR_GAIN * error:
-            own, error = near, near_error
-    return plain, _shared(own, error, [_flat_or_free(found, name) for name in choices if name != "plain"])
+            own = near
+    others = [_flat_or_free(found, name)[0] for name in choices if name != "plain"]
+    return plain, _shared(own, others)
 
 
 def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> tuple[RegressorFit, Learners]:
@@ -297,9 +298,9 @@ def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> t
     before = [plain, *(learner for learner, _ in learners if learner is not plain)]
     calls = [partial(replace(lesson, flat=learner.flat).relearned, learner) for learner in before]
     found = results_of(calls)
-    own_is_plain = learners[0][0] is plain
-    (own, error), *others = found if own_is_plain else found[1:]
-    return found[0][0], _shared(own, error, others)
+    relearned = [learner for learner, _ in found]
+    own, *others = relearned if learners[0][0] is plain else relearned[1:]
+    return relearned[0], _shared(own, others)
 
 
 def _flat_or_free(
@@ -310,12 +311,14 @@ def _flat_or_free(
     return free if free and free[1] < FREE_GAIN * flat[1] else flat
 
 
-def _shared(own: RegressorFit, error: float, others: Sequence[tuple[RegressorFit, float]]) -> Learners:
-    """The learners with their shares, without those that weigh too little; the first is always there."""
-    weights = [(error / other) ** DISTRUST_POWER for _, other in others]
+def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
+    """The learners with their shares, without those that weigh too little; the first is always there.
+
+    Shares come from held-out errors with noise, which a mean of several curves averages.
+    """
+    weights = [(own.error_as_seen / other.error_as_seen) ** DISTRUST_POWER for other in others]
     total = 1.0 + sum(weights)
-    pairs = zip(others, weights, strict=True)
-    kept = [(learner, weight) for (learner, _), weight in pairs if weight > MIN_SHARE * total]
+    kept = [(learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_SHARE * total]
     total = 1.0 + sum(weight for _, weight in kept)
     return [(own, 1.0 / total), *((learner, weight / total) for learner, weight in kept)]
 
@@ -324,15 +327,7 @@ def _thinned(samples: BallSamples, count: int) -> BallSamples:
     """At most `count` samples, drawn without replacement from a fixed seed."""
     if len(samples.p) <= count:
         return samples
-    index = np.sort(np.random.default_rng(0).permutation(len(samples.p))[:count])
-    return BallSamples(
-        intensity=samples.intensity[index],
-        p=samples.p[index],
-        q=samples.q[index],
-        column=samples.column[index],
-        row=samples.row[index],
-        ball=samples.ball[index],
-    )
+    return samples.select(np.sort(np.random.default_rng(0).permutation(len(samples.p))[:count]))
 
 
 def _map(

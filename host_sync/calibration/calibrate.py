@@ -320,7 +320,7 @@ def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequ
 
 
 def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
-    samples = gather_samples([(press.intensity, press.balls) for press in presses])
+    samples = gather_samples([(press.intensity, press.balls) for press in presses], to_teach=True)
     balls = [ball for press in presses for ball in press.balls]
     alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
     shape = presses[0].intensity.shape

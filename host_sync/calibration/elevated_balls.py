@@ -129,12 +129,16 @@ def find_elevated_balls(
         )
 
     as_they_are, as_symmetry_says = (_elevated(presses, reliefs, flat_field, centres) for centres in (own, symmetric))
-    if as_they_are is not None and as_they_are.response.is_certain and lamps is not None:
-        as_they_are = _elevated(presses, reliefs, flat_field, lit)
     if as_they_are is None or as_symmetry_says is None:
         return as_they_are or as_symmetry_says
-    if as_they_are.response.relative_sigma >= OWN_AGREE * as_symmetry_says.response.relative_sigma:
+    # Judged before lamps move own centres: moving them shrinks the response as much as its uncertainty.
+    own_agree = as_they_are.response.relative_sigma < OWN_AGREE * as_symmetry_says.response.relative_sigma
+    if not own_agree:
         return as_symmetry_says
+    if as_they_are.response.is_certain and lamps is not None:
+        as_they_are = _elevated(presses, reliefs, flat_field, lit)
+        if as_they_are is None:
+            return as_symmetry_says
     along = centres_along_trend(as_they_are.balls, as_symmetry_says.balls, presses[0][0].shape)
     if along is None:
         return as_they_are

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -65,8 +63,5 @@ def test_noisier_samples_keep_the_forms_and_dearer_terms() -> None:
 
 def test_a_fit_of_a_lone_ball_has_no_forms_to_take() -> None:
     every = samples(0.01)
-    rows = every.ball == 0
-    lone = replace(
-        every, **{name: getattr(every, name)[rows] for name in ("intensity", "p", "q", "column", "row", "ball")}
-    )
+    lone = every.select(np.flatnonzero(every.ball == 0))
     assert begin_fit(lone, BALLS[:1], SHAPE).learned is None

@@ -83,6 +83,6 @@ def test_only_a_skin_that_bends_sharply_gets_waves(sharpness: float, wavy: bool)
 
 def test_few_balls_get_no_waves() -> None:
     samples = samples_of(8.0)
-    few = BallSamples(*(getattr(samples, name)[samples.ball < 4] for name in samples.__dataclass_fields__))
+    few = samples.select(np.flatnonzero(samples.ball < 4))
     learner, _ = Lesson(few, np.stack([few.p, few.q], axis=-1).astype(np.float64), 4, SHAPE).select_best()
     assert learner.form.waves.count == 0

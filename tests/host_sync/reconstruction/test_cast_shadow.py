@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.balls.sphere import Ball, gather_samples
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model, measure_leaks
@@ -90,7 +90,7 @@ def test_the_model_finds_the_lights(model: ShadingModel) -> None:
 
 def test_few_samples_tell_no_model(presses: list[tuple[NormalizedImage, list[Ball]]]) -> None:
     every = gather_samples(presses)
-    few = BallSamples(*(getattr(every, name)[:50] for name in ("intensity", "p", "q", "column", "row", "ball")))
+    few = every.select(np.arange(50))
     assert fit_shading_model(few, presses) is None
 
 
