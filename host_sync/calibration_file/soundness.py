@@ -51,6 +51,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
 
 MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"), ("InverseFit", "ball_error_deg")}
 LARGEST_SIDE: Final = 32_768
+LARGEST_GAIN: Final = 10.0
 
 
 class Unsound(ValueError):
@@ -185,7 +186,9 @@ def _check_lights(calibration: Calibration) -> None:
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:
     """Refuse figures by tilt that are not as many as tilts."""
-    parts = [error.tilt_deg, error.pixel_deg, error.patch_deg]
+    parts = [error.tilt_deg, error.pixel_deg, error.patch_deg, *error.ball_gains]
+    if any(abs(gain) > LARGEST_GAIN for ball in error.ball_gains for gain in ball):
+        raise Unsound("gains of slopes that are not those of a map")
     alike = len({len(part) for part in parts}) == 1 and len(error.tilt_deg) > 0
     if noise is not None:
         alike = alike and len({len(part) for part in (noise.tilt_deg, noise.raw_deg, noise.shrunk_deg)}) == 1

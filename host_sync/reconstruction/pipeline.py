@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from device.calibration.candidates import NOISE_KEPT
 from device.imaging.flat_field import LinearFrame
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
@@ -28,7 +29,6 @@ from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck
 from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
 from host_sync.uncertainty.height_error import (
-    NOISE_KEPT,
     HeightUncertainty,
     flat_bias,
     height_uncertainty,
@@ -207,8 +207,7 @@ def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
         error,
         pixel_deg=tuple(share * part for part in error.pixel_deg),
         patch_deg=tuple(share * part for part in error.patch_deg),
-        scale_share=share * error.scale_share,
-        rim_share=share * error.rim_share,
+        ball_gains=tuple(tuple(share * gain for gain in ball) for ball in error.ball_gains),
     )
 
 

@@ -33,11 +33,6 @@ class CalibrationUncertainty:
     p: Float32Array
     q: Float32Array
 
-    def sample(self, normal: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Slope errors (h, w) that the calibration allows, for K standard normal numbers."""
-        p, q = (np.asarray(np.tensordot(normal, part, axes=1), np.float32) for part in (self.p, self.q))
-        return p, q
-
     def sigma(self, shape: tuple[int, int]) -> Float32Array:
         """Standard deviation of either slope, resampled to a field of `shape` (H, W)."""
         square = 0.5 * ((self.p**2).sum(axis=0) + (self.q**2).sum(axis=0))

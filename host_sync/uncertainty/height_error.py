@@ -13,10 +13,12 @@ from typing import Final
 import cv2
 import numpy as np
 
+from device.calibration.candidates import NOISE_KEPT
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_heights_um
+from host_sync.uncertainty.ball_gains import gain_at, gain_curves
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
@@ -32,13 +34,6 @@ WIDEST_PX: Final = 512
 """Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
 
 MIN_WEIGHT: Final = 0.01
-
-NOISE_KEPT: Final = 0.44
-"""What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
-
-Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.44 of the
-standard deviation (the mean over all frequencies of the product of their transfer functions).
-"""
 
 CONTRADICTION_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
@@ -154,34 +149,52 @@ def height_uncertainty(
     z_small = _shrunk(_zero_unless(np.isfinite(height.z_um), height.z_um), size)
     seen = _seen(gradients, size)
     square = seen[0] ** 2 + seen[1] ** 2
-    # Skin at another elevation than the balls' may be read too steep, and so may what is as steep as their rims.
-    higher, rim = error.elevation.steeper(z_small / np.float32(height.pitch_um), square), _rim(square, error)
-    bias = tuple(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR) for slope in resting)
+    # Skin at another elevation than the balls' may be read too steep.
+    higher = error.elevation.steeper(z_small / np.float32(height.pitch_um), square)
+    cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
+    gains = [higher, *(gain_at(curve, cosine, error.tilt_deg) for curve in gain_curves(error.ball_gains))]
+    flat = [np.asarray(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR), np.float32) for slope in resting]
+    known = [flat, shadow, None if calibration is None else (calibration.p, calibration.q)]
+    common = [
+        np.concatenate([[gain * slope for gain in gains], *(_fields(pair[axis]) for pair in known if pair is not None)])
+        for axis, slope in enumerate(seen)
+    ]
     skin = _shrunk(datum.skin, size)
     zero = skin / max(float(skin.sum()), 1e-6)
-    share = float(np.hypot(error.scale_share, scale_share))
     rng = np.random.default_rng(seed)
+    normal = _normals(rng, len(common[0]) + 2)
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
-    for sample_um in samples_um:
-        raised, tilted, steep = rng.standard_normal(3, np.float32)
-        gain = raised * higher + steep * rim
+    for sample_um, own in zip(samples_um, normal, strict=True):
         p, q = (
-            _slope_draw(rng, spread, error.patch_px / reduction) + gain * slope + tilted * rest
-            for slope, rest in zip(seen, bias, strict=True)
+            _slope_draw(rng, spread, error.patch_px / reduction) + np.tensordot(own[2:], part, axes=1)
+            for part in common
         )
-        if calibration is not None:
-            unsure = calibration.sample(rng.standard_normal(len(calibration.p), np.float32))
-            p, q = p + unsure[0], q + unsure[1]
-        if shadow is not None:
-            dark = np.float32(rng.standard_normal())
-            p, q = p + dark * shadow[0], q + dark * shadow[1]
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         sample_um -= np.float32((sample_um * zero).sum())
-    zero_um = _unexplained_zero_um(datum, samples_um, skin)
-    samples_um += np.float32(zero_um) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32)
+    zero_um, shared = _unexplained_zero_um(datum, samples_um, skin), normal[:, :2, None, None]
+    samples_um += np.float32(zero_um) * shared[:, 0]
     sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
-    samples_um += np.float32(share) * rng.standard_normal((SAMPLES, 1, 1)).astype(np.float32) * z_small
-    return HeightUncertainty(with_scale(sigma, share, height.z_um, gradients.valid), samples_um)
+    samples_um += np.float32(scale_share) * shared[:, 1] * z_small
+    return HeightUncertainty(with_scale(sigma, scale_share, height.z_um, gradients.valid), samples_um)
+
+
+def _fields(values: Float32Array) -> Float32Array:
+    """A field (h, w), or several (n, h, w), as several."""
+    return values.reshape(-1, *values.shape[-2:])
+
+
+def _normals(rng: np.random.Generator, count: int) -> Float32Array:
+    """Random numbers for every sample, mean 0 and variance 1: float32 array of shape (SAMPLES, count).
+
+    Over the samples the first SAMPLES - 1 columns have exactly that mean and variance, and no correlation: of what errs
+    over the whole field at once, 16 independent draws would tell σ to 18 % only.
+    """
+    normal = rng.standard_normal((SAMPLES, count))
+    some = min(count, SAMPLES - 1)
+    basis, sizes = np.linalg.qr(np.column_stack([np.ones(SAMPLES), normal[:, :some]]))
+    # QR leaves the signs to the library; with those of the sizes every orthogonal set is as likely.
+    normal[:, :some] = (basis * np.sign(np.diag(sizes)))[:, 1:] * np.sqrt(SAMPLES)
+    return normal.astype(np.float32)
 
 
 def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Array) -> float:
@@ -231,18 +244,6 @@ def _seen(gradients: GradientField, size: tuple[int, int]) -> SlopePair:
 def _zero_unless(known: MaskArray, values: Float32Array) -> Float32Array:
     """The values, 0 where they are not known."""
     return values if known.all() else np.where(known, values, np.float32(0.0))
-
-
-def _rim(square: Float32Array, error: SlopeError) -> Float32Array:
-    """By what share slopes may be read too steep for being as steep as balls' rims, where p² + q² is `square`.
-
-    It sets in from the last band of tilts but one.
-    """
-    if len(error.tilt_deg) < 2 or error.rim_share == 0.0:
-        return np.zeros_like(square)
-    low, high = np.cos(np.radians(error.tilt_deg[-2:]))
-    cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
-    return np.asarray(np.interp(cosine, (high, low), (error.rim_share, 0.0)), np.float32)
 
 
 def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Array:

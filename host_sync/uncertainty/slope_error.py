@@ -5,9 +5,8 @@
   added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
 * over the whole press: a ball shows each slope at one elevation only, and an object that shows it at another is read
   wrong (see `elevation`)
-* over the whole press: all slopes read too steep or too flat by one share, so that heights are off by it; and another
-  share for slopes as steep as balls' rims and steeper ones, which no ball shows. An object on a flank of steep skin
-  stands too high or too low by it
+* over the whole press: slopes read too steep or too flat by a share that goes with their tilt (see `ball_gains`), so
+  that heights are off by it; slopes steeper than any ball shows by that of balls' rims
 
 Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
 """
@@ -27,6 +26,7 @@ from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, MaskArray
+from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.inflation import held_out_inflation
 
@@ -56,13 +56,12 @@ class SlopeError(msgspec.Struct, frozen=True):
 
     In slope they are (1 + p² + q²) times as large.
 
-    tilt_deg : tilt of the surface for which the next two are given; between them they run straight
+    tilt_deg : tilt of the surface for which all figures are given; between them they run straight
     pixel_deg : the part that is independent from pixel to pixel
     patch_deg : the part that is the same over a patch
     patch_px : size of such a patch, the standard deviation of a Gaussian
     elevation : at which the balls showed each slope
-    scale_share : by what share all slopes are read too steep or too flat, root mean square over balls
-    rim_share : the same of slopes of the last band of `tilt_deg`, and of steeper ones
+    ball_gains : by what share slopes are read too steep, for every ball at these tilts; none where no ball tells
     """
 
     tilt_deg: tuple[float, ...]
@@ -70,8 +69,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_deg: tuple[float, ...]
     patch_px: float
     elevation: ElevationCorrection
-    scale_share: float
-    rim_share: float
+    ball_gains: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +96,6 @@ def measure_slope_error(
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
-    scale = float(np.sqrt(np.mean([part.scale**2 for part in sums]))) if sums else 0.0
     more = 1.0 if known else inflation.throughout(noise_deg)
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
@@ -106,8 +103,9 @@ def measure_slope_error(
         patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
         elevation=elevation or elevation_correction(presses, training, fit.map),
-        scale_share=more * scale,
-        rim_share=more * _rim_share(errors, bands[-1][0]),
+        ball_gains=tuple(
+            tuple(more * gain for gain in ball) for ball in _gains(errors, [tilt for tilt, _, _ in bands])
+        ),
     )
 
 
@@ -153,17 +151,10 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
     return bands or [(0.0, 0.0, 0.0)]
 
 
-def _rim_share(errors: Sequence[_BallError], tilt_deg: float) -> float:
-    """By what share slopes from the lower border of the band around a tilt on are off, root mean square over balls."""
-    low_deg = max(edge for edge in TILT_EDGES_DEG if edge <= tilt_deg)
-    squares = []
-    for error in errors:
-        square = (error.truth**2).sum(axis=0)
-        rows = error.inside & (square >= np.tan(np.radians(low_deg)) ** 2)
-        if rows.sum() >= MIN_PIXELS:
-            along = (error.slope * error.truth).sum(axis=0)
-            squares.append(float(along[rows].sum() / square[rows].sum()) ** 2)
-    return float(np.sqrt(np.mean(squares))) if squares else 0.0
+def _gains(errors: Sequence[_BallError], tilts_deg: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    """Of every ball at the bands' tilts."""
+    bands = [next(pair for pair in pairwise(TILT_EDGES_DEG) if pair[0] <= tilt < pair[1]) for tilt in tilts_deg]
+    return believed_gains([gains_of_ball(error.slope, error.truth, error.inside, bands) for error in errors])
 
 
 def _spread_deg(angle: Float64Array) -> float:
@@ -174,13 +165,11 @@ def _spread_deg(angle: Float64Array) -> float:
 class _HeightErrors:
     """Slope errors of one ball added up from apex to rim, along rays.
 
-    scale : what all rays share, as a share of the ball's height over its rim
     variance_px2 : mean square of what rays do not share
     slope_variance : mean square of the radial slope error of a patch
     length_px : of a ray
     """
 
-    scale: float
     variance_px2: float
     slope_variance: float
     length_px: float
@@ -200,9 +189,7 @@ def _height_errors(error: _BallError) -> _HeightErrors:
     smooth = [_masked_blur(part, error.inside, sigma_px)[row, column] for part in error.slope]
     radial = np.where(seen, smooth[0] * np.cos(angle) + smooth[1] * np.sin(angle), 0.0)
     heights = radial.sum(axis=1) * length / STEPS
-    ball_height = error.ball.radius_px - float(np.sqrt(error.ball.radius_px**2 - length**2))
     return _HeightErrors(
-        scale=float(heights.mean()) / ball_height,
         variance_px2=float(heights.var()),
         slope_variance=float((radial**2).sum() / max(seen.sum(), 1)),
         length_px=length,

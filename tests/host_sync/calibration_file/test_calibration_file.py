@@ -290,6 +290,10 @@ def with_map(calibration: Calibration, **changed: Any) -> Calibration:
     return replace(calibration, inverse=replace(calibration.inverse, map=replace(calibration.inverse.map, **changed)))
 
 
+def with_gains(calibration: Calibration, gains: tuple[tuple[float, ...], ...]) -> Calibration:
+    return replace(calibration, slope_error=msgspec.structs.replace(calibration.slope_error, ball_gains=gains))
+
+
 HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a table that points beyond its end": lambda one: with_table(one, bin_of=one.paper.table.bin_of + np.int32(10**6)),
     "candidates that end early": lambda one: with_table(one, candidates=one.paper.table.candidates[:-1]),
@@ -305,6 +309,9 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "fewer errors than tilts": lambda one: replace(
         one, slope_error=msgspec.structs.replace(one.slope_error, pixel_deg=())
     ),
+    "fewer gains than tilts": lambda one: with_gains(one, ((0.0,),)),
+    "a gain that is not finite": lambda one: with_gains(one, ((float("nan"),) * len(one.slope_error.tilt_deg),)),
+    "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),
 }
 
 

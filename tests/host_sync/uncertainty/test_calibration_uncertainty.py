@@ -45,13 +45,9 @@ def test_doubt_is_the_jackknifes_and_stands_where_replicas_part() -> None:
     assert sigma[30, 40] < 0.03 * sigma[30, 79]
 
 
-def test_draws_spread_as_the_doubt_says_and_keep_its_shape() -> None:
+def test_deviations_keep_their_shape_over_the_field() -> None:
     doubt = calibration_uncertainty(image(), [tilting(slope) for slope in (0.01, 0.02, 0.03)], SIZE)
-    rng = np.random.default_rng(0)
-    drawn = np.stack([doubt.sample(rng.standard_normal(3, np.float32))[0] for _ in range(400)])
-    expected = np.sqrt((doubt.p**2).sum(axis=0))
-    np.testing.assert_allclose(drawn.std(axis=0)[:, [0, -1]], expected[:, [0, -1]], rtol=0.12)
-    correlation = np.corrcoef(drawn[:, 15, 0], drawn[:, 15, -1])[0, 1]
+    correlation = np.corrcoef(doubt.p[:, 15, 0], doubt.p[:, 15, -1])[0, 1]
     assert correlation == pytest.approx(-1.0, abs=1e-3)
 
 
@@ -59,7 +55,6 @@ def test_without_replicas_there_is_no_doubt_to_draw() -> None:
     doubt = calibration_uncertainty(image(), [], SIZE)
     assert doubt.p.shape == (0, 30, 40)
     assert doubt.sigma(SHAPE).max() == 0.0
-    assert np.abs(doubt.sample(np.zeros(0, np.float32))[0]).max() == 0.0
 
 
 def test_a_replica_of_a_full_size_map_is_read_on_the_reduced_field() -> None:

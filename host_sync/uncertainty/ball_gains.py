@@ -1,0 +1,107 @@
+"""By what share a map reads slopes of either steepness too steep or too flat, ball by ball.
+
+Such a share moves all of an object at once: height maps of steps, coins and grooves are wrong by it. Balls show which
+shares go together, those of gentle and of steep slopes at one place, and how far they differ from place to place. So
+every ball is one draw of what an object's slopes may be wrong by, and gentle objects do not pay for the rims of balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+
+MIN_PIXELS: Final = 50
+"""In a band of tilt, for a ball to tell its gain."""
+
+SECTORS: Final = 4
+"""Opposite sectors of a ball count as one: what a centre that is off does to them cancels. How far the sectors differ
+says how well a ball tells its gain."""
+
+NEGLIGIBLE: Final = 1e-6
+"""Share of a slope that no height map notices."""
+
+GENTLE_DEG: Final = 10.0
+"""Bands below are one: of single degrees noise and centres tell more than gains."""
+
+
+def gains_of_ball(
+    slope: Float64Array, truth: Float64Array, inside: MaskArray, bands_deg: Sequence[tuple[float, float]]
+) -> tuple[Float64Array, Float64Array]:
+    """Error of the gain in every band of tilt, and its variance; both float64 arrays of shape (bands,).
+
+    Bands up to `GENTLE_DEG` are read as one. Bands that a ball does not show have the gain of those next to them, NaN
+    where it shows none; the variance is NaN where fewer than two sectors tell it.
+
+    slope : errors of slopes, float64 array of shape (2, h, w)
+    truth : true slopes, likewise
+    inside : bool array of shape (h, w), pixels that count
+    """
+    square, along = (truth**2).sum(axis=0)[inside], (slope * truth).sum(axis=0)[inside]
+    p, q = truth[:, inside]
+    sector = np.floor((np.arctan2(q, p) % np.pi) * (SECTORS / np.pi)).astype(np.intp) % SECTORS
+    gain, variance = np.full(len(bands_deg), np.nan), np.full(len(bands_deg), np.nan)
+    for number, band_deg in enumerate(bands_deg):
+        low, high = (0.0, GENTLE_DEG) if band_deg[1] <= GENTLE_DEG else band_deg
+        rows = (square >= np.tan(np.radians(low)) ** 2) & (square < np.tan(np.radians(min(high, 89.0))) ** 2)
+        if rows.sum() < MIN_PIXELS:
+            continue
+        total, part = (np.bincount(sector[rows], values[rows], SECTORS) for values in (square, along))
+        shown = total > 0.0
+        gain[number] = part.sum() / total.sum()
+        if shown.sum() > 1:
+            apart = part[shown] / total[shown] - gain[number]
+            variance[number] = (total[shown] / total.sum() * apart**2).sum() / (shown.sum() - 1)
+    return _filled(gain), variance
+
+
+def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[tuple[float, ...], ...]:
+    """Gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball.
+
+    What balls agree on is believed whatever their sectors say: those may differ for a reason that all balls have.
+
+    balls : gains and their variances, as of `gains_of_ball`
+    """
+    known = [(gain, variance) for gain, variance in balls if np.isfinite(gain).all()]
+    if not known:
+        return ()
+    gains, variances = (np.stack(part) for part in zip(*known, strict=True))
+    square = (gains**2).mean(axis=0)
+    told = np.isfinite(variances)
+    scatter = np.where(told, variances, 0.0).sum(axis=0) / np.maximum(told.sum(axis=0), 1)
+    agreed = 0.0 * square
+    if len(gains) > 1:
+        agreed = np.maximum(gains.mean(axis=0) ** 2 - gains.var(axis=0, ddof=1) / len(gains), 0.0)
+    believed = np.maximum(square - scatter, agreed) / np.maximum(square, 1e-30)
+    return tuple(tuple(float(value) for value in row) for row in gains * np.sqrt(np.minimum(believed, 1.0)))
+
+
+def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
+    """Errors of the gain at the bands' tilts whose squares add to the balls' mean square: float64 array (r, bands).
+
+    The gains of balls go together in each; r is 0 where no ball tells, and the number of bands at most.
+    """
+    if not gains:
+        return np.zeros((0, 0))
+    own = np.array(gains)
+    _, size, together = np.linalg.svd(own / np.sqrt(len(own)), full_matrices=False)
+    return np.asarray((size[:, None] * together)[size > NEGLIGIBLE])
+
+
+def gain_at(curve: Float64Array, cosine: Float32Array, tilt_deg: Sequence[float]) -> Float32Array:
+    """A curve (bands,) of gains at the tilts `tilt_deg`, where the cosine of the tilt is `cosine`: array of its
+    shape.
+
+    Between the tilts it runs straight, beyond them it stays.
+    """
+    known = np.cos(np.radians(tilt_deg))
+    return np.asarray(np.interp(cosine, known[::-1], curve[::-1]), np.float32)
+
+
+def _filled(values: NDArray[np.float64]) -> Float64Array:
+    known = np.flatnonzero(np.isfinite(values))
+    return values if not known.size else np.interp(np.arange(len(values)), known, values[known])
