@@ -14,7 +14,6 @@ from device.instrument.state import BalanceProgress, StateStore
 from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.hardware import Hardware
-from hal.interfaces import NeverMind
 
 KEPT = "The active calibration keeps its own light, so scans stay as they are; the next calibration uses the new one."
 STOPPED = "Exposure balance stopped: nothing has changed."
@@ -88,7 +87,6 @@ class BalanceRun:
 
     def cancel(self) -> None:
         """Stop; nothing has changed."""
-        self._hardware.operator.ask(NeverMind())
         self._end(BalanceProgress("failed", STOPPED, self._search.taken))
         self._states.publish(Info(STOPPED))
 

@@ -18,7 +18,7 @@ from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-from hal.interfaces import Cue, NeverMind
+from hal.interfaces import Cue
 
 _ENDS: Final[dict[bool, tuple[Cue, Cue]]] = {False: ("good", "retake"), True: ("calibration", "refused: calibration")}
 """Cues for passed and failed; without a screen none that would ask for one more press."""
@@ -138,7 +138,6 @@ class CalibrationRun:
 
     def cancel(self, sentence: str = "Calibration stopped; the previous one stays active.") -> None:
         """End the calibration as failed."""
-        self._hardware.operator.ask(NeverMind())
         self._guide.fail(sentence)
         self._states.update(guide=self._guide.progress)
         self._states.publish(CalibrationStep(self._guide.progress))

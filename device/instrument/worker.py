@@ -31,6 +31,7 @@ from device.io.memory import give_back_memory
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware
+from hal.interfaces import NeverMind
 
 RETRY_S: Final = 1.0
 """Interval between attempts to reopen hardware that does not answer."""
@@ -329,6 +330,7 @@ class InstrumentWorker:
 
     def _end_run(self) -> None:
         self._run = None
+        self.hardware.operator.ask(NeverMind())  # a push that was asked for and not needed would take a scan
         with suppress(HalError):
             self.hardware.button.clear_presses()  # the last push may be down still: its release is no push of its own
         self.states.update(activity="ready")

@@ -186,6 +186,23 @@ def test_a_calibration_guides_fills_up_and_passes_within_three_minutes(
         assert instrument.state.calibration.calibration_id == last.calibration_id
 
 
+def test_a_push_that_a_calibration_asked_for_and_did_not_need_takes_no_scan(
+    hardware: Hardware, tmp_path: Path, bench: SimulatedScene
+) -> None:
+    store = BundleStore(tmp_path / "fresh", hardware.clock)
+    with Instrument(hardware, store) as instrument:
+        instrument.start_calibration(3.0)
+        events = events_of(instrument, 1)
+        while instrument.state.activity == "calibrating":
+            instrument.press()  # by the screen, before the operator's own push
+            events += events_of(instrument, 10)
+        assert instrument.state.guide is not None
+        assert instrument.state.guide.phase == "passed"
+        events += events_of(instrument, 100)
+        assert bench.next_button_press() is None
+    assert not [event for event in events if isinstance(event, (PressSeen, ScanFinished))]
+
+
 def test_zero_is_checked_in_air_in_micrometres(instrument: Instrument, bench: SimulatedScene) -> None:
     instrument.zero_check()
     checked = only(events_of(instrument, 2), ZeroChecked)

@@ -69,8 +69,8 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     terminal.wait_for("Ball of 3 mm radius")
     terminal.keys("Space")
     terminal.wait_for("Touch nothing with the gel")
-    for taken in range(12):
-        terminal.wait_for(rf"(?:{taken}|1?\d) of 12")
+    for _ in range(12):
+        terminal.wait_for(r"\d of 12")
         terminal.keys("Space")
     terminal.wait_for("Calibration passed and is active")
     terminal.keys("1")
