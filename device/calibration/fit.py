@@ -47,6 +47,9 @@ DISTRUST_POWER: Final = 20.0
 MIN_SHARE: Final = 0.07
 """A curve beside the first with less weight is left out: it would cost as much as one that helps."""
 
+MAX_WEIGHT: Final = 1e6
+"""Of another curve beside the first: what is read is divided by the first one's share."""
+
 NEAR_GAIN: Final = 0.975
 """Share of the held-out error of intensity's curve that a curve of near lights' slopes must reach to take its place.
 
@@ -316,7 +319,7 @@ def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
 
     Shares come from held-out errors with noise, which a mean of several curves averages.
     """
-    weights = [(own.error_as_seen / other.error_as_seen) ** DISTRUST_POWER for other in others]
+    weights = [min((own.error_as_seen / other.error_as_seen) ** DISTRUST_POWER, MAX_WEIGHT) for other in others]
     total = 1.0 + sum(weights)
     kept = [(learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_SHARE * total]
     total = 1.0 + sum(weight for _, weight in kept)

@@ -36,6 +36,7 @@ from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_ba
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
+from host_sync.calibration.lamp_elevation import as_read, find_lamps
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.shading_model import GLITTERING, ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
@@ -203,6 +204,8 @@ def calibrate(
     if reference:
         pressed = [(press.intensity, press.balls) for press in located]
         inverse = replace(inverse, map=with_free_skin(inverse.map, pressed))
+    if followed:
+        followed = as_read(followed, inverse.map)
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
     training = gather_samples(kept)
@@ -334,7 +337,9 @@ def _elevated(
 ) -> ElevatedBalls | None:
     """The balls of presses with what elevation does to them; None where they cannot tell."""
     used = apply_fit(located, inverse)
-    return find_elevated_balls([(press.intensity, press.balls) for press in used], inverse.map, flat_field, lamps)
+    pressed = [(press.intensity, press.balls) for press in used]
+    found = find_elevated_balls(pressed, inverse.map, flat_field, lamps)
+    return (find_lamps(pressed, found) or found) if found else None
 
 
 def _followed(located: Sequence[UsedPress], inverse: InverseFit, elevated: ElevatedBalls) -> ElevatedBalls | None:

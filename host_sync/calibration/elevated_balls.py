@@ -33,6 +33,7 @@ from host_sync.calibration.elevation_response import MIN_BALLS, ElevationRespons
 from host_sync.calibration.lamp_centres import centres_under_lamps
 from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.lamp_model import LampModel
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 GRID_STEP_PX: Final = 4
@@ -64,11 +65,13 @@ class ElevatedBalls:
     response : what elevation changes
     balls : by press, with centres of symmetry or their own
     apexes_px : by press, elevation of each ball's apex over untouched skin, pixels
+    lamps : that explain all of it; None where none are known to
     """
 
     response: ElevationResponse
     balls: tuple[tuple[Ball, ...], ...]
     apexes_px: tuple[tuple[float, ...], ...]
+    lamps: LampModel | None = None
 
     @property
     def left(self) -> ElevationCorrection:
@@ -84,7 +87,7 @@ class ElevatedBalls:
         nearness_per_px : one over the lights' height, which counts where the skin is not matt
         is_matt : whether the skin shines as the slants of a response take for granted
         """
-        if self.response.is_certain and is_matt:
+        if self.lamps is not None or (self.response.is_certain and is_matt):
             return self
         if (self.response.is_certain or self.response.is_of_another_skin) and nearness_per_px > 0.0:
             return replace(self, response=self.response.under_lamps(nearness_per_px))
@@ -94,7 +97,7 @@ class ElevatedBalls:
         """The image of a press with each contact as it would look at the elevation of untouched skin."""
         values = image.values.copy()
         for ball, apex_px in zip(self.balls[press], self.apexes_px[press], strict=True):
-            _lower(values, ball, apex_px, self.response)
+            _lower(values, ball, apex_px, self.response if self.lamps is None else self.lamps)
         return replace(image, values=values)
 
 
@@ -284,14 +287,20 @@ def _flat_nodes(response: ElevationResponse) -> tuple[Float32Array, Float32Array
     return a, b, c
 
 
-def _lower(values: Float32Array, ball: Ball, apex_px: float, response: ElevationResponse) -> None:
+def _lower(values: Float32Array, ball: Ball, apex_px: float, light: ElevationResponse | LampModel) -> None:
     """Change the intensity inside a ball's contact to what its slopes would show on untouched skin."""
     row, column = pixels_inside(ball, values.shape[:2])
     p, q = (s.astype(np.float64) for s in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
     brightness = 1.0 / np.sqrt(1.0 + p**2 + q**2)
     z_px = apex_px - ball.radius_px * (1.0 - brightness)
+    if isinstance(light, LampModel):
+        there = column.astype(np.float64), row.astype(np.float64)
+        values[row, column] += (light.shown(p, q, *there, 0.0 * z_px) - light.shown(p, q, *there, z_px)).astype(
+            np.float32
+        )
+        return
     place = field_position(column, row, (values.shape[0], values.shape[1]))
-    a, b, c = (between_nodes(part, place) for part in _flat_nodes(response))
+    a, b, c = (between_nodes(part, place) for part in _flat_nodes(light))
     directions, slanting = (part.reshape(-1, 2, 3) for part in (a, c))
     slope = np.stack([p, q], axis=-1)
     at_rest = 1.0 + np.einsum("nd,ndc->nc", slope, directions)

@@ -121,6 +121,8 @@ class ElevationResponse:
     share, share_sigma : of the foretold common brightening that is seen, and its standard uncertainty
     direction_doubt : error of directions at a ball that was left out, as a share of their spread over the field
     is_of_lamps : slants were not foretold by the light on untouched skin, but taken as under lamps of one height
+    misread : float32 array of shape (n, n, 9), `as_slopes` as the inverse map itself reads raised skin; None where that
+        is not known
     """
 
     directions: Float32Array
@@ -130,6 +132,7 @@ class ElevationResponse:
     share_sigma: float
     direction_doubt: float = 0.0
     is_of_lamps: bool = False
+    misread: Float32Array | None = None
 
     @property
     def followed(self) -> float:
@@ -185,6 +188,8 @@ class ElevationResponse:
 
         b + c·g = λ (1 + a·g) + a·(what is added to g), for three channels.
         """
+        if self.misread is not None:
+            return self.misread
         ones = np.ones_like(self.brightening)
         system = np.stack([ones, self.directions[..., 0, :], self.directions[..., 1, :]], axis=-1)
         added = np.stack([self.brightening, self.slanting[..., 0, :], self.slanting[..., 1, :]], axis=-1)

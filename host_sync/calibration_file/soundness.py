@@ -38,7 +38,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "SlopeResponse": {"terms": "3 2 3"},
     "LayoutModel": {"rest": "h w 3"},
     "LightPositionModel": {"gradient": "cells 3 2"},
-    "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3"},
+    "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3", "misread": "n n 9"},
     "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
     "KnownLamps": {"position_px": "3 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},

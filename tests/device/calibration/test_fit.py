@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, BallSamples, gather_samples, sphere_slopes
-from device.calibration.fit import BegunFit, begin_fit
+from device.calibration.candidates import RegressorFit
+from device.calibration.fit import BegunFit, _shared, begin_fit
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.illumination import IlluminationMap
 
@@ -65,3 +69,11 @@ def test_a_fit_of_a_lone_ball_has_no_forms_to_take() -> None:
     every = samples(0.01)
     lone = every.select(np.flatnonzero(every.ball == 0))
     assert begin_fit(lone, BALLS[:1], SHAPE).learned is None
+
+
+def test_a_curve_that_is_far_worse_than_another_keeps_a_share_that_can_be_divided_by() -> None:
+    own, other = (cast(RegressorFit, SimpleNamespace(error_as_seen=error)) for error in (1.0, 1e-3))
+    (_, first), (_, second) = _shared(own, [other])
+    assert np.float32(first) > 0.0
+    assert np.isfinite(np.float32(1.0) / np.float32(first))
+    assert second > 0.99

@@ -1,0 +1,234 @@
+"""Lamps and coat of an instrument, fitted to the balls of its calibration.
+
+A dozen balls show thousands of slopes at a dozen places: enough for the two dozen numbers of a `LampModel` and, beside
+them, for the places of the balls' centres. The numbers are found by least squares, first for a coat that does not
+shine, then from there for coats that shine broadly and sharply. A model that leaves much more than noise, or no less
+than polynomials do that know nothing of lamps, says nothing: light that is guided, mirrored or shaped is no lamp's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from device.balls.sphere import Ball, BallSamples
+from device.surface.fields import Float64Array
+from host_sync.lights.lamp_model import LampModel
+
+MAX_RESIDUAL: Final = 0.025
+"""Root mean square intensity, at most, that a model may leave of the balls.
+
+Near lamps over a diffuse or glossy coat leave 0.004 to 0.013, the twin's flakes 0.010 and 0.023; models of sensors that
+guide their light 0.015 to 0.07, real ones 0.021 and 0.06.
+"""
+
+MAX_SHARE: Final = 0.4
+"""The same as a share of what polynomials that know nothing of lamps leave (`host_sync.calibration.shading_model`):
+0.1 to 0.25 under near lamps, 3 to 13 where light is guided, 0.45 and 0.56 on two real sensors."""
+
+FALL_OFF: Final = (1.0, 3.0)
+"""Powers of the distance with which light of lamps falls off."""
+
+SAMPLES: Final = 3000
+HEIGHT: Final = 0.5
+"""Of the lamps over the skin, in widths of the field, from which the search begins; 0.35 and 0.7 end at the same."""
+
+GENTLE: Final = 0.35
+"""Slopes up to which samples tell where the lamps stand, to begin with."""
+
+NOISE: Final = 0.03
+OUTLYING: Final = 4.0
+"""Intensities off by so many times `NOISE` count no more than these."""
+
+CENTRE_SIGMA: Final = 0.015
+"""Standard deviation of a centre's error, as a share of the ball's radius, that is expected beforehand."""
+
+PRIOR_SAMPLES: Final = 300.0
+"""What is expected of a coat beforehand counts as one in so many samples."""
+
+GLOSS_WIDTHS: Final = (0.35, 0.15)
+GLOSS: Final = 0.15
+"""Where the search for coats that shine begins."""
+
+GLOSS_GAIN: Final = 0.97
+"""Share of the residual that a coat which shines must reach."""
+
+STEP: Final = 1e-4
+CENTRE_STEP_PX: Final = 0.05
+"""Steps of the numerical derivatives."""
+
+ROUNDS: Final = 25
+
+_START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2])
+_EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2])
+_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.5, 0.5])
+"""Strip, fall-off, mixing, haze, roughness, gloss, logarithm of its width, bounce and beam."""
+
+_PLACES: Final = 9
+_GLOSS: Final = _PLACES + 12
+"""Numbers before them: right and down by channel, then logarithms of heights; and where those of gloss begin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LampFit:
+    """Lamps as balls show them.
+
+    model : lamps and coat
+    shift_px : float64 array of shape (balls, 2), what is to be added to each centre's column and row
+    residual : root mean square intensity that is left of the balls, outliers bounded
+    """
+
+    model: LampModel
+    shift_px: Float64Array
+    residual: float
+
+    def explains(self, residual: float) -> bool:
+        """Whether the lamps explain what balls show.
+
+        residual : root mean square intensity that polynomials leave
+        """
+        least, most = FALL_OFF
+        return self.residual < min(MAX_RESIDUAL, MAX_SHARE * residual) and least < self.model.fall_off < most
+
+
+def fit_lamps(
+    samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
+) -> LampFit:
+    """The lamps that balls of a full-size field of `shape` (H, W) show.
+
+    samples : of the balls
+    apexes_px : elevation of each ball's apex over untouched skin, pixels
+    """
+    search = _Search.of(samples, balls, apexes_px, shape)
+    matt = np.concatenate([search.first_places(), _START])
+    best, shift, residual = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
+    for width in GLOSS_WIDTHS:
+        begin = best.copy() if best[_GLOSS] == 0.0 else matt.copy()
+        begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
+        found = search.solved(begin, shift, gloss=True)
+        if found[2] < GLOSS_GAIN * residual:
+            best, shift, residual = found
+    return LampFit(search.model(best), shift, residual)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Samples whose intensity a model is to foretell.
+
+    intensity : float64 array of shape (N, 3)
+    column, row : float64 arrays of shape (N,), pixels
+    ball : int array of shape (N,)
+    centre, radius_px, apex_px : of their balls, float64 arrays of shape (N, 2), (N,) and (N,)
+    count : of balls
+    shape : (H, W)
+    """
+
+    intensity: Float64Array
+    column: Float64Array
+    row: Float64Array
+    ball: np.ndarray
+    centre: Float64Array
+    radius_px: Float64Array
+    apex_px: Float64Array
+    count: int
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls, samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
+    ) -> _Search:
+        rows = np.random.default_rng(0).permutation(len(samples.p))[:SAMPLES]
+        ball = samples.ball[rows]
+        centre = np.array([[one.column, one.row] for one in balls])[ball]
+        radius_px = np.array([one.radius_px for one in balls])[ball]
+        column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
+        seen = samples.taught[rows].astype(np.float64)
+        return cls(seen, column, row, ball, centre, radius_px, np.array(apexes_px)[ball], len(balls), shape)
+
+    def model(self, numbers: Float64Array) -> LampModel:
+        """The model of these numbers."""
+        strip, fall_off, *mixed = numbers[_PLACES:].tolist()
+        mixing = np.eye(3)
+        mixing[~np.eye(3, dtype=np.bool_)] = mixed[:6]
+        haze, (roughness, gloss, width, bounce, beam) = np.array(mixed[6:9]), mixed[9:]
+        position = np.concatenate([numbers[:6].reshape(3, 2), np.exp(numbers[6:9, None])], axis=1)
+        return LampModel(
+            self.shape, position, strip, fall_off, mixing, haze, roughness, gloss, float(np.exp(width)), bounce, beam
+        )
+
+    def first_places(self) -> Float64Array:
+        """Where the lamps stand by the slants of gentle skin, at the height from which the search begins: (9,)."""
+        p, q, _ = self._sphere(np.zeros((self.count, 2)))
+        gentle = np.hypot(p, q) < GENTLE
+        p, q = p[gentle], q[gentle]
+        x, y = (
+            (place[gentle] - 0.5 * (size - 1)) / self.shape[1]
+            for place, size in ((self.column, self.shape[1]), (self.row, self.shape[0]))
+        )
+        terms = np.stack([p, q, x * p, y * p, x * q, y * q], axis=-1)
+        lit = self.intensity[gentle] * np.sqrt(1.0 + p * p + q * q)[:, None] - 1.0
+        slants = np.linalg.lstsq(terms, lit, rcond=None)[0][:2]
+        return np.concatenate([-HEIGHT * slants.T.ravel(), np.full(3, np.log(HEIGHT))])
+
+    def solved(
+        self, begin: Float64Array, shift_px: Float64Array, *, gloss: bool
+    ) -> tuple[Float64Array, Float64Array, float]:
+        """Numbers, shifts of centres (balls, 2) and residual of the best fit near these."""
+        free = np.arange(len(begin))
+        if not gloss:
+            free = np.delete(free, [_GLOSS, _GLOSS + 1])
+        expected, doubt = np.append(np.zeros(_PLACES), _EXPECTED), np.append(np.full(_PLACES, np.inf), _DOUBT)
+        weight = np.sqrt(len(self.ball) / PRIOR_SAMPLES)
+        sigma_px = CENTRE_SIGMA * float(np.median(self.radius_px))
+        size = 3 * len(self.ball)
+
+        def parted(variables: Float64Array) -> tuple[Float64Array, Float64Array]:
+            numbers = begin.copy()
+            numbers[free] = variables[: len(free)]
+            return numbers, variables[len(free) :].reshape(-1, 2)
+
+        def off(variables: Float64Array) -> Float64Array:
+            numbers, shift = parted(variables)
+            left = np.nan_to_num(self._left(numbers, shift) / NOISE, nan=1e3, posinf=1e3, neginf=-1e3)
+            bounded = left / np.sqrt(1.0 + (left / OUTLYING) ** 2)
+            beforehand = weight * ((numbers - expected) / doubt)[free]
+            return np.concatenate([bounded.ravel(), beforehand, (shift / sigma_px).ravel()])
+
+        def derivatives(variables: Float64Array) -> Float64Array:
+            here = off(variables)
+            found = np.zeros((len(here), len(variables)))
+            for number in range(len(free)):
+                there = variables.copy()
+                there[number] += STEP
+                found[:, number] = (off(there) - here) / STEP
+            owner = np.concatenate([np.repeat(self.ball, 3), np.full(len(free), -1), np.repeat(range(self.count), 2)])
+            for axis in (0, 1):  # of all balls at once: each has samples of its own
+                there = variables.copy()
+                there[len(free) + axis :: 2] += CENTRE_STEP_PX
+                change = (off(there) - here) / CENTRE_STEP_PX
+                for ball in range(self.count):
+                    at = len(free) + 2 * ball + axis
+                    found[owner == ball, at] = change[owner == ball]
+            return found
+
+        start = np.concatenate([begin[free], shift_px.ravel()])
+        numbers, shift = parted(least_squares(off, start, derivatives, max_nfev=ROUNDS, x_scale="jac").x)
+        bounded = off(np.concatenate([numbers[free], shift.ravel()]))[:size] * NOISE
+        return numbers, shift, float(np.sqrt((bounded**2).mean()))
+
+    def _left(self, numbers: Float64Array, shift_px: Float64Array) -> Float64Array:
+        """Intensity foretold less that seen, (N, 3)."""
+        p, q, z_px = self._sphere(shift_px)
+        with np.errstate(all="ignore"):
+            shown = self.model(numbers).shown(p, q, self.column, self.row, z_px)
+        return np.asarray(shown - self.intensity)
+
+    def _sphere(self, shift_px: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Slopes and elevations of the samples' balls, shape (N,) each."""
+        across, down = (np.stack([self.column, self.row], axis=-1) - self.centre - shift_px[self.ball]).T
+        rise = np.sqrt(np.maximum(self.radius_px**2 - across**2 - down**2, 1.0))
+        return -across / rise, -down / rise, self.apex_px - self.radius_px + rise
