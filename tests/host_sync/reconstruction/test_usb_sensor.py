@@ -16,7 +16,7 @@ from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.reconstruction.pipeline import reconstruct
 
 
-@pytest.mark.parametrize(("pixel_format", "share"), [("RGB3", 0.7), ("MJPG", 0.85)])
+@pytest.mark.parametrize(("pixel_format", "share"), [("RGB3", 0.8), ("MJPG", 0.75)])
 def test_heights_of_a_coin_lie_within_two_sigma(
     bench: SimulatedScene, tmp_path: Path, pixel_format: PixelFormat, share: float
 ) -> None:
@@ -31,6 +31,11 @@ def test_heights_of_a_coin_lie_within_two_sigma(
         record = bundle.record
         frame = capture(hardware, CaptureSettings.of_calibration(hardware, record.fingerprint, record.asked))
     found = reconstruct(frame, calibration_of(bundle), "coin")
-    off = np.abs(found.height.z_um - world.truth().z_um) / found.sigma_um
-    assert np.nanmean(off <= 2.0) > share
-    assert np.nanmedian(found.sigma_um) < 20.0
+    truth = world.truth()
+    error_um = found.height.z_um - truth.z_um
+    within = np.abs(error_um) <= 2.0 * found.sigma_um
+    # Beside the coin, where lamps graze the skin or are hidden, errors exceed their σ more often.
+    assert within.mean() > share
+    assert within[truth.contact].mean() > 0.95
+    assert float(np.sqrt(np.nanmean(error_um[truth.contact] ** 2))) < 6.0
+    assert np.nanmedian(found.sigma_um) < 10.0
