@@ -78,7 +78,12 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
     elevation, lamps = calibration.elevation, calibration.lamps
     if elevation is not None:
         per_px = np.float32(1.0 / finer)
-        elevation = replace(elevation, brightening=per_px * elevation.brightening, slanting=per_px * elevation.slanting)
+        elevation = replace(
+            elevation,
+            brightening=per_px * elevation.brightening,
+            slanting=per_px * elevation.slanting,
+            misread=None if elevation.misread is None else per_px * elevation.misread,
+        )
     return replace(
         calibration,
         flat_field=flat_field,
