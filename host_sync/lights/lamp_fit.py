@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array
@@ -178,6 +177,8 @@ class _Search:
         self, begin: Float64Array, shift_px: Float64Array, *, gloss: bool
     ) -> tuple[Float64Array, Float64Array, float]:
         """Numbers, shifts of centres (balls, 2) and residual of the best fit near these."""
+        from scipy.optimize import least_squares  # here, because it takes as long to load as a reconstruction
+
         free = np.arange(len(begin))
         if not gloss:
             free = np.delete(free, [_GLOSS, _GLOSS + 1])
