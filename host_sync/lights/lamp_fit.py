@@ -104,14 +104,15 @@ def fit_lamps(
     """
     search = _Search.of(samples, balls, apexes_px, shape)
     matt = np.concatenate([search.first_places(), _START])
-    best, shift, residual = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
+    matt, shift, residual = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
+    best = LampFit(search.model(matt), shift, residual)
     for width in GLOSS_WIDTHS:
-        begin = best.copy() if best[_GLOSS] == 0.0 else matt.copy()
+        begin = matt.copy()
         begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
-        found = search.solved(begin, shift, gloss=True)
-        if found[2] < GLOSS_GAIN * residual:
-            best, shift, residual = found
-    return LampFit(search.model(best), shift, residual)
+        numbers, moved, residual = search.solved(begin, shift, gloss=True)
+        if residual < GLOSS_GAIN * best.residual:
+            best = LampFit(search.model(numbers), moved, residual)
+    return best
 
 
 @dataclass(frozen=True, slots=True, eq=False)
