@@ -63,9 +63,9 @@ class ElevatedBalls:
     """Balls of a calibration, where they stand, and what that changes.
 
     response : what elevation changes
-    balls : by press, with centres of symmetry or their own
+    balls : by press, with centres of symmetry, their own, or where lamps put them
     apexes_px : by press, elevation of each ball's apex over untouched skin, pixels
-    lamps : that explain all of it; None where none are known to
+    lamps : that explain what the balls show; without them what is seen of elevation says all
     """
 
     response: ElevationResponse

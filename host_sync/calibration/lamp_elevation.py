@@ -32,7 +32,7 @@ EXCLUDED: Final = 4.0
 SLOPE: Final = 0.1
 """Slopes by which directions are measured: a coat that shines is bent."""
 
-RAISED_PX: Final = 0.02
+RAISED_WIDTHS: Final = 0.02
 """Elevation by which changes are measured, in widths of the field."""
 
 STEEPNESSES: Final = (0.2, 0.55)
@@ -46,7 +46,10 @@ MAX_MISREAD: Final = 0.2
 """Change of a slope beyond which a map is not followed: no ball taught it the colours in that corner."""
 
 RIDGE: Final = 1e-9
+"""Of the terms of what a map misreads, as a share of their equations' trace: keeps them solvable."""
+
 ANY_RESIDUAL: Final = 1.0
+"""Polynomials are compared with lamps however much they leave."""
 
 Press = tuple[NormalizedImage, Sequence[Ball]]
 
@@ -95,7 +98,7 @@ def response_under(model: LampModel) -> ElevationResponse:
             axis=1,
         )
 
-    raised = RAISED_PX * model.shape[1]
+    raised = RAISED_WIDTHS * model.shape[1]
     directions = slants(0.0)
     return ElevationResponse(
         directions.reshape(NODES, NODES, 2, 3).astype(np.float32),

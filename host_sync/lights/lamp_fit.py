@@ -186,7 +186,6 @@ class _Search:
         expected, doubt = np.append(np.zeros(_PLACES), _EXPECTED), np.append(np.full(_PLACES, np.inf), _DOUBT)
         weight = np.sqrt(len(self.ball) / PRIOR_SAMPLES)
         sigma_px = CENTRE_SIGMA * float(np.median(self.radius_px))
-        size = 3 * len(self.ball)
 
         def parted(variables: Float64Array) -> tuple[Float64Array, Float64Array]:
             numbers = begin.copy()
@@ -218,8 +217,9 @@ class _Search:
             return found
 
         start = np.concatenate([begin[free], shift_px.ravel()])
-        numbers, shift = parted(least_squares(off, start, derivatives, max_nfev=ROUNDS, x_scale="jac").x)
-        bounded = off(np.concatenate([numbers[free], shift.ravel()]))[:size] * NOISE
+        found = least_squares(off, start, derivatives, max_nfev=ROUNDS, x_scale="jac")
+        numbers, shift = parted(found.x)
+        bounded = NOISE * found.fun[: 3 * len(self.ball)]
         return numbers, shift, float(np.sqrt((bounded**2).mean()))
 
     def _left(self, numbers: Float64Array, shift_px: Float64Array) -> Float64Array:
