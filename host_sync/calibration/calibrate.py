@@ -9,11 +9,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.balls.sphere import gather_samples
 from device.calibration.fit import BegunFit, InverseFit, begin_fit
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct, make_flat_field
+from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from device.surface.fields import Float32Array
@@ -32,25 +32,31 @@ from host_sync.calibration.balls import (
 )
 from host_sync.calibration.calibration_verdict import check_count
 from host_sync.calibration.consistency import check_agreement, check_reference
-from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
 from host_sync.calibration.elevation_response import ElevationResponse
+from host_sync.calibration.elevation_steps import (
+    elevated_balls_of,
+    elevation_left,
+    followed_balls,
+    lamps_that_read_better,
+    lowered_presses,
+)
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
-from host_sync.calibration.lamp_elevation import as_read, find_lamps
+from host_sync.calibration.lamp_elevation import as_read
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.shading_model import GLITTERING, ShadingModel, fit_shading_model
+from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
 from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps, Position
+from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
-from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
-from host_sync.uncertainty.light_height import nearness_per_px
-from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
+from host_sync.uncertainty.slope_error import OverCells, SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
 Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
@@ -96,6 +102,7 @@ class Calibration:
     slope_noise : what is left of it in slopes, None without a shrinkage
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
     lamps : where the lamp of each channel stands, None where it is not known
+    fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -117,6 +124,7 @@ class Calibration:
     slope_noise: SlopeNoise | None = None
     shading: ShadingModel | None = None
     lamps: KnownLamps | None = None
+    fitted_lamps: FittedLamps | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -124,6 +132,11 @@ class Calibration:
     def pixel_pitch_sigma_um(self) -> float | None:
         """Standard uncertainty of `pitch_um`, None when it was not measured."""
         return self.assessment.scale.pixel_pitch_sigma_um
+
+    @property
+    def uses_single_lights(self) -> bool:
+        """Whether frames of single lights tell it where one is hidden."""
+        return self.shading is not None or self.fitted_lamps is not None
 
     @property
     def preferred(self) -> Method:
@@ -193,11 +206,11 @@ def calibrate(
     tell("fitting the position-aware inverse map")
     begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
-    elevated = _elevated(located, begun.fit, flat_field, lamps) if reference else None
-    followed = _followed(located, begun.fit, elevated) if elevated else None
+    elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
+    followed = followed_balls(located, begun.fit, elevated) if elevated else None
     if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
-        located = _lowered(located, followed)
+        located = lowered_presses(located, followed)
         begun = _fit_to(located, IlluminationMap.of(flat_field), begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
@@ -219,7 +232,14 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    error = measure_slope_error(kept, training, inverse, _elevation_left(kept, training, inverse, elevated, followed))
+    reads = lamps_that_read_better(training, inverse, followed)
+    error = measure_slope_error(
+        kept,
+        training,
+        inverse,
+        elevation_left(kept, training, inverse, elevated, followed),
+        OverCells(reads, cell_px(flat_field.shape)) if reads else None,
+    )
     response = followed.response if followed else None
     digest = _digest(inverse, flat_field, pitch_um, shrinkage, response)
     return Calibration(
@@ -242,6 +262,7 @@ def calibrate(
         ),
         shading=fit_shading_model(training, kept),
         lamps=lamps,
+        fitted_lamps=followed.lamps if followed and reads else None,
     )
 
 
@@ -330,48 +351,6 @@ def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: B
     return begin_fit(
         samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like, alone=alone
     )
-
-
-def _elevated(
-    located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array, lamps: KnownLamps | None
-) -> ElevatedBalls | None:
-    """The balls of presses with what elevation does to them; None where they cannot tell."""
-    used = apply_fit(located, inverse)
-    pressed = [(press.intensity, press.balls) for press in used]
-    found = find_elevated_balls(pressed, inverse.map, flat_field, lamps)
-    return (find_lamps(pressed, found) or found) if found else None
-
-
-def _followed(located: Sequence[UsedPress], inverse: InverseFit, elevated: ElevatedBalls) -> ElevatedBalls | None:
-    """What slopes are to be corrected by for their elevation; None where nothing is seen of it."""
-    kept = [(press.intensity, press.balls) for press in apply_fit(located, inverse)]
-    samples = gather_samples(kept)
-    is_matt = fit_shading_model(samples, kept, GLITTERING) is not None
-    return elevated.followed(nearness_per_px(samples, inverse.map.shape), is_matt=is_matt)
-
-
-def _lowered(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[UsedPress]:
-    """Presses whose balls look as if they stood at the elevation of untouched skin."""
-    return [
-        replace(press, intensity=elevated.lowered(number, press.intensity), balls=elevated.balls[number])
-        for number, press in enumerate(located)
-    ]
-
-
-def _elevation_left(
-    kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
-    training: BallSamples,
-    inverse: InverseFit,
-    elevated: ElevatedBalls | None,
-    followed: ElevatedBalls | None,
-) -> ElevationCorrection:
-    """What elevation leaves uncertain: of a correction its uncertainty, else as much of the lights' nearness as may
-    be.
-    """
-    if followed:
-        return followed.left
-    nearness = elevation_correction(kept, training, inverse.map)
-    return nearness.shared(elevated.response.possible_fraction) if elevated else nearness
 
 
 def _digest(

@@ -33,7 +33,7 @@ from host_sync.calibration.elevation_response import MIN_BALLS, ElevationRespons
 from host_sync.calibration.lamp_centres import centres_under_lamps
 from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.lights.known_lamps import KnownLamps
-from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 GRID_STEP_PX: Final = 4
@@ -71,14 +71,17 @@ class ElevatedBalls:
     response: ElevationResponse
     balls: tuple[tuple[Ball, ...], ...]
     apexes_px: tuple[tuple[float, ...], ...]
-    lamps: LampModel | None = None
+    lamps: FittedLamps | None = None
 
     @property
     def left(self) -> ElevationCorrection:
         """At which elevation the balls showed each slope, and how uncertain the nearness is that was corrected for."""
         apexes_px = [apex_px for of_press in self.apexes_px for apex_px in of_press]
         radii_px = [ball.radius_px for of_press in self.balls for ball in of_press]
-        sigma = self.response.nearness_sigma_per_px
+        response = self.response
+        sigma = response.nearness_sigma_per_px
+        if self.lamps is not None:
+            sigma = response.share_sigma * abs(response.nearness_per_px)
         return ElevationCorrection(float(np.median(apexes_px)), float(np.median(radii_px)), sigma)
 
     def followed(self, nearness_per_px: float, *, is_matt: bool) -> ElevatedBalls | None:
@@ -97,7 +100,7 @@ class ElevatedBalls:
         """The image of a press with each contact as it would look at the elevation of untouched skin."""
         values = image.values.copy()
         for ball, apex_px in zip(self.balls[press], self.apexes_px[press], strict=True):
-            _lower(values, ball, apex_px, self.response if self.lamps is None else self.lamps)
+            _lower(values, ball, apex_px, self.response if self.lamps is None else self.lamps.model)
         return replace(image, values=values)
 
 

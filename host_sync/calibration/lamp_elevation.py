@@ -23,7 +23,7 @@ from host_sync.calibration.shading_model import fit_shading_model
 from host_sync.lights.lamp_fit import fit_lamps
 from host_sync.lights.lamp_model import LampModel
 
-DOUBT: Final = 0.1
+DOUBT: Final = 0.05
 """Relative standard uncertainty of what fitted lamps foretell of elevation."""
 
 EXCLUDED: Final = 4.0
@@ -76,7 +76,7 @@ def find_lamps(presses: Sequence[Press], elevated: ElevatedBalls) -> ElevatedBal
         for ball, (across, down) in zip(balls, fit.shift_px.tolist(), strict=True)
     )
     centred = tuple(tuple(next(moved) for _ in of_press) for _, of_press in presses)
-    return ElevatedBalls(response_under(fit.model), centred, elevated.apexes_px, fit.model)
+    return ElevatedBalls(response_under(fit.lamps.model), centred, elevated.apexes_px, fit.lamps)
 
 
 def response_under(model: LampModel) -> ElevationResponse:
@@ -114,9 +114,9 @@ def as_read(elevated: ElevatedBalls, inverse: InverseMap) -> ElevatedBalls:
 
     A map is taught skin at the elevation of untouched skin; of other brightness it makes what it will.
     """
-    model = elevated.lamps
-    if model is None:
+    if elevated.lamps is None:
         return elevated
+    model = elevated.lamps.model
     apex_px = float(np.median([apex_px for of_press in elevated.apexes_px for apex_px in of_press]))
     row, column = _nodes(model.shape)
     slopes = [np.zeros(2)]

@@ -41,6 +41,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3", "misread": "n n 9"},
     "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
     "KnownLamps": {"position_px": "3 3"},
+    "LampModel": {"position": "3 3", "mixing": "3 3", "haze": "3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
     "LightGroups": {"flat_field": "H W lights", "typical": "lights"},

@@ -7,12 +7,20 @@ that a pixel costs one product a value.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from device.surface.fields import Float32Array
 from host_sync.kernels.jit import njit
+
+WIDEST_CELLS: Final = 256
+"""Cells along the columns of a reduced field, at most."""
+
+
+def cell_px(shape: tuple[int, ...]) -> int:
+    """Pixels along a cell of a field of `shape` (H, W)."""
+    return -(-shape[1] // WIDEST_CELLS)
 
 
 def bordered(planes: Float32Array) -> Float32Array:

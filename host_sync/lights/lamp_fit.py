@@ -16,7 +16,7 @@ import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array
-from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.lamp_model import FittedLamps, LampModel
 
 MAX_RESIDUAL: Final = 0.025
 """Root mean square intensity, at most, that a model may leave of the balls.
@@ -61,27 +61,31 @@ CENTRE_STEP_PX: Final = 0.05
 """Steps of the numerical derivatives."""
 
 ROUNDS: Final = 25
+FOLDS: Final = 4
+"""Parts of the balls without which the lamps are found again, by one step from where all balls put them."""
 
-_START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2])
-_EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2])
-_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.5, 0.5])
-"""Strip, fall-off, mixing, haze, roughness, gloss, logarithm of its width, bounce and beam."""
+_START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2, np.log(2.0), 0.0])
+_EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2, np.log(2.0), 0.0])
+_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.5, 0.5, 1.0, 0.2])
+"""Strip, fall-off, mixing, haze, roughness, gloss, logarithm of its width, bounce, beam, logarithm of tail, camera."""
 
 _PLACES: Final = 9
 _GLOSS: Final = _PLACES + 12
-"""Numbers before them: right and down by channel, then logarithms of heights; and where those of gloss begin."""
+_TAIL: Final = _PLACES + 16
+_OF_GLOSS: Final = (_GLOSS, _GLOSS + 1, _TAIL)
+"""Numbers before them: right and down by channel, then logarithms of heights; where those of gloss and its tail are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LampFit:
     """Lamps as balls show them.
 
-    model : lamps and coat
+    lamps : as all balls and all but a fold of them show them
     shift_px : float64 array of shape (balls, 2), what is to be added to each centre's column and row
     residual : root mean square intensity that is left of the balls, outliers bounded
     """
 
-    model: LampModel
+    lamps: FittedLamps
     shift_px: Float64Array
     residual: float
 
@@ -91,7 +95,7 @@ class LampFit:
         residual : root mean square intensity that polynomials leave
         """
         least, most = FALL_OFF
-        return self.residual < min(MAX_RESIDUAL, MAX_SHARE * residual) and least < self.model.fall_off < most
+        return self.residual < min(MAX_RESIDUAL, MAX_SHARE * residual) and least < self.lamps.model.fall_off < most
 
 
 def fit_lamps(
@@ -104,15 +108,46 @@ def fit_lamps(
     """
     search = _Search.of(samples, balls, apexes_px, shape)
     matt = np.concatenate([search.first_places(), _START])
-    matt, shift, residual = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
-    best = LampFit(search.model(matt), shift, residual)
+    best = first = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
     for width in GLOSS_WIDTHS:
-        begin = matt.copy()
+        begin = first.numbers.copy()
         begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
-        numbers, moved, residual = search.solved(begin, shift, gloss=True)
-        if residual < GLOSS_GAIN * best.residual:
-            best = LampFit(search.model(numbers), moved, residual)
-    return best
+        found = search.solved(begin, first.shift_px, gloss=True)
+        if found.residual < GLOSS_GAIN * best.residual:
+            best = found
+    lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in best.without_folds()))
+    return LampFit(lamps, best.shift_px, best.residual)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Where a search ended.
+
+    numbers : of the model, with those that were free to change
+    shift_px : of the balls' centres, shape (balls, 2)
+    residual : as of `LampFit`
+    off, derivatives : of its equations there, shape (M,) and (M, variables)
+    ball : of each equation; none's where it is -1, shape (M,)
+    """
+
+    numbers: Float64Array
+    free: np.ndarray
+    shift_px: Float64Array
+    residual: float
+    off: Float64Array
+    derivatives: Float64Array
+    ball: np.ndarray
+
+    def without_folds(self) -> list[Float64Array]:
+        """The numbers, moved by one Gauss-Newton step with every fold of the balls left out in turn."""
+        found = []
+        for fold in range(FOLDS):
+            kept = (self.ball < 0) | (self.ball % FOLDS != fold)
+            step = np.linalg.lstsq(self.derivatives[kept], -self.off[kept], rcond=None)[0]
+            numbers = self.numbers.copy()
+            numbers[self.free] += step[: len(self.free)]
+            found.append(numbers)
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,10 +189,22 @@ class _Search:
         strip, fall_off, *mixed = numbers[_PLACES:].tolist()
         mixing = np.eye(3)
         mixing[~np.eye(3, dtype=np.bool_)] = mixed[:6]
-        haze, (roughness, gloss, width, bounce, beam) = np.array(mixed[6:9]), mixed[9:]
+        haze, (roughness, gloss, width, bounce, beam, tail, camera) = np.array(mixed[6:9]), mixed[9:]
         position = np.concatenate([numbers[:6].reshape(3, 2), np.exp(numbers[6:9, None])], axis=1)
         return LampModel(
-            self.shape, position, strip, fall_off, mixing, haze, roughness, gloss, float(np.exp(width)), bounce, beam
+            self.shape,
+            position,
+            strip,
+            fall_off,
+            mixing,
+            haze,
+            roughness,
+            gloss,
+            gloss_width=float(np.exp(width)),
+            bounce=bounce,
+            beam=beam,
+            tail=float(np.exp(tail)),
+            camera=camera,
         )
 
     def first_places(self) -> Float64Array:
@@ -174,15 +221,13 @@ class _Search:
         slants = np.linalg.lstsq(terms, lit, rcond=None)[0][:2]
         return np.concatenate([-HEIGHT * slants.T.ravel(), np.full(3, np.log(HEIGHT))])
 
-    def solved(
-        self, begin: Float64Array, shift_px: Float64Array, *, gloss: bool
-    ) -> tuple[Float64Array, Float64Array, float]:
-        """Numbers, shifts of centres (balls, 2) and residual of the best fit near these."""
+    def solved(self, begin: Float64Array, shift_px: Float64Array, *, gloss: bool) -> _Solution:
+        """The best fit near these numbers and shifts of centres (balls, 2)."""
         from scipy.optimize import least_squares  # here, because it takes as long to load as a reconstruction
 
         free = np.arange(len(begin))
         if not gloss:
-            free = np.delete(free, [_GLOSS, _GLOSS + 1])
+            free = np.delete(free, _OF_GLOSS)
         expected, doubt = np.append(np.zeros(_PLACES), _EXPECTED), np.append(np.full(_PLACES, np.inf), _DOUBT)
         weight = np.sqrt(len(self.ball) / PRIOR_SAMPLES)
         sigma_px = CENTRE_SIGMA * float(np.median(self.radius_px))
@@ -220,7 +265,9 @@ class _Search:
         found = least_squares(off, start, derivatives, max_nfev=ROUNDS, x_scale="jac")
         numbers, shift = parted(found.x)
         bounded = NOISE * found.fun[: 3 * len(self.ball)]
-        return numbers, shift, float(np.sqrt((bounded**2).mean()))
+        residual = float(np.sqrt((bounded**2).mean()))
+        ball = np.concatenate([np.repeat(self.ball, 3), np.full(len(free) + 2 * self.count, -1)])
+        return _Solution(numbers, free, shift, residual, found.fun, np.asarray(found.jac), ball)
 
     def _left(self, numbers: Float64Array, shift_px: Float64Array) -> Float64Array:
         """Intensity foretold less that seen, (N, 3)."""

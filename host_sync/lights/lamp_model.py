@@ -2,9 +2,10 @@
 
 Each channel has a lamp of its own over the skin: a point or a strip, whose light falls off with a power of its
 distance. A rough coat reflects it (Oren and Nayar, "Generalization of Lambert's reflectance model", SIGGRAPH 1994), and
-shines (microfacets as of Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007). Filters
-pass some of the other lamps' light, haze lights all skin alike, and slanted skin receives light from skin beside it.
-As intensity is divided by that of untouched skin, neither vignetting nor the lamps' brightness matters.
+shines (microfacets as of Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, with a
+tail that may be shorter or longer, as of Burley, "Physically based shading at Disney", SIGGRAPH 2012). Filters pass
+some of the other lamps' light, haze lights all skin alike, and slanted skin receives light from skin beside it. As
+intensity is divided by that of untouched skin, neither vignetting nor the lamps' brightness matters.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float64Array
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.lights.lamp_kernel import add_light
 
 POINTS: Final = (-0.387, 0.0, 0.387)
 POINT_SHARES: Final = (5 / 18, 8 / 18, 5 / 18)
 """Gauss-Legendre points and weights along a strip of length 1."""
 
-GRAZING: Final = 0.05
-"""Cosine below which reflection is not followed further: the models of rough skin end before."""
+WORK: Final = 64
+"""Pixels of a field whose kernels take as long as the light of one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +43,8 @@ class LampModel:
     bounce : what slanted skin receives from skin beside it, as a share of its own light
     beam : share of a lamp's light that goes with the cosine from its axis, which meets the middle of the field; the
         rest shines alike in all directions
+    tail : power with which that reflection fades away from its middle: 2 of most coats, far more of aligned flakes
+    camera : one over the camera's height over the middle of the field; 0 where it sees all skin from straight above
     """
 
     shape: tuple[int, int]
@@ -53,6 +58,8 @@ class LampModel:
     gloss_width: float
     bounce: float
     beam: float
+    tail: float
+    camera: float
 
     def shown(
         self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
@@ -66,47 +73,46 @@ class LampModel:
         level = np.zeros_like(column)
         return np.asarray(self._light(p, q, column, row, z_px) / self._light(level, level, column, row, level))
 
-    def _light(
+    def own_light(
         self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
     ) -> Float64Array:
-        """Intensity up to a factor of place and channel: float64 array of shape (N, 3)."""
+        """What skin shows of each channel's own lamp, up to a factor of its own: float64 array of shape (N, 3)."""
         rows, columns = self.shape
         x, y = (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns
-        up = 1.0 / np.sqrt(1.0 + p * p + q * q)
-        normal = np.stack([-p * up, -q * up, up])
-        own = np.empty((3, len(x)))
-        for channel, (right, down, above) in enumerate(self.position):
-            reach = max(float(np.hypot(right, down)), 1e-6)
-            along = self.strip * np.array([-down, right]) / reach
-            axis = np.array([right, down, above]) / np.sqrt(right**2 + down**2 + above**2)
-            total = np.zeros_like(x)
-            for point, share in zip(POINTS, POINT_SHARES, strict=True):
-                light = np.stack([right + point * along[0] - x, down + point * along[1] - y, above - z_px / columns])
-                distance = np.sqrt((light**2).sum(axis=0))
-                light /= distance
-                lit = (1.0 - self.beam) + self.beam * np.maximum(axis @ light, 0.0)
-                total += share * lit * self._reflected(normal, light) * distance**-self.fall_off
-            own[channel] = total * above**self.fall_off
-        own *= 1.0 + self.bounce * (1.0 - up)
-        return np.asarray(own.T @ self.mixing.T + self.haze)
-
-    def _reflected(self, normal: Float64Array, light: Float64Array) -> Float64Array:
-        """Towards the camera straight above, of directions (3, N) of the skin and to a lamp: shape (N,)."""
-        seen = normal[2]
-        lit = np.maximum((normal * light).sum(axis=0), 0.0)
         square = self.roughness**2
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
-        together = np.maximum(light[2] - lit * seen, 0.0) / np.maximum(np.maximum(lit, seen), GRAZING)
-        matt = lit * (even + uneven * together)
-        if self.gloss == 0.0:
-            return np.asarray(matt)
-        half = (lit + seen) / np.sqrt(2.0 + 2.0 * light[2])
-        narrow = self.gloss_width**2
-        facets = narrow / (np.pi * (half * half * (narrow - 1.0) + 1.0) ** 2)
-        unmasked = _unmasked(lit, narrow) * _unmasked(seen, narrow)
-        return np.asarray((1.0 - self.gloss) * matt + self.gloss * facets * unmasked / np.maximum(4.0 * seen, GRAZING))
+        shine = (self.gloss, self.gloss_width**2, self.tail)
+        coat = np.array([self.fall_off, even, uneven, *shine, self.bounce, self.beam, self.camera])
+        own = np.empty((len(x), 3))
+        axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
+        parallel_rows(add_light, (len(x), WORK), self._points(), axes, coat, p, q, x, y, z_px / columns, own)
+        return own
+
+    def mixed(self, own: Float64Array) -> Float64Array:
+        """What the channels show of their own and the others' lamps: float64 array of shape (N, 3)."""
+        return np.asarray(own @ self.mixing.T + self.haze)
+
+    def _light(self, *skin: Float64Array) -> Float64Array:
+        """Intensity up to a factor of place and channel, of skin as in `shown`."""
+        return self.mixed(self.own_light(*skin))
+
+    def _points(self) -> Float64Array:
+        """Where the points of each lamp are, and how bright: shape (3, points, 4)."""
+        right, down, above = self.position.T
+        reach = np.maximum(np.hypot(right, down), 1e-6)
+        along = self.strip * np.stack([-down / reach, right / reach, np.zeros(3)], axis=-1)
+        places = self.position[:, None] + np.array(POINTS)[:, None] * along[:, None]
+        bright = np.array(POINT_SHARES) * above[:, None] ** self.fall_off
+        return np.concatenate([places, bright[..., None]], axis=-1)
 
 
-def _unmasked(cosine: Float64Array, narrow: float) -> Float64Array:
-    """Share of microfacets that others do not hide (Smith's)."""
-    return np.asarray(2.0 * cosine / (cosine + np.sqrt(narrow + (1.0 - narrow) * cosine * cosine) + 1e-9))
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedLamps:
+    """Lamps that balls tell.
+
+    model : of all balls
+    folds : as they would be without a fold of the balls each
+    """
+
+    model: LampModel
+    folds: tuple[LampModel, ...]

@@ -12,7 +12,7 @@ Frames of each light alone show where it does not arrive, whatever heights say: 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -24,13 +24,11 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Mas
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
 from host_sync.integration.zero_level import elevation_over_datum_px
-from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
-from host_sync.kernels.jit import njit
-from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.kernels.cell_rows import cell_px
+from host_sync.lights.lamp_slopes import least_squares_move
+from host_sync.reconstruction.cell_correction import CellCorrection, of_cells
 from host_sync.reconstruction.elevation_correction import cell_means
-
-WIDEST_CELLS: Final = 256
-"""Cells along the reduced field's columns, at most."""
+from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
 
 ROUNDS: Final = 2
 """The second ray is drawn over heights that the first has mended."""
@@ -43,13 +41,6 @@ MIN_SLOPE: Final = 0.1
 
 DARKER: Final = (0.03, 0.08)
 """Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
-
-SET: Final = (0.16, 0.08)
-"""Foretold intensity below which a light is about to set, and at which it has."""
-
-ARRIVES: Final = (0.03, 0.12)
-"""What a light alone shows, over what it shows of untouched skin: up to the first it does not arrive, from the second
-it does."""
 
 INTENSITY_SIGMA: Final = 0.02
 """Standard uncertainty of the foretold intensity."""
@@ -75,51 +66,20 @@ SLOPING: Final = 0.05
 """Slope from which lit skin tells that."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShadowCorrection:
-    """What slopes gain where a light is hidden, at the middles of cells.
-
-    p, q : float32 arrays of shape (h, w), to be added
-    sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
-    shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
-    cell : pixels along a cell
-    weight : of slopes in shadow in the integration
-    """
-
-    p: Float32Array
-    q: Float32Array
-    sigma_p: Float32Array
-    sigma_q: Float32Array
-    shadow: Float32Array
-    cell: int
-    weight: float = SHADOW_WEIGHT
-
-    def apply(self, gradients: GradientField) -> None:
-        """Write corrected slopes and weights over those of a gradient field (H, W)."""
-        less = np.float32(self.weight - 1.0) * self.shadow
-        planes = bordered(np.stack([self.p, self.q, less]))
-        parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
-
-    def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
-        """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
-        p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
-        return np.asarray(p, np.float32), np.asarray(q, np.float32)
-
-
 def find_cast_shadow(
     gradients: GradientField,
     image: NormalizedImage,
     model: ShadingModel,
     response: ElevationResponse | None,
     alone: Float32Array | None = None,
-) -> ShadowCorrection | None:
+) -> CellCorrection | None:
     """What the slopes of an image (H, W), read as if every light arrived, gain; None where no light is hidden.
 
     response : what elevation adds to the light; None where it cannot be told
     alone : what each channel shows under its own light alone, over the same of untouched skin, shape (H, W, 3); None
         where single lights were not taken
     """
-    cell = -(-gradients.p.shape[1] // WIDEST_CELLS)
+    cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     if np.quantile(np.hypot(p, q), 0.99) < MIN_SLOPE:
         return None
@@ -133,7 +93,7 @@ def find_cast_shadow(
             return None
     change_p, change_q = found_p - p, found_q - q
     share = np.float32(RELATIVE_SIGMA)
-    return ShadowCorrection(change_p, change_q, share * change_p, share * change_q, shadow, cell)
+    return CellCorrection(change_p, change_q, share * change_p, share * change_q, shadow, cell, SHADOW_WEIGHT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +135,8 @@ class _Cells:
             flat = nodes.reshape(*nodes.shape[:2], 9)
             between = rows_between_nodes(flat, x.astype(np.float32), y.astype(np.float32))
             raised = np.swapaxes(between.reshape(-1, 3, 3), 1, 2).astype(np.float64)
-        arriving = np.ones((*size, 3)) if alone is None else _arriving(_of_cells(alone, size, cell))
-        return cls(_of_cells(image.values, size, cell), model.at(place), raised, model.leaks, cell, arriving)
+        arriving = np.ones((*size, 3)) if alone is None else arriving_share(of_cells(alone, size, cell))
+        return cls(of_cells(image.values, size, cell), model.at(place), raised, model.leaks, cell, arriving)
 
     def slopes(
         self, p: Float32Array, q: Float32Array, known: MaskArray, z_px: Float32Array
@@ -225,28 +185,6 @@ class _Cells:
         return np.asarray(smooth[..., :3] / (smooth[..., 3:] + 1e-4))
 
 
-def clearance(z_px: Float32Array, cell: float, slant: Float64Array) -> Float32Array:
-    """By how much the ray to a light clears the skin, as a tangent: least over the way, float32 array (h, w).
-
-    z_px : elevation at cells `cell` pixels apart
-    slant : of the light, (h, w, 2): away from it, as long as its zenith angle's tangent
-    """
-    rows, columns = z_px.shape
-    length = np.maximum(np.linalg.norm(slant, axis=-1), 1e-3)
-    rise = (1.0 / length).astype(np.float32)
-    across, down = ((-slant[..., k] / length).astype(np.float32) for k in (0, 1))
-    column, row = np.meshgrid(np.arange(columns, dtype=np.float32), np.arange(rows, dtype=np.float32))
-    clear = np.full_like(z_px, np.inf)
-    height_px = float(z_px.max()) - float(np.quantile(z_px, 0.01))
-    reach = min(int(height_px / float(rise.min()) / cell) + 2, max(rows, columns))
-    for step in range(1, reach):
-        met = cv2.remap(
-            z_px, column + step * across, row + step * down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        np.minimum(clear, rise - (met - z_px) / np.float32(step * cell), out=clear)
-    return clear
-
-
 def _two_light_slopes(
     intensity: Float64Array,
     coefficients: Float64Array,
@@ -269,67 +207,12 @@ def _two_light_slopes(
     for step in range(STEPS):
         foretold, change = intensity_and_slope_change(coefficients, slope[:, 0], slope[:, 1], raised)
         if step >= FREE_STEPS:
-            trust = np.where(hidden, np.minimum(arriving, _trust(intensity, foretold)), 1.0)
+            trust = np.where(hidden, np.minimum(arriving, trust_in(intensity, foretold, DARKER)), 1.0)
         weight = trust / INTENSITY_SIGMA**2
         # A hidden light is missing from the other channels too, as far as their filters pass it.
         lost = (1.0 - trust) * np.maximum(foretold - intensity, 0.0)
         foretold = foretold - leaks * (lost.sum(axis=1, keepdims=True) - lost)
-        move = _least_squares(change, weight, intensity - foretold, prior - slope)
+        move = least_squares_move(change, weight, intensity - foretold, prior - slope, PRIOR_SIGMA)
         length = np.linalg.norm(move, axis=1, keepdims=True)
         slope += move * np.minimum(1.0, MAX_STEP / np.maximum(length, 1e-9))
     return slope, trust.min(axis=1)
-
-
-def _least_squares(
-    change: Float64Array, weight: Float64Array, missing: Float64Array, back: Float64Array
-) -> Float64Array:
-    """Step (N, 2) that explains missing intensity (N, 3) best, with known slopes `back` away."""
-    prior = 1.0 / PRIOR_SIGMA**2
-    by_p, by_q = change[..., 0], change[..., 1]
-    pp, pq, qq = (
-        np.einsum("nc,nc->n", weight * one, other) for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q))
-    )
-    along_p, along_q = (np.einsum("nc,nc->n", weight * missing, one) for one in (by_p, by_q))
-    along_p, along_q = along_p + prior * back[:, 0], along_q + prior * back[:, 1]
-    pp, qq = pp + prior, qq + prior
-    move = np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1)
-    return np.asarray(move / (pp * qq - pq * pq)[:, None])
-
-
-def _trust(intensity: Float64Array, foretold: Float64Array) -> Float64Array:
-    """Weight of channels (N, 3) that may be dark: 0 where darker than foretold, or where no light is foretold."""
-    missing = np.clip((foretold - intensity - DARKER[0]) / (DARKER[1] - DARKER[0]), 0.0, 1.0)
-    setting = np.clip((SET[0] - foretold) / (SET[0] - SET[1]), 0.0, 1.0)
-    return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
-
-
-def _arriving(alone: Float64Array) -> Float64Array:
-    """Weight of lights of which so much is seen alone."""
-    return np.asarray(np.clip((alone - ARRIVES[0]) / (ARRIVES[1] - ARRIVES[0]), 0.0, 1.0) ** 2)
-
-
-def _of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
-    """Means over cells of values (H, W, 3), float64 array of shape (h, w, 3)."""
-    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
-    channels = []
-    for channel in range(3):
-        plane = np.ascontiguousarray(values[..., channel])
-        whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
-    return np.stack(channels, axis=-1).astype(np.float64)
-
-
-@njit(cache=True, nogil=True)
-def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
-    """Add the first two planes of cells to slopes, and the third's share of the weight to it, in rows."""
-    upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
-    expanded = -1
-    for r in range(first, last):
-        top, share = cells_above(r, cell, planes.shape[1])
-        if top != expanded:
-            expand_cells(planes, top, cell, 0, upper, step)
-            expanded = top
-        for c in range(p.shape[1]):
-            p[r, c] += upper[0, c] + share * step[0, c]
-            q[r, c] += upper[1, c] + share * step[1, c]
-            weight[r, c] += weight[r, c] * (upper[2, c] + share * step[2, c])

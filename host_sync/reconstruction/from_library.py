@@ -93,7 +93,7 @@ class LibraryReconstructor:
             detail=self._detail,
             sequence=None if isinstance(sequence, str) else sequence,
         )
-        uses_single_lights = reconstruction.method == "direct" and calibration.shading is not None
+        uses_single_lights = reconstruction.method == "direct" and calibration.uses_single_lights
         if checks := _exposure_checks(scan, sequence, uses_single_lights=uses_single_lights):
             reconstruction = replace(reconstruction, frame_checks=(*reconstruction.frame_checks, *checks))
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)

@@ -15,9 +15,12 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
 from host_sync.integration.datum import skin_at_rest, zero_to_datum
 from host_sync.integration.integrate import Integrator
+from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps
-from host_sync.reconstruction.cast_shadow import MIN_SLOPE, WIDEST_CELLS, ShadowCorrection, clearance
+from host_sync.reconstruction.cast_shadow import MIN_SLOPE
+from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import cell_means
+from host_sync.reconstruction.hidden_lights import clearance
 
 ROUNDS: Final = 3
 """The first heights are too large, and so are their shadows."""
@@ -35,10 +38,10 @@ RELATIVE_SIGMA: Final = 0.02
 """Standard uncertainty of slopes that integration finds there, as a share of those that were read."""
 
 
-def find_hidden_skin(gradients: GradientField, lamps: KnownLamps) -> ShadowCorrection | None:
+def find_hidden_skin(gradients: GradientField, lamps: KnownLamps) -> CellCorrection | None:
     """Where slopes (H, W) count for little because a lamp does not reach them; None where all lamps do."""
     shape = (gradients.p.shape[0], gradients.p.shape[1])
-    cell = -(-shape[1] // WIDEST_CELLS)
+    cell = cell_px(shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     if np.quantile(np.hypot(p, q), 0.99) < MIN_SLOPE:
         return None
@@ -59,7 +62,7 @@ def find_hidden_skin(gradients: GradientField, lamps: KnownLamps) -> ShadowCorre
     shadow = hidden.astype(np.float32)
     share = np.float32(RELATIVE_SIGMA) * shadow
     nothing = np.zeros_like(p)
-    return ShadowCorrection(nothing, nothing, share * p, share * q, shadow, cell, HIDDEN_WEIGHT)
+    return CellCorrection(nothing, nothing, share * p, share * q, shadow, cell, HIDDEN_WEIGHT)
 
 
 def _hidden(z_px: Float32Array, field: GradientField, slants: Float64Array, cell: int) -> MaskArray:

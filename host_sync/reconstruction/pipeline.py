@@ -27,7 +27,7 @@ from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck
-from host_sync.uncertainty.calibration_uncertainty import calibration_uncertainty
+from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
     flat_bias,
@@ -175,12 +175,15 @@ def _uncertainty(
     """
     p, q = slopes
     first = reading.first
-    calibration, shadow, noise = first.calibration, first.shadow, first.calibration.slope_noise
+    calibration, correction, noise = first.calibration, first.correction, first.calibration.slope_noise
     size = reduced_size(p.shape)
     error = slope_error_of(calibration, reading.method)
     contradiction = nonintegrable_residual(gradients, p, q)
     replicas = calibration.inverse.replicas if reading.method == "direct" else ()
-    unsure = calibration_uncertainty(first.intensity, replicas, size)
+    if correction is not None and correction.unsure is not None:
+        unsure = CalibrationUncertainty.of(correction.unsure, size)
+    else:
+        unsure = calibration_uncertainty(first.intensity, replicas, size)
     known = height_uncertainty(
         height,
         gradients,
@@ -190,7 +193,7 @@ def _uncertainty(
         datum,
         known_scale_share(calibration),
         calibration=unsure,
-        shadow=None if shadow is None else shadow.sigma(size),
+        shadow=None if correction is None else correction.sigma(size),
     )
     kept = noise.shrunk_kept if noise else NOISE_KEPT
     return known, slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)

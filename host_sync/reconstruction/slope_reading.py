@@ -18,9 +18,11 @@ from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
-from host_sync.reconstruction.cast_shadow import ShadowCorrection, find_cast_shadow
+from host_sync.reconstruction.cast_shadow import find_cast_shadow
+from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.hidden_skin import find_hidden_skin
+from host_sync.reconstruction.lamp_reading import read_under_lamps
 from host_sync.results.record import FrameCheck, refusals
 
 
@@ -29,7 +31,8 @@ class ChannelReading:
     """What three channels of a frame say.
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
-    raw_estimate : slopes of the former before hidden lights are left out; None where both are the same
+    correction : what the slopes of both gain; None where that is nothing
+    raw_estimate : slopes of the former before they are corrected; None where both are the same
     """
 
     calibration: Calibration
@@ -37,7 +40,7 @@ class ChannelReading:
     intensity: NormalizedImage
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
-    shadow: ShadowCorrection | None
+    correction: CellCorrection | None
     raw_estimate: BackgroundCall[GradientField] | None
 
 
@@ -73,8 +76,8 @@ class SlopeReading:
                 found.append(group.gradients)
                 continue
             gradients = group.raw_estimate.result()
-            if group.shadow is not None:
-                group.shadow.apply(gradients)
+            if group.correction is not None:
+                group.correction.apply(gradients)
             found.append(gradients)
         return joined(found, self.left_out)
 
@@ -139,10 +142,10 @@ def _read_channels(
         raw_estimate = BackgroundCall(estimate, raw, calibration, method)
         raw_estimate.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
-    shadow = _cast_shadow(gradients, intensity, calibration, method, alone)
-    if shadow is not None:
-        shadow.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, shadow, raw_estimate), warnings
+    correction = _correction(gradients, intensity, calibration, method, alone)
+    if correction is not None:
+        correction.apply(gradients)
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, raw_estimate), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
@@ -160,16 +163,18 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
         )
 
 
-def _cast_shadow(
+def _correction(
     gradients: GradientField,
     intensity: NormalizedImage,
     calibration: Calibration,
     method: Method,
     alone: Float32Array | None,
-) -> ShadowCorrection | None:
-    """What the default's slopes gain where a light is hidden."""
+) -> CellCorrection | None:
+    """What the default's slopes gain: by lamps that are known as a whole, else where a light is hidden."""
     if method == "paper":
         return None
+    if calibration.fitted_lamps is not None:
+        return read_under_lamps(gradients, intensity, calibration.fitted_lamps, alone)
     if calibration.shading is not None:
         return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation, alone)
     return None if calibration.lamps is None else find_hidden_skin(gradients, calibration.lamps)

@@ -33,6 +33,11 @@ class CalibrationUncertainty:
     p: Float32Array
     q: Float32Array
 
+    @classmethod
+    def of(cls, deviations: tuple[Float32Array, Float32Array], size: tuple[int, int]) -> CalibrationUncertainty:
+        """Deviations (K, n, m) of slopes p and q, resampled to a reduced field of `size` (w, h)."""
+        return cls(*(np.stack([_resampled(one, size[::-1]) for one in part]) for part in deviations))
+
     def sigma(self, shape: tuple[int, int]) -> Float32Array:
         """Standard deviation of either slope, resampled to a field of `shape` (H, W)."""
         square = 0.5 * ((self.p**2).sum(axis=0) + (self.q**2).sum(axis=0))

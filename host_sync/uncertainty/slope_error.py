@@ -83,16 +83,25 @@ class _BallError:
 
 
 def measure_slope_error(
-    presses: Pressed, training: BallSamples, fit: InverseFit, elevation: ElevationCorrection | None = None
+    presses: Pressed,
+    training: BallSamples,
+    fit: InverseFit,
+    elevation: ElevationCorrection | None = None,
+    over_cells: OverCells | None = None,
 ) -> SlopeError:
     """The slope error on the balls of a calibration, whose samples are `training`.
 
     What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
     fit's replicas say at every pixel how much more that is.
+
+    over_cells : what corrects the map's slopes over cells, whose folds say the same of it; None where nothing does
     """
-    known = bool(fit.replicas)
+    known = bool(fit.replicas) or over_cells is not None
     errors = list(_ball_errors(presses, fit.map))
     bands = _by_band(errors)
+    if over_cells is not None:
+        errors = list(_ball_errors(over_cells.means_of(presses), over_cells.reads))
+        bands = _with_patches_of(bands, _by_band(errors))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
@@ -117,6 +126,25 @@ class ReadsSlopes(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OverCells:
+    """What reads slopes of means over cells.
+
+    size_px : of a cell
+    """
+
+    reads: ReadsSlopes
+    size_px: int
+
+    def means_of(self, presses: Pressed) -> Pressed:
+        """The presses with the mean of a cell around each pixel in its place."""
+        size = (self.size_px, self.size_px)
+        return [
+            (replace(image, values=np.asarray(cv2.blur(image.values, size), np.float32)), balls)
+            for image, balls in presses
+        ]
+
+
 class ErrorByTilt(NamedTuple):
     """Tilt of the surface (degrees), and the error from pixel to pixel and over a patch there (degrees)."""
 
@@ -129,6 +157,14 @@ def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
     """What is read wrong of the balls that were pressed."""
     tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, reads))), strict=True)
     return ErrorByTilt(tilt, pixel, patch)
+
+
+def _with_patches_of(
+    pixels: Sequence[tuple[float, float, float]], patches: Sequence[tuple[float, float, float]]
+) -> list[tuple[float, float, float]]:
+    """Bands with the pixel part of the ones and the patch part of the others."""
+    tilts_deg, _, patch_deg = zip(*patches, strict=True)
+    return [(tilt, pixel, float(np.interp(tilt, tilts_deg, patch_deg))) for tilt, pixel, _ in pixels]
 
 
 def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:

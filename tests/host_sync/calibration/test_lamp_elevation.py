@@ -14,8 +14,8 @@ from device.inverse_map.model import InverseMap
 from host_sync.calibration.elevated_balls import ElevatedBalls
 from host_sync.calibration.elevation_response import ElevationResponse, measure_elevation_response
 from host_sync.calibration.lamp_elevation import as_read, find_lamps, response_under
-from host_sync.lights.lamp_fit import LampFit, fit_lamps
-from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.lamp_fit import FOLDS, LampFit, fit_lamps
+from host_sync.lights.lamp_model import FittedLamps, LampModel
 
 HEIGHT_PX = 220.0
 LAMPS = NearLamps(HEIGHT_PX)
@@ -53,7 +53,7 @@ FIT = fitted()
 
 
 def test_balls_show_where_the_lamps_stand_and_where_their_centres_are() -> None:
-    position = SHAPE[1] * FIT.model.position
+    position = SHAPE[1] * FIT.lamps.model.position
     np.testing.assert_allclose(position[:, 2], HEIGHT_PX, rtol=0.05)
     np.testing.assert_allclose(np.hypot(*position[:, :2].T), LAMPS_OUT_PX, rtol=0.05)
     angle = np.degrees(np.arctan2(position[:, 1], position[:, 0])) % 360.0
@@ -64,10 +64,20 @@ def test_balls_show_where_the_lamps_stand_and_where_their_centres_are() -> None:
     assert FIT.explains(residual=0.03)
 
 
+def test_without_a_fold_of_balls_lamps_stand_a_little_elsewhere() -> None:
+    all_balls = FIT.lamps.model.position
+    folds = np.stack([model.position for model in FIT.lamps.folds])
+    assert len(folds) == FOLDS
+    moved = np.abs(folds - all_balls).max(axis=(1, 2))
+    assert (moved > 0.0).all()
+    assert (moved < 0.1).all()
+
+
 def test_what_polynomials_say_as_well_or_falls_off_strangely_is_not_lamps() -> None:
     assert not FIT.explains(residual=FIT.residual)
     assert not replace(FIT, residual=0.05).explains(residual=1.0)
-    assert not replace(FIT, model=replace(FIT.model, fall_off=9.5)).explains(residual=0.03)
+    strange = FittedLamps(replace(FIT.lamps.model, fall_off=9.5), FIT.lamps.folds)
+    assert not replace(FIT, lamps=strange).explains(residual=0.03)
 
 
 def test_lowered_contacts_look_as_their_slopes_do_at_rest() -> None:
@@ -119,7 +129,7 @@ def points() -> LampModel:
     out = LAMPS_OUT_PX / SHAPE[1]
     position = np.stack([out * np.cos(angle), out * np.sin(angle), np.full(3, HEIGHT_PX / SHAPE[1])], axis=-1)
     return replace(
-        FIT.model,
+        FIT.lamps.model,
         position=position,
         strip=0.0,
         fall_off=2.0,
@@ -129,6 +139,8 @@ def points() -> LampModel:
         gloss=0.0,
         bounce=0.0,
         beam=0.0,
+        tail=2.0,
+        camera=0.0,
     )
 
 
@@ -159,7 +171,7 @@ def test_what_a_map_reads_of_raised_skin_is_taken_from_that_map() -> None:
     )
     apexes = tuple((16.0,) for _ in TRUE)
     inverse = cast(InverseMap, SimpleNamespace(predict=predict, max_trained_slope=0.6))
-    known = ElevatedBalls(level, tuple((ball,) for ball, _ in TRUE), apexes, model)
+    known = ElevatedBalls(level, tuple((ball,) for ball, _ in TRUE), apexes, FittedLamps(model, ()))
     terms = as_read(known, inverse).response.as_slopes
     assert terms.shape == (33, 33, 9)
     p, q, z_px = 0.2, -0.1, 16.0

@@ -1,0 +1,76 @@
+"""The steps of a calibration that are about elevation: where balls stand, what that changes, and what it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.calibration.cross_validation import angle_between_deg
+from device.calibration.fit import InverseFit
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float32Array
+from host_sync.calibration.balls import UsedPress, apply_fit
+from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
+from host_sync.calibration.lamp_elevation import find_lamps
+from host_sync.calibration.shading_model import GLITTERING, fit_shading_model
+from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.lamp_slopes import LampReader
+from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.light_height import nearness_per_px
+
+
+def elevated_balls_of(
+    located: Sequence[UsedPress], inverse: InverseFit, flat_field: Float32Array, lamps: KnownLamps | None
+) -> ElevatedBalls | None:
+    """The balls of presses with what elevation does to them; None where they cannot tell."""
+    used = apply_fit(located, inverse)
+    pressed = [(press.intensity, press.balls) for press in used]
+    found = find_elevated_balls(pressed, inverse.map, flat_field, lamps)
+    return (find_lamps(pressed, found) or found) if found else None
+
+
+def followed_balls(located: Sequence[UsedPress], inverse: InverseFit, elevated: ElevatedBalls) -> ElevatedBalls | None:
+    """What slopes are to be corrected by for their elevation; None where nothing is seen of it."""
+    kept = [(press.intensity, press.balls) for press in apply_fit(located, inverse)]
+    samples = gather_samples(kept)
+    is_matt = fit_shading_model(samples, kept, GLITTERING) is not None
+    return elevated.followed(nearness_per_px(samples, inverse.map.shape), is_matt=is_matt)
+
+
+def lowered_presses(located: Sequence[UsedPress], elevated: ElevatedBalls) -> list[UsedPress]:
+    """Presses whose balls look as if they stood at the elevation of untouched skin."""
+    return [
+        replace(press, intensity=elevated.lowered(number, press.intensity), balls=elevated.balls[number])
+        for number, press in enumerate(located)
+    ]
+
+
+def lamps_that_read_better(
+    training: BallSamples, inverse: InverseFit, followed: ElevatedBalls | None
+) -> LampReader | None:
+    """What reads balls by the lamps that explain them; None where no lamps do, or held-out balls are read better."""
+    if followed is None or followed.lamps is None:
+        return None
+    reads = LampReader(inverse.map, followed.lamps.model)
+    found = reads.predict(training.intensity, training.column, training.row)
+    error_deg = float(angle_between_deg(found, np.stack([training.p, training.q], axis=-1)).mean())
+    return reads if inverse.held_out_deg is None or error_deg < inverse.held_out_deg else None
+
+
+def elevation_left(
+    kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
+    training: BallSamples,
+    inverse: InverseFit,
+    elevated: ElevatedBalls | None,
+    followed: ElevatedBalls | None,
+) -> ElevationCorrection:
+    """What elevation leaves uncertain: of a correction its uncertainty, else as much of the lights' nearness as may
+    be.
+    """
+    if followed:
+        return followed.left
+    nearness = elevation_correction(kept, training, inverse.map)
+    return nearness.shared(elevated.response.possible_fraction) if elevated else nearness

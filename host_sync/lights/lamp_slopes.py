@@ -1,0 +1,149 @@
+"""Slopes that fitted lamps tell at places of known elevation: least squares over the channels that count.
+
+An inverse map is a polynomial taught by a dozen balls; the lamps that explain these balls hold for every slope, place
+and elevation, and tell what each channel shows where another is hidden.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.inverse_map.model import InverseMap
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.lights.lamp_model import LampModel
+
+INTENSITY_SIGMA: Final = 0.01
+"""Standard uncertainty of the intensity that lamps foretell."""
+
+STEP: Final = 1e-3
+"""Slope by which derivatives are taken."""
+
+SURFACE_SIGMA: Final = 0.15
+"""Standard uncertainty of slopes as they are known before lamps tell them."""
+
+READER_STEPS: Final = 4
+MAX_MOVE: Final = 0.3
+"""Slope, at most, by which one step of the search moves."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LampSkin:
+    """Places of skin under lamps.
+
+    model : the lamps
+    column, row : pixels, float64 arrays of shape (N,)
+    rest : intensity of untouched skin there up to the model's factor, shape (N, 3)
+    shares : of it, what each channel shows of each lamp, shape (N, 3, 3)
+    """
+
+    model: LampModel
+    column: Float64Array
+    row: Float64Array
+    rest: Float64Array
+    shares: Float64Array
+
+    @classmethod
+    def at(cls, model: LampModel, column: Float64Array, row: Float64Array) -> LampSkin:
+        """Skin at these pixels, float64 arrays of shape (N,)."""
+        level = np.zeros_like(column)
+        own = model.own_light(level, level, column, row, level)
+        rest = model.mixed(own)
+        return cls(model, column, row, rest, model.mixing * own[:, None, :] / rest[:, :, None])
+
+    def select(self, rows: np.ndarray) -> LampSkin:
+        """The places of these numbers."""
+        return LampSkin(self.model, self.column[rows], self.row[rows], self.rest[rows], self.shares[rows])
+
+    def shown(self, slope: Float64Array, z_px: Float64Array, model: LampModel | None = None) -> Float64Array:
+        """Intensity (N, 3) of slopes (N, 2) at elevations (N,), under other lamps where they are given."""
+        p, q = np.ascontiguousarray(slope.T)
+        if model is not None:
+            return model.shown(p, q, self.column, self.row, z_px)
+        own = self.model.own_light(p, q, self.column, self.row, z_px)
+        return np.asarray(self.model.mixed(own) / self.rest)
+
+    def changes(self, slope: Float64Array, z_px: Float64Array, shown: Float64Array) -> Float64Array:
+        """What intensities that are shown change with both slopes: shape (N, 3, 2)."""
+        beside = [self.shown(slope + STEP * np.eye(2)[axis], z_px) for axis in (0, 1)]
+        return np.stack([(one - shown) / STEP for one in beside], axis=-1)
+
+    def without(self, lost: Float64Array) -> Float64Array:
+        """What channels lack of other lamps' light where they lack `lost` (N, 3) of their own: shape (N, 3)."""
+        own = np.einsum("ncc->nc", self.shares)
+        return np.asarray(np.einsum("nck,nk->nc", self.shares, lost / own) - lost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownBefore:
+    """Slopes that are known beforehand.
+
+    slope : shape (N, 2)
+    sigma : standard uncertainty of either
+    """
+
+    slope: Float64Array
+    sigma: float
+
+
+def move_towards(
+    skin: LampSkin,
+    intensity: Float64Array,
+    slope: Float64Array,
+    z_px: Float64Array,
+    before: KnownBefore,
+    trust: Float64Array | None = None,
+) -> Float64Array:
+    """One Gauss-Newton step from slopes (N, 2) towards those that explain intensities (N, 3): the new slopes.
+
+    trust : how much each channel counts, 0 to 1, shape (N, 3); all of them fully where it is None
+    """
+    shown = skin.shown(slope, z_px)
+    change = skin.changes(slope, z_px, shown)
+    missing = intensity - shown
+    weight = np.full_like(shown, INTENSITY_SIGMA**-2)
+    if trust is not None:
+        weight *= trust
+        missing += skin.without((1.0 - trust) * np.maximum(-missing, 0.0))
+    move = least_squares_move(change, weight, missing, before.slope - slope, before.sigma)
+    length = np.linalg.norm(move, axis=1, keepdims=True)
+    return np.asarray(slope + move * np.minimum(1.0, MAX_MOVE / np.maximum(length, 1e-9)))
+
+
+def least_squares_move(
+    change: Float64Array, weight: Float64Array, missing: Float64Array, back: Float64Array, sigma: float
+) -> Float64Array:
+    """Slopes (N, 2) to be added that explain missing intensities (N, 3) best.
+
+    change : of intensities with slopes, shape (N, 3, 2)
+    weight : of channels, shape (N, 3)
+    back : to slopes that are known beforehand with the standard uncertainty `sigma`, shape (N, 2)
+    """
+    known = sigma**-2
+    by_p, by_q = change[..., 0], change[..., 1]
+    pp, pq, qq = ((weight * one * other).sum(axis=1) for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q)))
+    along_p, along_q = ((weight * missing * one).sum(axis=1) for one in (by_p, by_q))
+    along_p, along_q = along_p + known * back[:, 0], along_q + known * back[:, 1]
+    pp, qq = pp + known, qq + known
+    move = np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1)
+    return np.asarray(move / (pp * qq - pq * pq)[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LampReader:
+    """What lamps make of an inverse map's slopes at the elevation of untouched skin."""
+
+    inverse: InverseMap
+    model: LampModel
+
+    def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
+        """Slopes p and q, float64 array of shape (N, 2), of intensities (N, 3) at pixels (N,)."""
+        read = self.inverse.predict(intensity, column, row)
+        skin = LampSkin.at(self.model, column.astype(np.float64), row.astype(np.float64))
+        seen, level = intensity.astype(np.float64), np.zeros(len(read))
+        before, slope = KnownBefore(read, SURFACE_SIGMA), read
+        for _ in range(READER_STEPS):
+            slope = move_towards(skin, seen, slope, level, before)
+        return slope

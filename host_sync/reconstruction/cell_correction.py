@@ -1,0 +1,77 @@
+"""What slopes of pixels gain by what is found at the middles of cells: of long waves, so that few places are enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array, GradientField
+from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+
+SlopePair = tuple[Float32Array, Float32Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellCorrection:
+    """What slopes of pixels gain, at the middles of cells.
+
+    p, q : float32 arrays of shape (h, w), to be added
+    sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
+    shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
+    cell : pixels along a cell
+    weight : of slopes in shadow in the integration, as a share of that of others
+    unsure : float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each wrong
+        all at once; None where nothing is known of them
+    """
+
+    p: Float32Array
+    q: Float32Array
+    sigma_p: Float32Array
+    sigma_q: Float32Array
+    shadow: Float32Array
+    cell: int
+    weight: float
+    unsure: SlopePair | None = None
+
+    def apply(self, gradients: GradientField) -> None:
+        """Write corrected slopes and weights over those of a gradient field (H, W)."""
+        less = np.float32(self.weight - 1.0) * self.shadow
+        planes = bordered(np.stack([self.p, self.q, less]))
+        parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
+
+    def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
+        """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
+        p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
+        return np.asarray(p, np.float32), np.asarray(q, np.float32)
+
+
+def of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
+    """Means over cells of values (H, W, 3), float64 array of shape (h, w, 3)."""
+    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
+    channels = []
+    for channel in range(3):
+        plane = np.ascontiguousarray(values[..., channel])
+        whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
+    return np.stack(channels, axis=-1).astype(np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
+    """Add the first two planes of cells to slopes, and the third's share of the weight to it, in rows."""
+    upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
+    expanded = -1
+    for r in range(first, last):
+        top, share = cells_above(r, cell, planes.shape[1])
+        if top != expanded:
+            expand_cells(planes, top, cell, 0, upper, step)
+            expanded = top
+        for c in range(p.shape[1]):
+            p[r, c] += upper[0, c] + share * step[0, c]
+            q[r, c] += upper[1, c] + share * step[1, c]
+            weight[r, c] += weight[r, c] * (upper[2, c] + share * step[2, c])

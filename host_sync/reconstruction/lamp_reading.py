@@ -1,0 +1,212 @@
+"""Slopes as lamps tell them that explain the balls of a calibration.
+
+The inverse map reads every pixel; over cells of pixels, where lamps and coat are known as a whole, what it misreads is
+found from the cells' own intensity and added to the slopes of every pixel. Elevation counts as the lamps foretell, and
+where a ray from a cell to a lamp meets the skin, its channel counts for nothing if it is as dark as that says: then the
+other two decide, and the surface around, in whose integration such slopes weigh little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from host_sync.integration.integrate import Integrator
+from host_sync.integration.zero_level import find_datum
+from host_sync.kernels.cell_rows import cell_px
+from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.lamp_model import FittedLamps, LampModel
+from host_sync.lights.lamp_slopes import (
+    INTENSITY_SIGMA,
+    SURFACE_SIGMA,
+    KnownBefore,
+    LampSkin,
+    least_squares_move,
+    move_towards,
+)
+from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
+from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair, of_cells
+from host_sync.reconstruction.elevation_correction import cell_means
+from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
+
+STEPS: Final = (2, 1, 1)
+"""Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
+
+HIDDEN_STEPS: Final = 8
+FREE_STEPS: Final = 3
+"""Steps where a light may be hidden, which begin at the surface, and how many of them leave such lights out."""
+
+LEVEL: Final = (0.005, 0.015)
+"""Slopes up to the first are left as they are read, from the second on lamps tell them."""
+
+PENUMBRA: Final = 0.3
+"""A light may be hidden in part where the tangent of its elevation clears the skin by less."""
+
+OBSTRUCTED: Final = 0.85
+"""The same as a share of what clears level skin: a lamp that stands low is not hidden for that."""
+
+DARKER: Final = (0.02, 0.06)
+"""Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
+
+HIDDEN_SURFACE_SIGMA: Final = 0.05
+"""Standard uncertainty of the slopes of the surface that was found so far where a light is hidden: two lights at a low
+angle tell little of skin that turns away from the third."""
+
+SHADOW_WEIGHT: Final = 0.1
+"""Weight in integration of slopes that two lights tell."""
+
+
+def read_under_lamps(
+    gradients: GradientField,
+    image: NormalizedImage,
+    lamps: FittedLamps,
+    alone: Float32Array | None = None,
+) -> CellCorrection | None:
+    """What the slopes of an image (H, W), read as if every light arrived, gain; None where all skin is level.
+
+    lamps : that explain the calibration's balls
+    alone : what each channel shows under its own light alone, over the same of untouched skin, shape (H, W, 3); None
+        where single lights were not taken
+    """
+    cell = cell_px(gradients.p.shape)
+    p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
+    cells = _Cells.of(image, lamps.model, p.shape, cell, alone)
+    solver, read = Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64)
+    slope, shadow, z_px = read, np.zeros_like(p), np.zeros_like(p)
+    for steps in STEPS:
+        z_px = _elevation_px(solver, slope, known, shadow, cell)
+        found = cells.slopes(read, slope, known, z_px, steps)
+        if found is None:
+            return None
+        slope, shadow = found
+    change = (slope - read).astype(np.float32)
+    p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
+    share = np.float32(RELATIVE_SIGMA) * (shadow > 0.0)
+    unsure = cells.unsure(slope, z_px, lamps.folds) if lamps.folds else None
+    return CellCorrection(p_change, q_change, share * p_change, share * q_change, shadow, cell, SHADOW_WEIGHT, unsure)
+
+
+def _elevation_px(
+    solver: Integrator, slope: Float64Array, known: MaskArray, shadow: Float32Array, cell: int
+) -> Float32Array:
+    """Elevation of cells over untouched skin, pixels: float32 array of shape (h, w)."""
+    p, q = (np.ascontiguousarray(slope[..., axis], np.float32) for axis in (0, 1))
+    evenly = GradientField(p, q, known, known.astype(np.float32))
+    weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * shadow)
+    height, _ = solver.integrate(replace(evenly, weight=weight.astype(np.float32)), float(cell))
+    in_px = HeightMap(height.z_um, float(cell))
+    level = find_datum(in_px, evenly).level(in_px).z_um
+    return np.where(np.isfinite(level), level, np.float32(0.0)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cells:
+    """A frame at the middles of cells.
+
+    intensity : float64 array of shape (h w, 3)
+    skin : its places under the lamps
+    cell : pixels along a cell
+    arriving : how much each light arrives as seen under it alone, 0 to 1, float64 array of shape (h, w, 3)
+    """
+
+    intensity: Float64Array
+    skin: LampSkin
+    cell: int
+    arriving: Float64Array
+
+    @classmethod
+    def of(
+        cls, image: NormalizedImage, model: LampModel, size: tuple[int, int], cell: int, alone: Float32Array | None
+    ) -> _Cells:
+        """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
+        row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
+        across, down = (axis.ravel() for axis in np.meshgrid(column, row))
+        arriving = np.ones((*size, 3)) if alone is None else arriving_share(of_cells(alone, size, cell))
+        return cls(of_cells(image.values, size, cell).reshape(-1, 3), LampSkin.at(model, across, down), cell, arriving)
+
+    def slopes(
+        self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int
+    ) -> tuple[Float64Array, Float32Array] | None:
+        """Slopes (h, w, 2) that the lamps tell, and how much of each a hidden light leaves to the others, 0 to 1.
+
+        read : as the inverse map does
+        slope : where the search begins
+        known : where slopes are
+        z_px : elevation
+        """
+        hidden = self._may_be_hidden(z_px) & known[..., None]
+        steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0) * known
+        lit, dark = (np.flatnonzero(part) for part in ((steep > 0.0) & ~hidden.any(axis=-1), hidden.any(axis=-1)))
+        if not lit.size and not dark.size:
+            return None
+        surface = np.stack([np.gradient(z_px, self.cell, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float64)
+        found, trust = slope.reshape(-1, 2).copy(), np.ones(z_px.size)
+        self._solve_lit(found, lit, surface.reshape(-1, 2), z_px.ravel(), steps)
+        self._solve_dark(found, trust, dark, surface.reshape(-1, 2), z_px.ravel(), hidden.reshape(-1, 3))
+        share = np.maximum(steep.ravel(), 1.0 - trust)[:, None]
+        mixed = read.reshape(-1, 2) + share * (found - read.reshape(-1, 2))
+        return mixed.reshape(read.shape), (1.0 - trust).reshape(z_px.shape).astype(np.float32)
+
+    def unsure(self, slope: Float64Array, z_px: Float32Array, others: Sequence[LampModel]) -> SlopePair:
+        """By how much slopes under other lamps differ, so scaled that their squares add to a variance."""
+        z = z_px.ravel().astype(np.float64)
+        here = np.flatnonzero(np.linalg.norm(slope, axis=-1) > LEVEL[0])
+        skin, there = self.skin.select(here), slope.reshape(-1, 2)[here]
+        shown = skin.shown(there, z[here])
+        change, weight = skin.changes(there, z[here], shown), np.full_like(shown, INTENSITY_SIGMA**-2)
+        moves = np.zeros((len(others), z.size, 2), np.float32)
+        for move, other in zip(moves, others, strict=True):
+            less = shown - skin.shown(there, z[here], other)
+            move[here] = least_squares_move(change, weight, less, np.zeros_like(there), SURFACE_SIGMA)
+        moves *= np.float32(np.sqrt((len(others) - 1) / len(others)))
+        moves -= moves.mean(axis=0)
+        p, q = (np.ascontiguousarray(moves[..., axis]).reshape(-1, *z_px.shape) for axis in (0, 1))
+        return p, q
+
+    def _may_be_hidden(self, z_px: Float32Array) -> MaskArray:
+        """Which lights may be hidden where: bool array of shape (h, w, 3)."""
+        model = self.skin.model
+        slants = KnownLamps(model.position * model.shape[1]).slants(z_px, self.cell, model.shape)
+        clear = np.stack([clearance(z_px, self.cell, slants[..., lamp, :]) for lamp in range(3)], axis=-1)
+        level = 1.0 / np.maximum(np.linalg.norm(slants, axis=-1), 1e-3)
+        return np.asarray((clear < np.minimum(PENUMBRA, OBSTRUCTED * level)) | (self.arriving < 1.0))
+
+    def _solve_lit(
+        self, found: Float64Array, here: np.ndarray, surface: Float64Array, z_px: Float32Array, steps: int
+    ) -> None:
+        """Write slopes of skin that all lights reach."""
+        if not here.size:
+            return
+        skin, z = self.skin.select(here), z_px[here].astype(np.float64)
+        before = KnownBefore(surface[here], SURFACE_SIGMA)
+        slope = found[here]
+        for _ in range(steps):
+            slope = move_towards(skin, self.intensity[here], slope, z, before)
+        found[here] = slope
+
+    def _solve_dark(
+        self,
+        found: Float64Array,
+        trust: Float64Array,
+        here: np.ndarray,
+        surface: Float64Array,
+        z_px: Float32Array,
+        hidden: MaskArray,
+    ) -> None:
+        """Write slopes of skin that a light may not reach, and the weight of the least of its lights."""
+        if not here.size:
+            return
+        skin, seen, z = self.skin.select(here), self.intensity[here], z_px[here].astype(np.float64)
+        before, slope = KnownBefore(surface[here], HIDDEN_SURFACE_SIGMA), surface[here]
+        arriving, weight = self.arriving.reshape(-1, 3)[here], np.where(hidden[here], 0.0, 1.0)
+        for step in range(HIDDEN_STEPS):
+            if step >= FREE_STEPS:
+                dark = np.minimum(arriving, trust_in(seen, skin.shown(slope, z), DARKER))
+                weight = np.where(hidden[here], dark, 1.0)
+            slope = move_towards(skin, seen, slope, z, before, weight)
+        found[here], trust[here] = slope, weight.min(axis=1)

@@ -1,0 +1,138 @@
+"""Slopes of a cone that a map reads wrong, under lamps that are known as a whole; rays are drawn one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import GradientField
+from host_sync.integration.integrate import integrate
+from host_sync.lights.lamp_model import FittedLamps, LampModel
+from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
+
+SHAPE = (240, 320)
+HEIGHT_PX = 16.0
+MODEL = LampModel(
+    shape=SHAPE,
+    position=np.array([[0.62, 0.0, 0.34], [-0.31, 0.54, 0.34], [-0.31, -0.54, 0.34]]),
+    strip=0.0,
+    fall_off=2.0,
+    mixing=np.eye(3) + 0.08 * (1.0 - np.eye(3)),
+    haze=np.full(3, 0.01),
+    roughness=0.3,
+    gloss=0.0,
+    gloss_width=0.3,
+    bounce=0.0,
+    beam=0.0,
+    tail=2.0,
+    camera=0.0,
+)
+LAMPS = FittedLamps(MODEL, ())
+EVERYWHERE = np.ones(SHAPE, bool)
+ROW, COLUMN = (axis.astype(np.float64) for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
+
+
+def cone(flank: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height of a blunt cone on flat skin, px, and its slopes."""
+    distance = np.hypot(COLUMN - 0.5 * (SHAPE[1] - 1), ROW - 0.5 * (SHAPE[0] - 1))
+    z = np.clip(HEIGHT_PX + flank * 30.0 - flank * distance, 0.0, HEIGHT_PX)
+    q, p = np.gradient(z)
+    return z, p, q
+
+
+def reaches(z: np.ndarray) -> np.ndarray:
+    """Whether each lamp reaches the skin, ray by ray: shape (H, W, 3)."""
+    lit = np.ones((*SHAPE, 3), bool)
+    for lamp, (right, down, up) in enumerate(SHAPE[1] * MODEL.position):
+        to_x, to_y, to_z = right + 0.5 * (SHAPE[1] - 1) - COLUMN, down + 0.5 * (SHAPE[0] - 1) - ROW, up - z
+        for share in np.linspace(0.004, 0.4, 120):
+            at_x = np.clip(np.rint(COLUMN + share * to_x).astype(int), 0, SHAPE[1] - 1)
+            at_y = np.clip(np.rint(ROW + share * to_y).astype(int), 0, SHAPE[0] - 1)
+            lit[..., lamp] &= z[at_y, at_x] <= z + share * to_z + 0.3
+    return lit
+
+
+def image_of(z: np.ndarray, p: np.ndarray, q: np.ndarray, lit: np.ndarray | None = None) -> NormalizedImage:
+    flat = [part.ravel() for part in (p, q, COLUMN, ROW, z)]
+    own = MODEL.own_light(*flat)
+    if lit is not None:
+        own *= lit.reshape(-1, 3)
+    level = np.zeros(z.size)
+    rest = MODEL.mixed(MODEL.own_light(level, level, flat[2], flat[3], level))
+    values = (MODEL.mixed(own) / rest).reshape(*SHAPE, 3)
+    return NormalizedImage(values.astype(np.float32), EVERYWHERE, ~EVERYWHERE)
+
+
+def field(p: np.ndarray, q: np.ndarray) -> GradientField:
+    return GradientField(p.astype(np.float32), q.astype(np.float32), EVERYWHERE, np.ones(SHAPE, np.float32))
+
+
+def height_px(gradients: GradientField) -> float:
+    height, _ = integrate(gradients, 1.0)
+    z, _, _ = cone(0.3)
+    border = np.concatenate([height.z_um[:10].ravel(), height.z_um[-10:].ravel()])
+    return float(np.median(height.z_um[z > 0.99 * HEIGHT_PX]) - np.median(border))
+
+
+def test_what_a_map_reads_too_flat_is_mended_where_skin_slopes() -> None:
+    z, p, q = cone(0.3)
+    read = field(0.9 * p + 0.004, 0.9 * q)
+    found = read_under_lamps(read, image_of(z, p, q), LAMPS)
+    assert found is not None
+    before = height_px(read)
+    level = read.p[:20].copy()
+    found.apply(read)
+    np.testing.assert_allclose(read.p[:20], level, atol=1e-6)
+    assert before < 0.93 * HEIGHT_PX
+    assert abs(height_px(read) - HEIGHT_PX) < 0.01 * HEIGHT_PX
+    assert found.unsure is None
+
+
+def test_skin_in_shadow_is_told_by_the_lamps_that_reach_it() -> None:
+    z, p, q = cone(0.6)
+    lit = reaches(z)
+    dark = ~lit.all(axis=-1)
+    assert 0.02 < dark.mean() < 0.3
+    read = field(np.where(dark, 1.5 * p + 0.2 * np.sign(p), p), np.where(dark, 1.5 * q + 0.2 * np.sign(q), q))
+    wrong, too_high_px = np.hypot(read.p - p, read.q - q)[dark].mean(), height_px(read) - HEIGHT_PX
+    found = read_under_lamps(read, image_of(z, p, q, lit), LAMPS)
+    assert found is not None
+    found.apply(read)
+    assert np.hypot(read.p - p, read.q - q)[dark].mean() < 0.75 * wrong
+    assert abs(height_px(read) - HEIGHT_PX) < 0.6 * too_high_px
+    assert read.weight.min() < SHADOW_WEIGHT + 0.2
+    assert (read.weight[~dark] > 0.9).mean() > 0.9
+    sigma_p, _ = found.sigma((SHAPE[1], SHAPE[0]))
+    assert np.abs(sigma_p[dark]).mean() > 10.0 * np.abs(sigma_p[~dark]).mean()
+
+
+def test_frames_of_single_lights_show_where_one_does_not_arrive() -> None:
+    z, p, q = cone(0.3)
+    dark = (COLUMN > 200) & (COLUMN < 230)
+    lit = np.repeat(~dark[..., None], 3, axis=-1) | np.array([False, True, True])
+    alone = lit.astype(np.float32)
+    image = image_of(z, p, q, lit)
+    read = field(np.where(dark, p + 0.4, p), q)
+    found = read_under_lamps(read, image, LAMPS, alone)
+    assert found is not None
+    assert found.shadow[:, 104:112].min() > 0.5
+    assert found.shadow[:, :90].mean() < 0.02
+
+
+def test_level_skin_gains_nothing() -> None:
+    zero = np.zeros(SHAPE)
+    assert read_under_lamps(field(zero, zero), image_of(zero, zero, zero), LAMPS) is None
+
+
+def test_slopes_are_as_unsure_as_lamps_of_fewer_balls_differ() -> None:
+    z, p, q = cone(0.3)
+    higher, lower = (replace(MODEL, position=MODEL.position * [1.0, 1.0, 1.0 + change]) for change in (0.02, -0.02))
+    found = read_under_lamps(field(p, q), image_of(z, p, q), FittedLamps(MODEL, (higher, lower)))
+    assert found is not None
+    assert found.unsure is not None
+    flank = np.hypot(*(part[::2, ::2][: found.p.shape[0], : found.p.shape[1]] for part in (p, q))) > 0.2
+    sigma = np.sqrt((found.unsure[0] ** 2 + found.unsure[1] ** 2).sum(axis=0))
+    assert 0.002 < sigma[flank].mean() < 0.02
+    assert not sigma[:4].any()
