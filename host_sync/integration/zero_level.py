@@ -9,7 +9,7 @@ untouched a height map has no zero: its heights are relative to each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -20,6 +20,7 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Hei
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import height_of_rest_um, skin_at_rest
 from host_sync.integration.precise_distance import distance_px
+from host_sync.integration.sinking_skin import height_left_um
 
 NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
 """The warning where nothing was taken for zero."""
@@ -35,6 +36,9 @@ ALIKE_SHARE: Final = 0.1
 
 HEIGHT_PERCENT: Final = (1.0, 99.0)
 """Percentiles between which a map's heights lie."""
+
+SINKING_SHARE: Final = 0.5
+"""Standard uncertainty of how much skin sinks yet, as a share: elastomers are thicker than a membrane on springs."""
 
 TRIMMED: Final = 0.2
 """Share of the blocks that is left out at either end of their heights when the zero is taken."""
@@ -59,6 +63,7 @@ class Datum:
     spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin is untouched
     share : of the field that it makes up; 0 where no skin is untouched
     blocks : how many parts of the field it was compared in
+    sinking_um : by how much the skin still stands above rest, µm; the zero lies so much lower
     """
 
     skin: MaskArray
@@ -66,14 +71,15 @@ class Datum:
     spread_um: float
     share: float
     blocks: int = 1
+    sinking_um: float = 0.0
 
     @property
     def zero_sigma_um(self) -> float:
-        """Standard uncertainty of the zero, µm: the spread of the skin it is taken from.
+        """Standard uncertainty of the zero, µm: the spread of the skin it is taken from, and of how much it sinks yet.
 
         It is not divided by a number of blocks: slope errors add up over the field, so blocks do not err independently.
         """
-        return self.spread_um
+        return float(np.hypot(self.spread_um, SINKING_SHARE * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:
@@ -83,6 +89,13 @@ class Datum:
     def level(self, height: HeightMap) -> HeightMap:
         """The height map above this zero."""
         return HeightMap(height.z_um - np.float32(self.zero_um), height.pitch_um)
+
+    def at_rest(self, height: HeightMap, gradients: GradientField) -> Datum:
+        """The same with its zero where skin of a height map with these slopes will have sunk to rest."""
+        if self.is_relative:
+            return self
+        left_um = height_left_um(height, gradients, self.skin, self.zero_um)
+        return replace(self, zero_um=self.zero_um - left_um, sinking_um=left_um)
 
 
 def elevation_over_datum_px(gradients: GradientField, step_px: float) -> Float32Array:

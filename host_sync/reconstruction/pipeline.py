@@ -117,7 +117,7 @@ def reconstruct(
     noise = calibration.slope_noise
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    datum = find_datum(height, gradients)
+    datum = find_datum(height, gradients).at_rest(height, gradients)
     unlit = check_datum(intensity, datum.skin)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
