@@ -23,7 +23,7 @@ from host_sync.calibration.shading_model import fit_shading_model
 from host_sync.lights.lamp_fit import fit_lamps
 from host_sync.lights.lamp_model import LampModel
 
-DOUBT: Final = 0.05
+DOUBT: Final = 0.1
 """Relative standard uncertainty of what fitted lamps foretell of elevation."""
 
 EXCLUDED: Final = 4.0
