@@ -7,7 +7,7 @@ foreign memory.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from typing import Any, Final
 
 import msgspec
@@ -75,6 +75,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
     for one in (calibration, *calibration.beside):
         _check_field(one)
         _check_errors(one.slope_error, one.slope_noise)
+        _check_lamps(one)
     _check_lights(calibration)
 
 
@@ -183,6 +184,20 @@ def _check_lights(calibration: Calibration) -> None:
         and lights.flat_field.shape[:2] == calibration.flat_field.shape[:2]
     ):
         raise Unsound("groups of lights that do not go with its calibrations")
+
+
+def _check_lamps(calibration: Calibration) -> None:
+    """Refuse lamps that stand on no side of the skin, or a coat that no skin has."""
+    lamps = calibration.fitted_lamps
+    for model in () if lamps is None else (lamps.model, *lamps.folds):
+        numbers = [value for value in asdict(model).values() if isinstance(value, float)]
+        if not (
+            model.shape == calibration.flat_field.shape[:2]
+            and np.isfinite(numbers).all()
+            and (model.position[:, 2] > 0.0).all()
+            and min(model.gloss_width, model.tail) > 0.0
+        ):
+            raise Unsound("lamps and a coat that no instrument has")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

@@ -24,6 +24,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.lamp_model import FittedLamps
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0
@@ -95,7 +96,15 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
         ),
         elevation=elevation,
         lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
+        fitted_lamps=_for_shape(calibration.fitted_lamps, reference.shape),
     )
+
+
+def _for_shape(lamps: FittedLamps | None, shape: Shape) -> FittedLamps | None:
+    """The lamps of the same field at (H, W) pixels: their lengths are in widths of the field."""
+    if lamps is None:
+        return None
+    return FittedLamps(replace(lamps.model, shape=shape), tuple(replace(fold, shape=shape) for fold in lamps.folds))
 
 
 def at_size(inverse_map: InverseMap, shape: Shape) -> InverseMap:
