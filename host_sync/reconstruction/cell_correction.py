@@ -51,10 +51,10 @@ class CellCorrection:
 
 
 def of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
-    """Means over cells of values (H, W, 3), float64 array of shape (h, w, 3)."""
+    """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
     below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
     channels = []
-    for channel in range(3):
+    for channel in range(values.shape[2]):
         plane = np.ascontiguousarray(values[..., channel])
         whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
         channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))

@@ -44,6 +44,9 @@ FREE_STEPS: Final = 3
 LEVEL: Final = (0.005, 0.015)
 """Slopes up to the first are left as they are read, from the second on lamps tell them."""
 
+ALL: Final = 0.999
+"""Share of a cell's pixels that are faithful in a cell whose intensity counts."""
+
 PENUMBRA: Final = 0.3
 """A light may be hidden in part where the tangent of its elevation clears the skin by less."""
 
@@ -112,12 +115,14 @@ class _Cells:
     skin : its places under the lamps
     cell : pixels along a cell
     arriving : how much each light arrives as seen under it alone, 0 to 1, float64 array of shape (h, w, 3)
+    faithful : bool array of shape (h, w), False where a pixel is saturated or its reference dark
     """
 
     intensity: Float64Array
     skin: LampSkin
     cell: int
     arriving: Float64Array
+    faithful: MaskArray
 
     @classmethod
     def of(
@@ -127,7 +132,9 @@ class _Cells:
         row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
         across, down = (axis.ravel() for axis in np.meshgrid(column, row))
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(of_cells(alone, size, cell))
-        return cls(of_cells(image.values, size, cell).reshape(-1, 3), LampSkin.at(model, across, down), cell, arriving)
+        intensity = np.nan_to_num(of_cells(image.values, size, cell)).reshape(-1, 3)
+        faithful = of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
+        return cls(intensity, LampSkin.at(model, across, down), cell, arriving, faithful)
 
     def slopes(
         self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int
@@ -139,6 +146,7 @@ class _Cells:
         known : where slopes are
         z_px : elevation
         """
+        known = known & self.faithful
         hidden = self._may_be_hidden(z_px) & known[..., None]
         steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0) * known
         lit, dark = (np.flatnonzero(part) for part in ((steep > 0.0) & ~hidden.any(axis=-1), hidden.any(axis=-1)))

@@ -121,6 +121,24 @@ def test_frames_of_single_lights_show_where_one_does_not_arrive() -> None:
     assert found.shadow[:, :90].mean() < 0.02
 
 
+def test_saturated_pixels_and_holes_are_left_as_they_are_read() -> None:
+    z, p, q = cone(0.3)
+    image = image_of(z, p, q)
+    clipped, hole = (COLUMN > 200) & (ROW < 120), (COLUMN < 110) & (ROW < 90)
+    values = np.where(hole[..., None], np.float32(np.nan), image.values)
+    broken = NormalizedImage(values, ~hole, clipped)
+    read = field(0.9 * p, 0.9 * q)
+    read = replace(read, valid=~hole, weight=np.where(hole, 0.0, 1.0).astype(np.float32))
+    before = read.p.copy()
+    found = read_under_lamps(read, broken, LAMPS)
+    assert found is not None
+    assert np.isfinite(found.p).all()
+    found.apply(read)
+    np.testing.assert_array_equal(read.p[:110, 210:], before[:110, 210:])
+    flank = (np.hypot(p, q) > 0.2) & ~hole & ~((COLUMN > 190) & (ROW < 130))
+    assert np.abs(read.p - p)[flank].mean() < 0.6 * np.abs(before - p)[flank].mean()
+
+
 def test_level_skin_gains_nothing() -> None:
     zero = np.zeros(SHAPE)
     assert read_under_lamps(field(zero, zero), image_of(zero, zero, zero), LAMPS) is None
