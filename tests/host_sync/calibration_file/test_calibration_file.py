@@ -34,6 +34,7 @@ from host_sync.calibration_file.typed_members import READ_ERRORS, from_members
 from host_sync.cli.main import main
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.reconstruction.pipeline import reconstruct
 
 MUTATIONS = 60
@@ -294,6 +295,26 @@ def with_gains(calibration: Calibration, gains: tuple[tuple[float, ...], ...]) -
     return replace(calibration, slope_error=msgspec.structs.replace(calibration.slope_error, ball_gains=gains))
 
 
+def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
+    """With lamps that stand over its field, but for what is changed."""
+    model = LampModel(
+        shape=calibration.flat_field.shape[:2],
+        position=np.array([[0.6, 0.0, 0.4], [-0.3, 0.5, 0.4], [-0.3, -0.5, 0.4]]),
+        strip=0.0,
+        fall_off=2.0,
+        mixing=np.eye(3),
+        haze=np.zeros(3),
+        roughness=0.0,
+        gloss=0.0,
+        gloss_width=0.3,
+        bounce=0.0,
+        beam=0.0,
+        tail=2.0,
+        camera=0.0,
+    )
+    return replace(calibration, fitted_lamps=FittedLamps(model, (replace(model, **changed),)))
+
+
 HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a table that points beyond its end": lambda one: with_table(one, bin_of=one.paper.table.bin_of + np.int32(10**6)),
     "candidates that end early": lambda one: with_table(one, candidates=one.paper.table.candidates[:-1]),
@@ -311,6 +332,11 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     ),
     "fewer gains than tilts": lambda one: with_gains(one, ((0.0,),)),
     "a gain that is not finite": lambda one: with_gains(one, ((float("nan"),) * len(one.slope_error.tilt_deg),)),
+    "lamps over another field": lambda one: with_lamps(one, shape=(10, 10)),
+    "lamps under the skin": lambda one: with_lamps(one, position=-np.eye(3)),
+    "two lamps": lambda one: with_lamps(one, position=np.ones((2, 3))),
+    "a lobe without width": lambda one: with_lamps(one, gloss_width=0.0),
+    "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),
 }
 
@@ -318,6 +344,7 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
 @pytest.mark.parametrize("harm", HARMS)
 def test_what_kernels_would_trust_is_checked(kept: KeptCalibration, harm: str) -> None:
     check_sound(kept.calibration, "file")
+    check_sound(with_lamps(kept.calibration), "file")
     with pytest.raises(Unsound):
         check_sound(HARMS[harm](kept.calibration), "file")
 
