@@ -1,1 +1,1 @@
-"""Sensors of any number of lights: which three are read together, and which are left out where."""
+"""Lights: where lamps stand and what they show; of any number of them, which three are read together where."""
