@@ -59,7 +59,7 @@ class Datum:
 
     skin : bool array of shape (H, W), True where heights are zero but for their errors; every valid pixel where no
         skin is untouched
-    zero_um : trimmed mean of the median heights of its blocks, µm
+    zero_um : trimmed mean of the median heights of its blocks, less `sinking_um`, µm
     spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin is untouched
     share : of the field that it makes up; 0 where no skin is untouched
     blocks : how many parts of the field it was compared in

@@ -123,7 +123,7 @@ def fit_lamps(
 class _Solution:
     """Where a search ended.
 
-    numbers : of the model, with those that were free to change
+    numbers, free : of the model, and which of them were free to change
     shift_px : of the balls' centres, shape (balls, 2)
     residual : as of `LampFit`
     off, derivatives : of its equations there, shape (M,) and (M, variables)

@@ -13,7 +13,7 @@ GRAZING: Final = 0.05
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_light(
+def write_light(
     points: Any, axes: Any, coat: Any, p: Any, q: Any, x: Any, y: Any, z: Any, own: Any, first: int, last: int
 ) -> None:
     """Write what skin shows of each channel's own lamp into the rows `first` to `last` - 1 of `own`, (N, 3).

@@ -17,7 +17,7 @@ import numpy as np
 
 from device.surface.fields import Float64Array
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.lights.lamp_kernel import add_light
+from host_sync.lights.lamp_kernel import write_light
 
 POINTS: Final = (-0.387, 0.0, 0.387)
 POINT_SHARES: Final = (5 / 18, 8 / 18, 5 / 18)
@@ -85,7 +85,7 @@ class LampModel:
         coat = np.array([self.fall_off, even, uneven, *shine, self.bounce, self.beam, self.camera])
         own = np.empty((len(x), 3))
         axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
-        parallel_rows(add_light, (len(x), WORK), self._points(), axes, coat, p, q, x, y, z_px / columns, own)
+        parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, p, q, x, y, z_px / columns, own)
         return own
 
     def mixed(self, own: Float64Array) -> Float64Array:

@@ -95,24 +95,31 @@ def move_towards(
     z_px: Float64Array,
     before: KnownBefore,
     trust: Float64Array | None = None,
+    shown: Float64Array | None = None,
 ) -> Float64Array:
     """One Gauss-Newton step from slopes (N, 2) towards those that explain intensities (N, 3): the new slopes.
 
     trust : how much each channel counts, 0 to 1, shape (N, 3); all of them fully where it is None
+    shown : what the slopes show, where that is known
     """
-    shown = skin.shown(slope, z_px)
+    shown = skin.shown(slope, z_px) if shown is None else shown
     change = skin.changes(slope, z_px, shown)
     missing = intensity - shown
     weight = np.full_like(shown, INTENSITY_SIGMA**-2)
     if trust is not None:
         weight *= trust
         missing += skin.without((1.0 - trust) * np.maximum(-missing, 0.0))
-    move = least_squares_move(change, weight, missing, before.slope - slope, before.sigma)
+    move = gauss_newton_step(change, weight, missing, before.slope - slope, before.sigma)
+    return slope + bounded(move)
+
+
+def bounded(move: Float64Array) -> Float64Array:
+    """Moves of slopes, shape (N, 2), none longer than `MAX_MOVE`."""
     length = np.linalg.norm(move, axis=1, keepdims=True)
-    return np.asarray(slope + move * np.minimum(1.0, MAX_MOVE / np.maximum(length, 1e-9)))
+    return np.asarray(move * np.minimum(1.0, MAX_MOVE / np.maximum(length, 1e-9)))
 
 
-def least_squares_move(
+def gauss_newton_step(
     change: Float64Array, weight: Float64Array, missing: Float64Array, back: Float64Array, sigma: float
 ) -> Float64Array:
     """Slopes (N, 2) to be added that explain missing intensities (N, 3) best.

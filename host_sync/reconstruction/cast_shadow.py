@@ -25,7 +25,7 @@ from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
 from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.kernels.cell_rows import cell_px
-from host_sync.lights.lamp_slopes import least_squares_move
+from host_sync.lights.lamp_slopes import bounded, gauss_newton_step
 from host_sync.reconstruction.cell_correction import CellCorrection, of_cells
 from host_sync.reconstruction.elevation_correction import cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
@@ -52,7 +52,6 @@ STEPS: Final = 10
 FREE_STEPS: Final = 4
 """Gauss-Newton steps, and how many of them leave every channel that may be hidden out of account."""
 
-MAX_STEP: Final = 0.3
 SHADOW_WEIGHT: Final = 0.3
 """Weight in integration of slopes that two lights tell."""
 
@@ -212,7 +211,6 @@ def _two_light_slopes(
         # A hidden light is missing from the other channels too, as far as their filters pass it.
         lost = (1.0 - trust) * np.maximum(foretold - intensity, 0.0)
         foretold = foretold - leaks * (lost.sum(axis=1, keepdims=True) - lost)
-        move = least_squares_move(change, weight, intensity - foretold, prior - slope, PRIOR_SIGMA)
-        length = np.linalg.norm(move, axis=1, keepdims=True)
-        slope += move * np.minimum(1.0, MAX_STEP / np.maximum(length, 1e-9))
+        move = gauss_newton_step(change, weight, intensity - foretold, prior - slope, PRIOR_SIGMA)
+        slope += bounded(move)
     return slope, trust.min(axis=1)

@@ -26,13 +26,14 @@ from host_sync.lights.lamp_slopes import (
     SURFACE_SIGMA,
     KnownBefore,
     LampSkin,
-    least_squares_move,
+    gauss_newton_step,
     move_towards,
 )
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
 from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair, of_cells
 from host_sync.reconstruction.elevation_correction import cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
+from host_sync.uncertainty.calibration_uncertainty import jackknifed
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
@@ -170,10 +171,8 @@ class _Cells:
         moves = np.zeros((len(others), z.size, 2), np.float32)
         for move, other in zip(moves, others, strict=True):
             less = shown - skin.shown(there, z[here], other)
-            move[here] = least_squares_move(change, weight, less, np.zeros_like(there), SURFACE_SIGMA)
-        moves *= np.float32(np.sqrt((len(others) - 1) / len(others)))
-        moves -= moves.mean(axis=0)
-        p, q = (np.ascontiguousarray(moves[..., axis]).reshape(-1, *z_px.shape) for axis in (0, 1))
+            move[here] = gauss_newton_step(change, weight, less, np.zeros_like(there), SURFACE_SIGMA)
+        p, q = (jackknifed(moves[..., axis]).reshape(-1, *z_px.shape) for axis in (0, 1))
         return p, q
 
     def _may_be_hidden(self, z_px: Float32Array) -> MaskArray:
@@ -213,8 +212,8 @@ class _Cells:
         before, slope = KnownBefore(surface[here], HIDDEN_SURFACE_SIGMA), surface[here]
         arriving, weight = self.arriving.reshape(-1, 3)[here], np.where(hidden[here], 0.0, 1.0)
         for step in range(HIDDEN_STEPS):
+            shown = skin.shown(slope, z)
             if step >= FREE_STEPS:
-                dark = np.minimum(arriving, trust_in(seen, skin.shown(slope, z), DARKER))
-                weight = np.where(hidden[here], dark, 1.0)
-            slope = move_towards(skin, seen, slope, z, before, weight)
+                weight = np.where(hidden[here], np.minimum(arriving, trust_in(seen, shown, DARKER)), 1.0)
+            slope = move_towards(skin, seen, slope, z, before, weight, shown)
         found[here], trust[here] = slope, weight.min(axis=1)

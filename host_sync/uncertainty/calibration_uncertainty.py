@@ -65,9 +65,13 @@ def calibration_uncertainty(
     everywhere = np.ones(values.shape[:2], np.bool_)
     small = NormalizedImage(values, everywhere, ~everywhere)
     read = [evaluate(replace(one, shape=small.shape), small) for one in replicas]
-    share = np.float32(np.sqrt((len(read) - 1) / len(read)))
-    slopes = [np.stack([part.p for part in read]), np.stack([part.q for part in read])]
-    return CalibrationUncertainty(*(share * (part - part.mean(axis=0)) for part in slopes))
+    slopes = np.stack([part.p for part in read]), np.stack([part.q for part in read])
+    return CalibrationUncertainty(*(jackknifed(part) for part in slopes))
+
+
+def jackknifed(read: Float32Array) -> Float32Array:
+    """Deviations of what K replicas read, arrays of shape (K, ...), so scaled that their squares add to a variance."""
+    return np.asarray(np.float32(np.sqrt((len(read) - 1) / len(read))) * (read - read.mean(axis=0)), np.float32)
 
 
 def _shrunk(values: Float32Array, size: tuple[int, int]) -> Float32Array:

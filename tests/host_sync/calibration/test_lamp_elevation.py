@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 from near_lamps import LAMPS_OUT_PX, SHAPE, NearLamps, balls, press_px
+from point_lamps import point_lamps
 
 from device.balls.sphere import Ball, gather_samples, pixels_inside
 from device.imaging.flat_field import NormalizedImage
@@ -128,20 +129,7 @@ def points() -> LampModel:
     angle = np.radians([10.0, 130.0, 250.0])
     out = LAMPS_OUT_PX / SHAPE[1]
     position = np.stack([out * np.cos(angle), out * np.sin(angle), np.full(3, HEIGHT_PX / SHAPE[1])], axis=-1)
-    return replace(
-        FIT.lamps.model,
-        position=position,
-        strip=0.0,
-        fall_off=2.0,
-        mixing=np.eye(3),
-        haze=np.zeros(3),
-        roughness=0.0,
-        gloss=0.0,
-        bounce=0.0,
-        beam=0.0,
-        tail=2.0,
-        camera=0.0,
-    )
+    return point_lamps(SHAPE, position)
 
 
 def test_lamps_of_one_height_slant_more_by_one_over_it() -> None:

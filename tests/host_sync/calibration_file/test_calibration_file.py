@@ -14,6 +14,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from point_lamps import point_lamps
 from pressed_frames import write_frame_set
 
 from device.errors import CalibrationError
@@ -34,7 +35,7 @@ from host_sync.calibration_file.typed_members import READ_ERRORS, from_members
 from host_sync.cli.main import main
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
-from host_sync.lights.lamp_model import FittedLamps, LampModel
+from host_sync.lights.lamp_model import FittedLamps
 from host_sync.reconstruction.pipeline import reconstruct
 
 MUTATIONS = 60
@@ -297,21 +298,7 @@ def with_gains(calibration: Calibration, gains: tuple[tuple[float, ...], ...]) -
 
 def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
     """With lamps that stand over its field, but for what is changed."""
-    model = LampModel(
-        shape=calibration.flat_field.shape[:2],
-        position=np.array([[0.6, 0.0, 0.4], [-0.3, 0.5, 0.4], [-0.3, -0.5, 0.4]]),
-        strip=0.0,
-        fall_off=2.0,
-        mixing=np.eye(3),
-        haze=np.zeros(3),
-        roughness=0.0,
-        gloss=0.0,
-        gloss_width=0.3,
-        bounce=0.0,
-        beam=0.0,
-        tail=2.0,
-        camera=0.0,
-    )
+    model = point_lamps(calibration.flat_field.shape[:2])
     return replace(calibration, fitted_lamps=FittedLamps(model, (replace(model, **changed),)))
 
 

@@ -4,26 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from point_lamps import POSITION, point_lamps
 
 from host_sync.lights.lamp_model import LampModel
 
 SHAPE = (300, 400)
-POSITION = np.array([[0.7, 0.1, 0.5], [-0.4, 0.6, 0.4], [-0.3, -0.65, 0.45]])
-POINTS = LampModel(
-    shape=SHAPE,
-    position=POSITION,
-    strip=0.0,
-    fall_off=2.0,
-    mixing=np.eye(3),
-    haze=np.zeros(3),
-    roughness=0.0,
-    gloss=0.0,
-    gloss_width=0.3,
-    bounce=0.0,
-    beam=0.0,
-    tail=2.0,
-    camera=0.0,
-)
+POINTS = point_lamps(SHAPE)
 RANDOM = np.random.default_rng(0)
 COLUMN, ROW = RANDOM.uniform(0, 399, 50), RANDOM.uniform(0, 299, 50)
 P, Q, Z_PX = RANDOM.uniform(-0.3, 0.3, 50), RANDOM.uniform(-0.3, 0.3, 50), RANDOM.uniform(0, 30, 50)

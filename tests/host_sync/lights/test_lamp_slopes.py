@@ -6,17 +6,15 @@ from typing import cast
 
 import numpy as np
 import pytest
+from point_lamps import point_lamps
 
 from device.inverse_map.model import InverseMap
-from host_sync.lights.lamp_model import LampModel
-from host_sync.lights.lamp_slopes import KnownBefore, LampReader, LampSkin, least_squares_move, move_towards
+from host_sync.lights.lamp_slopes import KnownBefore, LampReader, LampSkin, gauss_newton_step, move_towards
 
 SHAPE = (300, 400)
-MODEL = LampModel(
-    shape=SHAPE,
-    position=np.array([[0.7, 0.1, 0.5], [-0.4, 0.6, 0.45], [-0.3, -0.65, 0.45]]),
+MODEL = replace(
+    point_lamps(SHAPE),
     strip=0.3,
-    fall_off=2.0,
     mixing=np.array([[1.0, 0.1, 0.08], [0.12, 1.0, 0.1], [0.1, 0.1, 1.0]]),
     haze=np.full(3, 0.01),
     roughness=0.4,
@@ -24,7 +22,6 @@ MODEL = LampModel(
     gloss_width=0.4,
     bounce=0.3,
     beam=0.5,
-    tail=2.0,
     camera=0.1,
 )
 RANDOM = np.random.default_rng(0)
@@ -80,7 +77,7 @@ def test_two_channels_are_enough_where_the_third_is_dark() -> None:
 def test_a_step_is_that_of_least_squares() -> None:
     change, weight = RANDOM.normal(size=(5, 3, 2)), RANDOM.uniform(1.0, 9.0, (5, 3))
     missing, back, sigma = RANDOM.normal(size=(5, 3)), RANDOM.normal(size=(5, 2)), 0.4
-    moved = least_squares_move(change, weight, missing, back, sigma)
+    moved = gauss_newton_step(change, weight, missing, back, sigma)
     for one in range(5):
         root = np.sqrt(weight[one])
         rows = np.concatenate([root[:, None] * change[one], np.eye(2) / sigma])

@@ -5,29 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from point_lamps import point_lamps
 
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
-from host_sync.lights.lamp_model import FittedLamps, LampModel
+from host_sync.lights.lamp_model import FittedLamps
 from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
 
 SHAPE = (240, 320)
 HEIGHT_PX = 16.0
-MODEL = LampModel(
-    shape=SHAPE,
-    position=np.array([[0.62, 0.0, 0.34], [-0.31, 0.54, 0.34], [-0.31, -0.54, 0.34]]),
-    strip=0.0,
-    fall_off=2.0,
+MODEL = replace(
+    point_lamps(SHAPE, np.array([[0.62, 0.0, 0.34], [-0.31, 0.54, 0.34], [-0.31, -0.54, 0.34]])),
     mixing=np.eye(3) + 0.08 * (1.0 - np.eye(3)),
     haze=np.full(3, 0.01),
     roughness=0.3,
-    gloss=0.0,
-    gloss_width=0.3,
-    bounce=0.0,
-    beam=0.0,
-    tail=2.0,
-    camera=0.0,
 )
 LAMPS = FittedLamps(MODEL, ())
 EVERYWHERE = np.ones(SHAPE, bool)
