@@ -232,7 +232,7 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    reads = lamps_that_read_better(training, inverse, followed)
+    reads = lamps_that_read_better(kept, inverse, followed)
     error = measure_slope_error(
         kept,
         training,

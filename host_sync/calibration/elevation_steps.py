@@ -49,14 +49,19 @@ def lowered_presses(located: Sequence[UsedPress], elevated: ElevatedBalls) -> li
 
 
 def lamps_that_read_better(
-    training: BallSamples, inverse: InverseFit, followed: ElevatedBalls | None
+    kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]], inverse: InverseFit, followed: ElevatedBalls | None
 ) -> LampReader | None:
     """What reads balls by the lamps that explain them; None where no lamps do, or held-out balls are read better."""
     if followed is None or followed.lamps is None:
         return None
     reads = LampReader(inverse.map, followed.lamps.model)
-    found = reads.predict(training.intensity, training.column, training.row)
-    error_deg = float(angle_between_deg(found, np.stack([training.p, training.q], axis=-1)).mean())
+    errors_deg = []
+    for image, balls in kept:
+        if balls:
+            shown = gather_samples([(image, balls)])
+            found = reads.in_frame(image).predict(shown.intensity, shown.column, shown.row)
+            errors_deg.append(angle_between_deg(found, np.stack([shown.p, shown.q], axis=-1)))
+    error_deg = float(np.concatenate(errors_deg).mean())
     return reads if inverse.held_out_deg is None or error_deg < inverse.held_out_deg else None
 
 

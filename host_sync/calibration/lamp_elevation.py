@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from device.balls.sphere import Ball, gather_samples
+from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float64Array
@@ -22,6 +22,7 @@ from host_sync.calibration.elevation_response import NODES, UNEXPLAINED, Elevati
 from host_sync.calibration.shading_model import fit_shading_model
 from host_sync.lights.lamp_fit import fit_lamps
 from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.surroundings import Surroundings
 
 DOUBT: Final = 0.1
 """Relative standard uncertainty of what fitted lamps foretell of elevation."""
@@ -68,7 +69,7 @@ def find_lamps(presses: Sequence[Press], elevated: ElevatedBalls) -> ElevatedBal
         return None
     balls = [ball for _, of_press in presses for ball in of_press]
     apexes_px = [apex_px for of_press in elevated.apexes_px for apex_px in of_press]
-    fit = fit_lamps(samples, balls, apexes_px, presses[0][0].shape)
+    fit = fit_lamps(samples, _close_by(samples, presses), balls, apexes_px, presses[0][0].shape)
     if not fit.explains(shading.residual):
         return None
     moved = iter(
@@ -77,6 +78,16 @@ def find_lamps(presses: Sequence[Press], elevated: ElevatedBalls) -> ElevatedBal
     )
     centred = tuple(tuple(next(moved) for _ in of_press) for _, of_press in presses)
     return ElevatedBalls(response_under(fit.lamps.model), centred, elevated.apexes_px, fit.lamps)
+
+
+def _close_by(samples: BallSamples, presses: Sequence[Press]) -> Float64Array:
+    """What skin close to samples of presses' balls shows: shape (N, 3)."""
+    press_of_ball = np.repeat(np.arange(len(presses)), [len(balls) for _, balls in presses])
+    close = np.ones((len(samples.p), 3))
+    for press in np.unique(press_of_ball):
+        rows = press_of_ball[samples.ball] == press
+        close[rows] = Surroundings.of(presses[press][0].values).at(samples.column[rows], samples.row[rows])
+    return close
 
 
 def response_under(model: LampModel) -> ElevationResponse:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface.fields import Float32Array, Float64Array
 from host_sync.kernels.jit import njit
 
 WIDEST_CELLS: Final = 256
@@ -21,6 +22,17 @@ WIDEST_CELLS: Final = 256
 def cell_px(shape: tuple[int, ...]) -> int:
     """Pixels along a cell of a field of `shape` (H, W)."""
     return -(-shape[1] // WIDEST_CELLS)
+
+
+def means_of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
+    """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
+    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
+    channels = []
+    for channel in range(values.shape[2]):
+        plane = np.ascontiguousarray(values[..., channel])
+        whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
+    return np.stack(channels, axis=-1).astype(np.float64)
 
 
 def bordered(planes: Float32Array) -> Float32Array:

@@ -61,26 +61,33 @@ CENTRE_STEP_PX: Final = 0.05
 """Steps of the numerical derivatives."""
 
 ROUNDS: Final = 25
+TOLERANCE: Final = 1e-4
+"""The search ends when a round makes the sum of squares smaller by less than this share, or after so many rounds."""
+
 FOLDS: Final = 4
 """Parts of the balls without which the lamps are found again, by one step from where all balls put them."""
 
-_START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2, np.log(2.0), 0.0])
-_EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, 0.3, 0.0, np.log(0.35), 0.2, 0.2, np.log(2.0), 0.0])
-_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.5, 0.5, 1.0, 0.2])
-"""Strip, fall-off, mixing, haze, roughness, gloss, logarithm of its width, bounce, beam, logarithm of tail, camera."""
+_PLAIN_COAT: Final = (0.3, 0.0, np.log(0.35), 0.0, 0.1, 0.1, 0.2, np.log(2.0), 0.0)
+_START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, *_PLAIN_COAT])
+_EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, *_PLAIN_COAT])
+_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.15, 0.5, 0.5, 0.5, 1.0, 0.2])
+"""Strip, fall-off, mixing and haze; roughness, gloss, logarithm of its width, gain with tilt, bounce from close by and
+from afar, beam, logarithm of tail, camera."""
 
 _PLACES: Final = 9
 _GLOSS: Final = _PLACES + 12
-_TAIL: Final = _PLACES + 16
+_TAIL: Final = _PLACES + 18
 _OF_GLOSS: Final = (_GLOSS, _GLOSS + 1, _TAIL)
-"""Numbers before them: right and down by channel, then logarithms of heights; where those of gloss and its tail are."""
+_BOUNCE: Final = (_GLOSS + 3, _GLOSS + 4)
+"""Numbers before them: right and down by channel, then logarithms of heights; where those of gloss and its tail are,
+and those of bounce."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LampFit:
     """Lamps as balls show them.
 
-    lamps : as all balls and all but a fold of them show them
+    lamps : as all balls and all but a fold of them show them; without folds where lamps explain nothing
     shift_px : float64 array of shape (balls, 2), what is to be added to each centre's column and row
     residual : root mean square intensity that is left of the balls, outliers bounded
     """
@@ -99,23 +106,31 @@ class LampFit:
 
 
 def fit_lamps(
-    samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
+    samples: BallSamples,
+    close: Float64Array,
+    balls: Sequence[Ball],
+    apexes_px: Sequence[float],
+    shape: tuple[int, int],
 ) -> LampFit:
     """The lamps that balls of a full-size field of `shape` (H, W) show.
 
     samples : of the balls
+    close : what skin close to each sample shows, shape (N, 3)
     apexes_px : elevation of each ball's apex over untouched skin, pixels
     """
-    search = _Search.of(samples, balls, apexes_px, shape)
+    search = _Search.of(samples, close, balls, apexes_px, shape)
     matt = np.concatenate([search.first_places(), _START])
-    best = first = search.solved(matt, np.zeros((len(balls), 2)), gloss=False)
+    best = first = search.solved(matt, np.zeros((len(balls), 2)), fixed=_OF_GLOSS)
     for width in GLOSS_WIDTHS:
         begin = first.numbers.copy()
         begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
-        found = search.solved(begin, first.shift_px, gloss=True)
+        found = search.solved(begin, first.shift_px)
         if found.residual < GLOSS_GAIN * best.residual:
             best = found
-    lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in best.without_folds()))
+    if any(best.numbers[number] < 0.0 for number in _BOUNCE):
+        best = search.without_darkening(best)
+    folds = best.without_folds() if best.residual < MAX_RESIDUAL else ()
+    lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in folds))
     return LampFit(lamps, best.shift_px, best.residual)
 
 
@@ -155,6 +170,7 @@ class _Search:
     """Samples whose intensity a model is to foretell.
 
     intensity : float64 array of shape (N, 3)
+    close : what skin close to them shows, float64 array of shape (N, 3)
     column, row : float64 arrays of shape (N,), pixels
     ball : int array of shape (N,)
     centre, radius_px, apex_px : of their balls, float64 arrays of shape (N, 2), (N,) and (N,)
@@ -163,6 +179,7 @@ class _Search:
     """
 
     intensity: Float64Array
+    close: Float64Array
     column: Float64Array
     row: Float64Array
     ball: np.ndarray
@@ -174,7 +191,12 @@ class _Search:
 
     @classmethod
     def of(
-        cls, samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
+        cls,
+        samples: BallSamples,
+        close: Float64Array,
+        balls: Sequence[Ball],
+        apexes_px: Sequence[float],
+        shape: tuple[int, int],
     ) -> _Search:
         rows = np.random.default_rng(0).permutation(len(samples.p))[:SAMPLES]
         ball = samples.ball[rows]
@@ -182,14 +204,15 @@ class _Search:
         radius_px = np.array([one.radius_px for one in balls])[ball]
         column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
         seen = samples.taught[rows].astype(np.float64)
-        return cls(seen, column, row, ball, centre, radius_px, np.array(apexes_px)[ball], len(balls), shape)
+        apex_px = np.array(apexes_px)[ball]
+        return cls(seen, close[rows], column, row, ball, centre, radius_px, apex_px, len(balls), shape)
 
     def model(self, numbers: Float64Array) -> LampModel:
         """The model of these numbers."""
         strip, fall_off, *mixed = numbers[_PLACES:].tolist()
         mixing = np.eye(3)
         mixing[~np.eye(3, dtype=np.bool_)] = mixed[:6]
-        haze, (roughness, gloss, width, bounce, beam, tail, camera) = np.array(mixed[6:9]), mixed[9:]
+        haze, (roughness, gloss, width, tilt_gain, close, afar, beam, tail, camera) = np.array(mixed[6:9]), mixed[9:]
         position = np.concatenate([numbers[:6].reshape(3, 2), np.exp(numbers[6:9, None])], axis=1)
         return LampModel(
             self.shape,
@@ -201,7 +224,9 @@ class _Search:
             roughness,
             gloss,
             gloss_width=float(np.exp(width)),
-            bounce=bounce,
+            tilt_gain=tilt_gain,
+            bounce_close=close,
+            bounce_afar=afar,
             beam=beam,
             tail=float(np.exp(tail)),
             camera=camera,
@@ -221,13 +246,20 @@ class _Search:
         slants = np.linalg.lstsq(terms, lit, rcond=None)[0][:2]
         return np.concatenate([-HEIGHT * slants.T.ravel(), np.full(3, np.log(HEIGHT))])
 
-    def solved(self, begin: Float64Array, shift_px: Float64Array, *, gloss: bool) -> _Solution:
-        """The best fit near these numbers and shifts of centres (balls, 2)."""
+    def without_darkening(self, found: _Solution) -> _Solution:
+        """The best fit near another one in which no skin takes light from skin beside it."""
+        begin, fixed = found.numbers.copy(), set(range(len(found.numbers))) - set(found.free.tolist())
+        for number in _BOUNCE:
+            if begin[number] < 0.0:
+                begin[number] = 0.0
+                fixed.add(number)
+        return self.solved(begin, found.shift_px, fixed=tuple(fixed))
+
+    def solved(self, begin: Float64Array, shift_px: Float64Array, *, fixed: tuple[int, ...] = ()) -> _Solution:
+        """The best fit near these numbers and shifts of centres (balls, 2); some of the numbers are fixed."""
         from scipy.optimize import least_squares  # here, because it takes as long to load as a reconstruction
 
-        free = np.arange(len(begin))
-        if not gloss:
-            free = np.delete(free, _OF_GLOSS)
+        free = np.delete(np.arange(len(begin)), fixed)
         expected, doubt = np.append(np.zeros(_PLACES), _EXPECTED), np.append(np.full(_PLACES, np.inf), _DOUBT)
         weight = np.sqrt(len(self.ball) / PRIOR_SAMPLES)
         sigma_px = CENTRE_SIGMA * float(np.median(self.radius_px))
@@ -262,7 +294,7 @@ class _Search:
             return found
 
         start = np.concatenate([begin[free], shift_px.ravel()])
-        found = least_squares(off, start, derivatives, max_nfev=ROUNDS, x_scale="jac")
+        found = least_squares(off, start, derivatives, ftol=TOLERANCE, max_nfev=ROUNDS, x_scale="jac")
         numbers, shift = parted(found.x)
         bounded = NOISE * found.fun[: 3 * len(self.ball)]
         residual = float(np.sqrt((bounded**2).mean()))
@@ -273,7 +305,7 @@ class _Search:
         """Intensity foretold less that seen, (N, 3)."""
         p, q, z_px = self._sphere(shift_px)
         with np.errstate(all="ignore"):
-            shown = self.model(numbers).shown(p, q, self.column, self.row, z_px)
+            shown = self.model(numbers).shown(p, q, self.column, self.row, z_px, self.close)
         return np.asarray(shown - self.intensity)
 
     def _sphere(self, shift_px: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:

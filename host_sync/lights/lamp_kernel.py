@@ -20,11 +20,11 @@ def write_light(
 
     points : of each lamp, where it is and how bright, shape (3, points, 4), in widths of the field
     axes : of the lamps' beams, shape (3, 3)
-    coat : fall-off, even and uneven share of the rough coat, gloss, squared width of its lobe, tail, bounce, beam and
-        camera
+    coat : fall-off, even and uneven share of the rough coat, gloss, squared width of its lobe, tail, gain with tilt,
+        beam and camera
     p, q, x, y, z : slopes and places, shape (N,)
     """
-    fall_off, even, uneven, gloss, narrow, tail, bounce, beam, camera = coat
+    fall_off, even, uneven, gloss, narrow, tail, tilt_gain, beam, camera = coat
     for i in range(first, last):
         up = 1.0 / np.sqrt(1.0 + p[i] * p[i] + q[i] * q[i])
         n0, n1, n2 = -p[i] * up, -q[i] * up, up
@@ -55,4 +55,4 @@ def write_light(
                 facing = max(axes[channel, 0] * l0 + axes[channel, 1] * l1 + axes[channel, 2] * l2, 0.0)
                 bright = points[channel, point, 3] * ((1.0 - beam) + beam * facing)
                 total += bright * reflected * square ** (-0.5 * fall_off)
-            own[i, channel] = total * (1.0 + bounce * (1.0 - up))
+            own[i, channel] = total * (1.0 + tilt_gain * (1.0 - up))

@@ -4,8 +4,9 @@ Each channel has a lamp of its own over the skin: a point or a strip, whose ligh
 distance. A rough coat reflects it (Oren and Nayar, "Generalization of Lambert's reflectance model", SIGGRAPH 1994), and
 shines (microfacets as of Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, with a
 tail that may be shorter or longer, as of Burley, "Physically based shading at Disney", SIGGRAPH 2012). Filters pass
-some of the other lamps' light, haze lights all skin alike, and slanted skin receives light from skin beside it. As
-intensity is divided by that of untouched skin, neither vignetting nor the lamps' brightness matters.
+some of the other lamps' light, haze lights all skin alike, and slanted skin receives light from skin beside it
+(`surroundings`). As intensity is divided by that of untouched skin, neither vignetting nor the lamps' brightness
+matters.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class LampModel:
     roughness : of the coat, the standard deviation of its facets' slopes, radians
     gloss : share of the coat that shines
     gloss_width : width of that reflection, the microfacets' alpha
-    bounce : what slanted skin receives from skin beside it, as a share of its own light
+    tilt_gain : by what share skin of tilt t shows more than such a coat does, over 1 - cos t: flakes show less
+    bounce_close, bounce_afar : light that skin of tilt t receives from skin close by (`surroundings`) and from level
+        skin farther away, over 1 - cos t times what that skin shows
     beam : share of a lamp's light that goes with the cosine from its axis, which meets the middle of the field; the
         rest shines alike in all directions
     tail : power with which that reflection fades away from its middle: 2 of most coats, far more of aligned flakes
@@ -56,33 +59,48 @@ class LampModel:
     roughness: float
     gloss: float
     gloss_width: float
-    bounce: float
+    tilt_gain: float
+    bounce_close: float
+    bounce_afar: float
     beam: float
     tail: float
     camera: float
 
     def shown(
-        self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
+        self,
+        p: Float64Array,
+        q: Float64Array,
+        column: Float64Array,
+        row: Float64Array,
+        z_px: Float64Array,
+        close: Float64Array | None = None,
     ) -> Float64Array:
         """Intensity, divided by that of untouched skin at the same place: float64 array of shape (N, 3).
 
         p, q : slopes, shape (N,)
         column, row : pixels, shape (N,)
         z_px : elevation over untouched skin, shape (N,)
+        close : what skin close to each place shows, shape (N, 3); None where it is untouched
         """
         level = np.zeros_like(column)
-        return np.asarray(self._light(p, q, column, row, z_px) / self._light(level, level, column, row, level))
+        direct = self._light(p, q, column, row, z_px) / self._light(level, level, column, row, level)
+        return np.asarray(direct + self.bounced(p, q, np.ones_like(direct) if close is None else close))
+
+    def bounced(self, p: Float64Array, q: Float64Array, close: Float64Array) -> Float64Array:
+        """Intensity (N, 3) that slopes (N,) receive from skin around them, of which that close by shows `close`."""
+        tilted = 1.0 - 1.0 / np.sqrt(1.0 + p * p + q * q)
+        return np.asarray(tilted[:, None] * (self.bounce_afar + self.bounce_close * close))
 
     def own_light(
         self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
     ) -> Float64Array:
-        """What skin shows of each channel's own lamp, up to a factor of its own: float64 array of shape (N, 3)."""
+        """What skin shows of each channel's own lamp directly, up to a factor of its own: shape (N, 3)."""
         rows, columns = self.shape
         x, y = (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns
         square = self.roughness**2
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
         shine = (self.gloss, self.gloss_width**2, self.tail)
-        coat = np.array([self.fall_off, even, uneven, *shine, self.bounce, self.beam, self.camera])
+        coat = np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera])
         own = np.empty((len(x), 3))
         axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
         parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, p, q, x, y, z_px / columns, own)

@@ -6,14 +6,16 @@ and elevation, and tell what each channel shows where another is hidden.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.surroundings import Surroundings
 
 INTENSITY_SIGMA: Final = 0.01
 """Standard uncertainty of the intensity that lamps foretell."""
@@ -37,6 +39,7 @@ class LampSkin:
     column, row : pixels, float64 arrays of shape (N,)
     rest : intensity of untouched skin there up to the model's factor, shape (N, 3)
     shares : of it, what each channel shows of each lamp, shape (N, 3, 3)
+    close : what skin close by shows, shape (N, 3)
     """
 
     model: LampModel
@@ -44,26 +47,31 @@ class LampSkin:
     row: Float64Array
     rest: Float64Array
     shares: Float64Array
+    close: Float64Array
 
     @classmethod
-    def at(cls, model: LampModel, column: Float64Array, row: Float64Array) -> LampSkin:
-        """Skin at these pixels, float64 arrays of shape (N,)."""
+    def at(
+        cls, model: LampModel, column: Float64Array, row: Float64Array, around: Surroundings | None = None
+    ) -> LampSkin:
+        """Skin at these pixels, float64 arrays of shape (N,); None where the skin around is untouched."""
         level = np.zeros_like(column)
         own = model.own_light(level, level, column, row, level)
         rest = model.mixed(own)
-        return cls(model, column, row, rest, model.mixing * own[:, None, :] / rest[:, :, None])
+        close = np.ones_like(rest) if around is None else around.at(column, row)
+        return cls(model, column, row, rest, model.mixing * own[:, None, :] / rest[:, :, None], close)
 
     def select(self, rows: np.ndarray) -> LampSkin:
         """The places of these numbers."""
-        return LampSkin(self.model, self.column[rows], self.row[rows], self.rest[rows], self.shares[rows])
+        parts = (part[rows] for part in (self.column, self.row, self.rest, self.shares, self.close))
+        return LampSkin(self.model, *parts)
 
     def shown(self, slope: Float64Array, z_px: Float64Array, model: LampModel | None = None) -> Float64Array:
         """Intensity (N, 3) of slopes (N, 2) at elevations (N,), under other lamps where they are given."""
         p, q = np.ascontiguousarray(slope.T)
         if model is not None:
-            return model.shown(p, q, self.column, self.row, z_px)
+            return model.shown(p, q, self.column, self.row, z_px, self.close)
         own = self.model.own_light(p, q, self.column, self.row, z_px)
-        return np.asarray(self.model.mixed(own) / self.rest)
+        return np.asarray(self.model.mixed(own) / self.rest + self.model.bounced(p, q, self.close))
 
     def changes(self, slope: Float64Array, z_px: Float64Array, shown: Float64Array) -> Float64Array:
         """What intensities that are shown change with both slopes: shape (N, 3, 2)."""
@@ -140,15 +148,23 @@ def gauss_newton_step(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LampReader:
-    """What lamps make of an inverse map's slopes at the elevation of untouched skin."""
+    """What lamps make of an inverse map's slopes at the elevation of untouched skin.
+
+    around : of the skin that is read; None where it is untouched
+    """
 
     inverse: InverseMap
     model: LampModel
+    around: Surroundings | None = None
+
+    def in_frame(self, image: NormalizedImage) -> LampReader:
+        """The reader of an image's skin."""
+        return replace(self, around=Surroundings.of(image.values))
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes p and q, float64 array of shape (N, 2), of intensities (N, 3) at pixels (N,)."""
         read = self.inverse.predict(intensity, column, row)
-        skin = LampSkin.at(self.model, column.astype(np.float64), row.astype(np.float64))
+        skin = LampSkin.at(self.model, column.astype(np.float64), row.astype(np.float64), self.around)
         seen, level = intensity.astype(np.float64), np.zeros(len(read))
         before, slope = KnownBefore(read, SURFACE_SIGMA), read
         for _ in range(READER_STEPS):

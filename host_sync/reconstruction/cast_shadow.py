@@ -24,9 +24,9 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Mas
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
 from host_sync.integration.zero_level import elevation_over_datum_px
-from host_sync.kernels.cell_rows import cell_px
+from host_sync.kernels.cell_rows import cell_px, means_of_cells
 from host_sync.lights.lamp_slopes import bounded, gauss_newton_step
-from host_sync.reconstruction.cell_correction import CellCorrection, of_cells
+from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
 
@@ -134,8 +134,8 @@ class _Cells:
             flat = nodes.reshape(*nodes.shape[:2], 9)
             between = rows_between_nodes(flat, x.astype(np.float32), y.astype(np.float32))
             raised = np.swapaxes(between.reshape(-1, 3, 3), 1, 2).astype(np.float64)
-        arriving = np.ones((*size, 3)) if alone is None else arriving_share(of_cells(alone, size, cell))
-        return cls(of_cells(image.values, size, cell), model.at(place), raised, model.leaks, cell, arriving)
+        arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
+        return cls(means_of_cells(image.values, size, cell), model.at(place), raised, model.leaks, cell, arriving)
 
     def slopes(
         self, p: Float32Array, q: Float32Array, known: MaskArray, z_px: Float32Array

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, GradientField
+from device.surface.fields import Float32Array, GradientField
 from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
@@ -48,17 +48,6 @@ class CellCorrection:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
         p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
         return np.asarray(p, np.float32), np.asarray(q, np.float32)
-
-
-def of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
-    """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
-    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
-    channels = []
-    for channel in range(values.shape[2]):
-        plane = np.ascontiguousarray(values[..., channel])
-        whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
-    return np.stack(channels, axis=-1).astype(np.float64)
 
 
 @njit(cache=True, nogil=True)

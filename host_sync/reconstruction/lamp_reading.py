@@ -18,7 +18,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
-from host_sync.kernels.cell_rows import cell_px
+from host_sync.kernels.cell_rows import cell_px, means_of_cells
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import (
@@ -29,8 +29,9 @@ from host_sync.lights.lamp_slopes import (
     gauss_newton_step,
     move_towards,
 )
+from host_sync.lights.surroundings import Surroundings
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
-from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair, of_cells
+from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair
 from host_sync.reconstruction.elevation_correction import cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
 from host_sync.uncertainty.calibration_uncertainty import jackknifed
@@ -132,10 +133,10 @@ class _Cells:
         """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
         row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
         across, down = (axis.ravel() for axis in np.meshgrid(column, row))
-        arriving = np.ones((*size, 3)) if alone is None else arriving_share(of_cells(alone, size, cell))
-        intensity = np.nan_to_num(of_cells(image.values, size, cell)).reshape(-1, 3)
-        faithful = of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
-        return cls(intensity, LampSkin.at(model, across, down), cell, arriving, faithful)
+        arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
+        intensity = np.nan_to_num(means_of_cells(image.values, size, cell)).reshape(-1, 3)
+        faithful = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
+        return cls(intensity, LampSkin.at(model, across, down, Surroundings.of(image.values)), cell, arriving, faithful)
 
     def slopes(
         self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int

@@ -13,7 +13,7 @@ Standard deviations are half of the middle 68 % of the errors: few pixels (dust,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final, NamedTuple, Protocol
@@ -97,10 +97,10 @@ def measure_slope_error(
     over_cells : what corrects the map's slopes over cells, whose folds say the same of it; None where nothing does
     """
     known = bool(fit.replicas) or over_cells is not None
-    errors = list(_ball_errors(presses, fit.map))
+    errors = list(_ball_errors(presses, lambda _: fit.map))
     bands = _by_band(errors)
     if over_cells is not None:
-        errors = list(_ball_errors(over_cells.means_of(presses), over_cells.reads))
+        errors = list(_ball_errors(over_cells.means_of(presses), over_cells.reads.in_frame))
         bands = _with_patches_of(bands, _by_band(errors))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
@@ -126,6 +126,14 @@ class ReadsSlopes(Protocol):
         ...
 
 
+class ReadsFrames(Protocol):
+    """What reads each image's slopes with what is known of that image."""
+
+    def in_frame(self, image: NormalizedImage) -> ReadsSlopes:
+        """What reads this image's slopes."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OverCells:
     """What reads slopes of means over cells.
@@ -133,7 +141,7 @@ class OverCells:
     size_px : of a cell
     """
 
-    reads: ReadsSlopes
+    reads: ReadsFrames
     size_px: int
 
     def means_of(self, presses: Pressed) -> Pressed:
@@ -155,7 +163,7 @@ class ErrorByTilt(NamedTuple):
 
 def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
     """What is read wrong of the balls that were pressed."""
-    tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, reads))), strict=True)
+    tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, lambda _: reads))), strict=True)
     return ErrorByTilt(tilt, pixel, patch)
 
 
@@ -245,9 +253,10 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
 
 
-def _ball_errors(presses: Pressed, inverse_map: ReadsSlopes) -> Iterator[_BallError]:
+def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage], ReadsSlopes]) -> Iterator[_BallError]:
     """The slope error of each ball that shows enough faithful pixels."""
     for image, balls in presses:
+        reads = reader(image)
         for ball in balls:
             window = _window(ball, image.shape)
             row, column = np.mgrid[window].astype(np.float32)
@@ -255,7 +264,7 @@ def _ball_errors(presses: Pressed, inverse_map: ReadsSlopes) -> Iterator[_BallEr
             inside &= image.faithful_at(window)
             if inside.sum() < MIN_PIXELS:
                 continue
-            read = inverse_map.predict(image.values[window][inside], column[inside], row[inside])
+            read = reads.predict(image.values[window][inside], column[inside], row[inside])
             ball = _centred(ball, read, column[inside], row[inside])
             truth = np.stack(sphere_slopes(ball, column, row)).astype(np.float64)
             slope = np.zeros((2, *inside.shape))

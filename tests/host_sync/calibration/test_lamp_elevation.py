@@ -17,6 +17,7 @@ from host_sync.calibration.elevation_response import ElevationResponse, measure_
 from host_sync.calibration.lamp_elevation import as_read, find_lamps, response_under
 from host_sync.lights.lamp_fit import FOLDS, LampFit, fit_lamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
+from host_sync.lights.surroundings import Surroundings
 
 HEIGHT_PX = 220.0
 LAMPS = NearLamps(HEIGHT_PX)
@@ -44,13 +45,17 @@ def elevated(pressed: list[tuple[NormalizedImage, list[Ball]]], flat_field: np.n
     )
 
 
-def fitted() -> LampFit:
-    pressed = presses(IMAGES)
-    apexes_px = [apex for _, apex in TRUE]
-    return fit_lamps(gather_samples(pressed, to_teach=True), [ball for _, (ball,) in pressed], apexes_px, SHAPE)
+def fitted(images: list[NormalizedImage]) -> LampFit:
+    pressed = presses(images)
+    samples = gather_samples(pressed, to_teach=True)
+    close = np.ones((len(samples.p), 3))
+    for number, (image, _) in enumerate(pressed):
+        rows = samples.ball == number
+        close[rows] = Surroundings.of(image.values).at(samples.column[rows], samples.row[rows])
+    return fit_lamps(samples, close, [ball for _, (ball,) in pressed], [apex for _, apex in TRUE], SHAPE)
 
 
-FIT = fitted()
+FIT = fitted(IMAGES)
 
 
 def test_balls_show_where_the_lamps_stand_and_where_their_centres_are() -> None:
@@ -63,6 +68,22 @@ def test_balls_show_where_the_lamps_stand_and_where_their_centres_are() -> None:
     assert float(np.sqrt((left**2).mean())) < 0.35 * float(np.sqrt((OFF_PX**2).mean()))
     assert FIT.residual < 0.006
     assert FIT.explains(residual=0.03)
+
+
+def test_light_of_level_skin_beside_a_ball_is_told_from_lamps() -> None:
+    """A plane that slants by t sees a level one over (1 - cos t) / 2 of what is above it; the skin sends back 0.6."""
+    albedo = 0.6
+    images = []
+    for image, (ball, apex) in zip(IMAGES, TRUE, strict=True):
+        q, p = np.gradient(press_px(ball, apex))
+        view = 0.5 * (1.0 - 1.0 / np.sqrt(1.0 + p**2 + q**2))
+        images.append(replace(image, values=image.values + (albedo * view[..., None]).astype(np.float32)))
+    fit = fitted(images)
+    bounce = fit.lamps.model.bounce_close + fit.lamps.model.bounce_afar
+    assert bounce == pytest.approx(0.5 * albedo, abs=0.07)
+    assert FIT.lamps.model.bounce_close + FIT.lamps.model.bounce_afar == pytest.approx(0.0, abs=0.07)
+    assert fit.residual < 0.006
+    np.testing.assert_allclose(SHAPE[1] * fit.lamps.model.position[:, 2], HEIGHT_PX, rtol=0.05)
 
 
 def test_without_a_fold_of_balls_lamps_stand_a_little_elsewhere() -> None:

@@ -26,7 +26,14 @@ def across_px(channel: int) -> np.ndarray:
     [
         POINTS,
         replace(
-            POINTS, strip=0.4, fall_off=1.4, haze=np.full(3, 0.05), roughness=0.5, gloss=0.3, bounce=0.4, camera=0.3
+            POINTS,
+            strip=0.4,
+            fall_off=1.4,
+            haze=np.full(3, 0.05),
+            roughness=0.5,
+            gloss=0.3,
+            bounce_close=0.4,
+            camera=0.3,
         ),
     ],
 )
@@ -97,3 +104,11 @@ def test_a_strip_of_no_length_is_a_point_and_a_mixture_lies_between_its_lamps() 
     assert (mixed > alone.min(axis=1, keepdims=True) - 1e-12).all()
     thin = replace(POINTS, strip=1e-9).shown(P, Q, COLUMN, ROW, Z_PX)
     np.testing.assert_allclose(thin, alone, rtol=1e-6)
+
+
+def test_slanted_skin_receives_light_of_skin_close_by_and_afar() -> None:
+    close = RANDOM.uniform(0.5, 1.5, (50, 3))
+    direct = POINTS.shown(P, Q, COLUMN, ROW, Z_PX)
+    lit = replace(POINTS, bounce_close=0.28, bounce_afar=0.12).shown(P, Q, COLUMN, ROW, Z_PX, close)
+    tilted = 1.0 - np.cos(np.arctan(np.hypot(P, Q)))[:, None]
+    np.testing.assert_allclose(lit - direct, tilted * (0.12 + 0.28 * close), rtol=1e-9, atol=1e-12)

@@ -20,7 +20,8 @@ MODEL = replace(
     roughness=0.4,
     gloss=0.1,
     gloss_width=0.4,
-    bounce=0.3,
+    bounce_close=0.2,
+    bounce_afar=0.1,
     beam=0.5,
     camera=0.1,
 )
@@ -65,7 +66,7 @@ def test_two_channels_are_enough_where_the_third_is_dark() -> None:
     """Its own light is missing from the others too, as far as their filters pass it."""
     own = MODEL.own_light(TRUE[:, 0], TRUE[:, 1], COLUMN, ROW, Z_PX)
     own[:, 1] = 0.0
-    dark = MODEL.mixed(own) / SKIN.rest
+    dark = MODEL.mixed(own) / SKIN.rest + MODEL.bounced(TRUE[:, 0], TRUE[:, 1], SKIN.close)
     trust = np.broadcast_to([1.0, 0.0, 1.0], SEEN.shape)
     before = KnownBefore(READ, 0.15)
     wrong = np.abs(found(dark, before, 12) - TRUE).mean()

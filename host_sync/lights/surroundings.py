@@ -1,0 +1,45 @@
+"""What skin beside a place shows: its light falls on skin that slants.
+
+A slope of tilt t sees level skin around it over (1 - cos t) / 2 of what is above it (view factor of a tilted plane; Liu
+and Jordan, "The long-term average performance of flat-plate solar-energy collectors", Solar Energy 7, 1963). How bright
+skin close by is, under all lamps at once, the frame itself tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.kernels.cell_rows import cell_px, means_of_cells
+
+CLOSE_WIDTHS: Final = 0.015
+"""Standard deviation of the Gaussian over skin close by, in widths of the field."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What a frame's skin shows on the mean close to the middles of cells.
+
+    intensity : divided by that of untouched skin, float32 array of shape (h, w, 3)
+    cell : pixels along a cell
+    """
+
+    intensity: Float32Array
+    cell: int
+
+    @classmethod
+    def of(cls, values: Float32Array) -> Surroundings:
+        """The surroundings in a frame of normalized intensity (H, W, 3); what is not known counts as untouched skin."""
+        cell = cell_px(values.shape)
+        size = (-(-values.shape[0] // cell), -(-values.shape[1] // cell))
+        known = np.nan_to_num(means_of_cells(values, size, cell), nan=1.0).astype(np.float32)
+        return cls(np.asarray(cv2.GaussianBlur(known, (0, 0), CLOSE_WIDTHS * size[1]), np.float32), cell)
+
+    def at(self, column: Float64Array, row: Float64Array) -> Float64Array:
+        """What skin close to pixels of these places (N,) shows, by the cell they lie in: shape (N, 3)."""
+        down, across = (np.rint(place).astype(np.intp) // self.cell for place in (row, column))
+        return self.intensity[down, across].astype(np.float64)
