@@ -55,6 +55,10 @@ PENUMBRA: Final = 0.3
 OBSTRUCTED: Final = 0.85
 """The same as a share of what clears level skin: a lamp that stands low is not hidden for that."""
 
+GRAZED: Final = (0.03, 0.09)
+"""Tangents by which the ray to a light clears the skin: up to the first the light is not counted on, from the second it
+is. Lamps are not points, and cells round edges off."""
+
 DARKER: Final = (0.02, 0.06)
 """Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
 
@@ -149,7 +153,8 @@ class _Cells:
         z_px : elevation
         """
         known = known & self.faithful
-        hidden = self._may_be_hidden(z_px) & known[..., None]
+        hidden, arriving = self._may_be_hidden(z_px)
+        hidden &= known[..., None]
         steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0) * known
         lit, dark = (np.flatnonzero(part) for part in ((steep > 0.0) & ~hidden.any(axis=-1), hidden.any(axis=-1)))
         if not lit.size and not dark.size:
@@ -157,7 +162,8 @@ class _Cells:
         surface = np.stack([np.gradient(z_px, self.cell, axis=axis) for axis in (1, 0)], axis=-1).astype(np.float64)
         found, trust = slope.reshape(-1, 2).copy(), np.ones(z_px.size)
         self._solve_lit(found, lit, surface.reshape(-1, 2), z_px.ravel(), steps)
-        self._solve_dark(found, trust, dark, surface.reshape(-1, 2), z_px.ravel(), hidden.reshape(-1, 3))
+        lights = hidden.reshape(-1, 3), arriving.reshape(-1, 3)
+        self._solve_dark(found, trust, dark, surface.reshape(-1, 2), z_px.ravel(), *lights)
         share = np.maximum(steep.ravel(), 1.0 - trust)[:, None]
         mixed = read.reshape(-1, 2) + share * (found - read.reshape(-1, 2))
         return mixed.reshape(read.shape), (1.0 - trust).reshape(z_px.shape).astype(np.float32)
@@ -176,13 +182,15 @@ class _Cells:
         p, q = (jackknifed(moves[..., axis]).reshape(-1, *z_px.shape) for axis in (0, 1))
         return p, q
 
-    def _may_be_hidden(self, z_px: Float32Array) -> MaskArray:
-        """Which lights may be hidden where: bool array of shape (h, w, 3)."""
+    def _may_be_hidden(self, z_px: Float32Array) -> tuple[MaskArray, Float64Array]:
+        """Which lights may be hidden where, bool array of shape (h, w, 3), and how much each arrives at most."""
         model = self.skin.model
         slants = KnownLamps(model.position * model.shape[1]).slants(z_px, self.cell, model.shape)
         clear = np.stack([clearance(z_px, self.cell, slants[..., lamp, :]) for lamp in range(3)], axis=-1)
         level = 1.0 / np.maximum(np.linalg.norm(slants, axis=-1), 1e-3)
-        return np.asarray((clear < np.minimum(PENUMBRA, OBSTRUCTED * level)) | (self.arriving < 1.0))
+        hidden = (clear < np.minimum(PENUMBRA, OBSTRUCTED * level)) | (self.arriving < 1.0)
+        passes = np.clip((clear - GRAZED[0]) / (GRAZED[1] - GRAZED[0]), 0.0, 1.0)
+        return np.asarray(hidden), np.minimum(self.arriving, passes)
 
     def _solve_lit(
         self, found: Float64Array, here: np.ndarray, surface: Float64Array, z_px: Float32Array, steps: int
@@ -205,16 +213,20 @@ class _Cells:
         surface: Float64Array,
         z_px: Float32Array,
         hidden: MaskArray,
+        arriving: Float64Array,
     ) -> None:
-        """Write slopes of skin that a light may not reach, and the weight of the least of its lights."""
+        """Write slopes of skin that a light may not reach, and the weight of the least of its lights.
+
+        hidden, arriving : of each light, whether it may be, and how much it arrives at most, shape (h w, 3)
+        """
         if not here.size:
             return
         skin, seen, z = self.skin.select(here), self.intensity[here], z_px[here].astype(np.float64)
         before, slope = KnownBefore(surface[here], HIDDEN_SURFACE_SIGMA), surface[here]
-        arriving, weight = self.arriving.reshape(-1, 3)[here], np.where(hidden[here], 0.0, 1.0)
+        weight = np.where(hidden[here], 0.0, 1.0)
         for step in range(HIDDEN_STEPS):
             shown = skin.shown(slope, z)
             if step >= FREE_STEPS:
-                weight = np.where(hidden[here], np.minimum(arriving, trust_in(seen, shown, DARKER)), 1.0)
+                weight = np.where(hidden[here], np.minimum(arriving[here], trust_in(seen, shown, DARKER)), 1.0)
             slope = move_towards(skin, seen, slope, z, before, weight, shown)
         found[here], trust[here] = slope, weight.min(axis=1)
