@@ -86,7 +86,7 @@ def _close_by(samples: BallSamples, presses: Sequence[Press]) -> Float64Array:
     close = np.ones((len(samples.p), 3))
     for press in np.unique(press_of_ball):
         rows = press_of_ball[samples.ball] == press
-        close[rows] = Surroundings.of(presses[press][0].values).at(samples.column[rows], samples.row[rows])
+        close[rows] = Surroundings.of(presses[press][0]).at(samples.column[rows], samples.row[rows])
     return close
 
 

@@ -159,7 +159,7 @@ class LampReader:
 
     def in_frame(self, image: NormalizedImage) -> LampReader:
         """The reader of an image's skin."""
-        return replace(self, around=Surroundings.of(image.values))
+        return replace(self, around=Surroundings.of(image))
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes p and q, float64 array of shape (N, 2), of intensities (N, 3) at pixels (N,)."""

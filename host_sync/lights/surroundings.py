@@ -13,11 +13,15 @@ from typing import Final
 import cv2
 import numpy as np
 
+from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.kernels.cell_rows import cell_px, means_of_cells
 
 CLOSE_WIDTHS: Final = 0.015
 """Standard deviation of the Gaussian over skin close by, in widths of the field."""
+
+ALL: Final = 0.999
+"""Share of a cell's pixels that are faithful in a cell whose intensity counts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,11 +36,13 @@ class Surroundings:
     cell: int
 
     @classmethod
-    def of(cls, values: Float32Array) -> Surroundings:
-        """The surroundings in a frame of normalized intensity (H, W, 3); what is not known counts as untouched skin."""
-        cell = cell_px(values.shape)
-        size = (-(-values.shape[0] // cell), -(-values.shape[1] // cell))
-        known = np.nan_to_num(means_of_cells(values, size, cell), nan=1.0).astype(np.float32)
+    def of(cls, image: NormalizedImage) -> Surroundings:
+        """The surroundings in an image; cells with a saturated pixel, or a dark reference, count as untouched skin."""
+        cell = cell_px(image.shape)
+        size = (-(-image.shape[0] // cell), -(-image.shape[1] // cell))
+        faithful = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell) > ALL
+        shown = np.nan_to_num(means_of_cells(image.values, size, cell), nan=1.0)
+        known = np.where(faithful, shown, 1.0).astype(np.float32)
         return cls(np.asarray(cv2.GaussianBlur(known, (0, 0), CLOSE_WIDTHS * size[1]), np.float32), cell)
 
     def at(self, column: Float64Array, row: Float64Array) -> Float64Array:

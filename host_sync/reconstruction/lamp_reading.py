@@ -29,7 +29,7 @@ from host_sync.lights.lamp_slopes import (
     gauss_newton_step,
     move_towards,
 )
-from host_sync.lights.surroundings import Surroundings
+from host_sync.lights.surroundings import ALL, Surroundings
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
 from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair
 from host_sync.reconstruction.elevation_correction import cell_means
@@ -45,9 +45,6 @@ FREE_STEPS: Final = 3
 
 LEVEL: Final = (0.005, 0.015)
 """Slopes up to the first are left as they are read, from the second on lamps tell them."""
-
-ALL: Final = 0.999
-"""Share of a cell's pixels that are faithful in a cell whose intensity counts."""
 
 PENUMBRA: Final = 0.3
 """A light may be hidden in part where the tangent of its elevation clears the skin by less."""
@@ -140,7 +137,7 @@ class _Cells:
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
         intensity = np.nan_to_num(means_of_cells(image.values, size, cell)).reshape(-1, 3)
         faithful = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
-        return cls(intensity, LampSkin.at(model, across, down, Surroundings.of(image.values)), cell, arriving, faithful)
+        return cls(intensity, LampSkin.at(model, across, down, Surroundings.of(image)), cell, arriving, faithful)
 
     def slopes(
         self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int

@@ -51,7 +51,7 @@ def fitted(images: list[NormalizedImage]) -> LampFit:
     close = np.ones((len(samples.p), 3))
     for number, (image, _) in enumerate(pressed):
         rows = samples.ball == number
-        close[rows] = Surroundings.of(image.values).at(samples.column[rows], samples.row[rows])
+        close[rows] = Surroundings.of(image).at(samples.column[rows], samples.row[rows])
     return fit_lamps(samples, close, [ball for _, (ball,) in pressed], [apex for _, apex in TRUE], SHAPE)
 
 

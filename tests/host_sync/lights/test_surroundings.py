@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from point_lamps import point_lamps
 
+from device.imaging.flat_field import NormalizedImage
 from host_sync.lights.surroundings import CLOSE_WIDTHS, Surroundings
 
 WIDE = (60, 480)
@@ -17,15 +18,19 @@ TARGETS = 400
 
 def test_untouched_skin_and_what_is_not_known_count_as_untouched() -> None:
     values = np.ones((*WIDE, 3), np.float32)
-    values[20:30, 100:200] = np.nan
-    np.testing.assert_allclose(Surroundings.of(values).intensity, 1.0, rtol=1e-6)
+    values[20:30, 100:200], values[30:40, 100:200], values[20:30, 300:400] = np.nan, 7.0, 9.0
+    valid, clipped = np.ones(WIDE, bool), np.zeros(WIDE, bool)
+    valid[30:40, 100:200], clipped[20:30, 300:400] = False, True
+    np.testing.assert_allclose(Surroundings.of(NormalizedImage(values, valid, clipped)).intensity, 1.0, rtol=1e-6)
 
 
 def test_a_border_between_two_halves_is_seen_from_close_by() -> None:
     values = np.ones((*WIDE, 3), np.float32)
     values[:, 240:] = 2.0
     column = np.arange(480.0)
-    bright = Surroundings.of(values).at(column, np.full(480, 30.0))[:, 0] - 1.0
+    everywhere = np.ones(WIDE, bool)
+    around = Surroundings.of(NormalizedImage(values, everywhere, ~everywhere))
+    bright = around.at(column, np.full(480, 30.0))[:, 0] - 1.0
     assert abs(np.interp(0.5, bright, column) - 239.5) < 1.0
     within = np.interp([0.1587, 0.8413], bright, column)
     assert abs(np.diff(within)[0] / (2.0 * CLOSE_WIDTHS * 480) - 1.0) < 0.1
