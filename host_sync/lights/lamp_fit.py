@@ -127,7 +127,7 @@ def fit_lamps(
         found = search.solved(begin, first.shift_px)
         if found.residual < GLOSS_GAIN * best.residual:
             best = found
-    if any(best.numbers[number] < 0.0 for number in _BOUNCE):
+    while any(best.numbers[number] < 0.0 for number in _BOUNCE):
         best = search.without_darkening(best)
     folds = best.without_folds() if best.residual < MAX_RESIDUAL else ()
     lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in folds))

@@ -29,7 +29,7 @@ from host_sync.lights.lamp_slopes import (
     gauss_newton_step,
     move_towards,
 )
-from host_sync.lights.surroundings import ALL, Surroundings
+from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
 from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair
 from host_sync.reconstruction.elevation_correction import cell_means
@@ -135,9 +135,9 @@ class _Cells:
         row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
         across, down = (axis.ravel() for axis in np.meshgrid(column, row))
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
-        intensity = np.nan_to_num(means_of_cells(image.values, size, cell)).reshape(-1, 3)
-        faithful = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
-        return cls(intensity, LampSkin.at(model, across, down, Surroundings.of(image)), cell, arriving, faithful)
+        intensity, faithful = faithful_cells(image, size, cell)
+        skin = LampSkin.at(model, across, down, Surroundings.of_cells(intensity, faithful, cell))
+        return cls(np.nan_to_num(intensity).reshape(-1, 3), skin, cell, arriving, faithful)
 
     def slopes(
         self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int
