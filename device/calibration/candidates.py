@@ -47,7 +47,7 @@ class RegressorForm:
     place_penalty : how many times as dear a term is for every power of position
     waves : its waves of colour, none of them for a polynomial
     anchored : whether gentle slopes anywhere are learned too: as they are by a curve of near lights' slopes, as
-        `GentleSkin` foretells them by a curve of light
+        `GentleSkin` predicts them by a curve of light
     """
 
     colour_degree: int
@@ -122,7 +122,7 @@ class RegressorFit:
     penalty : of the ridge
     ridge : its features, less those of untouched skin where it is `flat`, at the pixels of balls
     flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
-    skin : foretells the gentle slopes that it is anchored at; None of one that is not, or takes them as they are
+    skin : predicts the gentle slopes that it is anchored at; None of one that is not, or takes them as they are
     error_as_seen : held-out error at its penalty on pixels as they are seen, with their noise, in slope; NaN where it
         was not judged
     """
@@ -185,7 +185,7 @@ def fit_regressor(
     """The learner of this form and penalty, for a full-size field of `shape` (H, W).
 
     kept : as of `ProductFeatures`
-    skin : foretells the gentle slopes that it is anchored at, where it does not read near lights' slopes and is flat
+    skin : predicts the gentle slopes that it is anchored at, where it does not read near lights' slopes and is flat
     """
     place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
     seen = _seen(samples.intensity, place, reading)
@@ -262,7 +262,7 @@ class Lesson:
     shape : (H, W) of the full-size field
     flat : as `RegressorFit` has it
     kept : as of `ProductFeatures`
-    skin : foretells gentle slopes; None where that is not known
+    skin : predicts gentle slopes; None where that is not known
     """
 
     samples: BallSamples
@@ -274,7 +274,7 @@ class Lesson:
     skin: GentleSkin | None = None
 
     def under(self, light: IlluminationMap) -> Lesson:
-        """The same with what its gentle slopes foretell of others under `light` of untouched skin."""
+        """The same with what its gentle slopes predict of others under `light` of untouched skin."""
         return replace(self, skin=GentleSkin.best(self.samples, self.slope, self.shape, light))
 
     def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:

@@ -5,7 +5,7 @@ real coats add squares and cubes of g. All of them are polynomials in position u
 reference is dark for another reason than that lights stand low, they change with it, and what is a polynomial is each
 of them times the reference's light: balls that are left out tell which.
 
-Balls show slopes of a few degrees on a hundredth of their area, and nothing between them. What this foretells there
+Balls show slopes of a few degrees on a hundredth of their area, and nothing between them. What this predicts there
 anchors the curves of the inverse map (see `device.calibration.candidates`).
 """
 
@@ -78,7 +78,7 @@ class GentleSkin:
     def best(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap
     ) -> GentleSkin:
-        """The same, divided by `light` where balls that are left out are foretold clearly better so."""
+        """The same, divided by `light` where balls that are left out are predicted clearly better so."""
         plain, lit = (_Equations.of(samples, slope, shape, over).held_out_error() for over in (None, light))
         return cls.of(samples, slope, shape, light if lit < LIT_GAIN * plain else None)
 

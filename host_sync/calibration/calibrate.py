@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -51,12 +51,11 @@ from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
-from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps, Position
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
-from host_sync.uncertainty.slope_error import OverCells, SlopeError, measure_slope_error
+from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
 Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
@@ -232,16 +231,17 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    reads = lamps_that_read_better(kept, inverse, followed)
+    over_cells = lamps_that_read_better(kept, inverse, followed)
     error = measure_slope_error(
         kept,
         training,
         inverse,
         elevation_left(kept, training, inverse, elevated, followed),
-        OverCells(reads, cell_px(flat_field.shape)) if reads else None,
+        over_cells,
     )
     response = followed.response if followed else None
-    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response)
+    fitted_lamps = followed.lamps if followed and over_cells else None
+    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps)
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -262,7 +262,7 @@ def calibrate(
         ),
         shading=fit_shading_model(training, kept),
         lamps=lamps,
-        fitted_lamps=followed.lamps if followed and reads else None,
+        fitted_lamps=fitted_lamps,
     )
 
 
@@ -359,6 +359,7 @@ def _digest(
     pitch_um: float,
     shrinkage: DetailShrinkage | None = None,
     elevation: ElevationResponse | None = None,
+    lamps: FittedLamps | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -369,4 +370,7 @@ def _digest(
         digest.update(shrinkage.shrinkage.whitening.tobytes() + shrinkage.shrinkage.threshold.tobytes())
     if elevation is not None:
         digest.update(elevation.as_slopes.tobytes())
+    for model in (lamps.model, *lamps.folds) if lamps else ():
+        for field in fields(model):
+            digest.update(np.asarray(getattr(model, field.name), np.float64).tobytes())
     return digest.hexdigest()[:12]

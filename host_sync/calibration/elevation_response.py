@@ -14,7 +14,7 @@ Nothing is assumed of positions, number and mixture of the lights. What the came
 changes b and c by w = ∇ ln V, alike in all channels: b by a·w. A tilt changes the colours in the same way, so that b
 falls into a part that is a common brightening, which vignetting and a ball's wrong centre leave alone, and a part that
 is like a tilt. The first is the evidence: at the apexes of balls the skin is level and high. Measured brightening
-against that which R foretells gives the share of it that is there; a share that cannot be told apart from zero means
+against that which R predicts gives the share of it that is there; a share that cannot be told apart from zero means
 that nothing is known, and nothing is corrected. The second is read from the apexes alone.
 """
 
@@ -56,7 +56,7 @@ CONFIRMED: Final = (0.3, 3.0)
 
 MAX_SHARE: Final = 1.5
 """Share up to which slants grow with it. On six rendered benches with shares of 1.1 to 1.5 features are 1.4 % off with
-it (geometric mean; 2.1 % when slants were held to what was foretold), and a wave of 80 px keeps its gain."""
+it (geometric mean; 2.1 % when slants were held to what was predicted), and a wave of 80 px keeps its gain."""
 
 SHARE_DOUBT: Final = 0.5
 """Relative standard uncertainty of slants for each unit by which the share is not 1."""
@@ -79,7 +79,7 @@ CLEAR: Final = 8.0
 """
 
 MODEL_DOUBT: Final = 0.15
-"""Standard uncertainty of slants that were foretold: skins are not matt, and beams are narrower than a lamp's."""
+"""Standard uncertainty of slants that were predicted: skins are not matt, and beams are narrower than a lamp's."""
 
 BRIGHTENING_DEGREE: Final = 2
 """Degree in position of the common part of b."""
@@ -118,9 +118,9 @@ class ElevationResponse:
     directions : float32 array of shape (n, n, 2, 3), a by component and channel
     brightening : float32 array of shape (n, n, 3), b per pixel of elevation
     slanting : float32 array of shape (n, n, 2, 3), c per pixel of elevation
-    share, share_sigma : of the foretold common brightening that is seen, and its standard uncertainty
+    share, share_sigma : of the predicted common brightening that is seen, and its standard uncertainty
     direction_doubt : error of directions at a ball that was left out, as a share of their spread over the field
-    is_of_lamps : slants were not foretold by the light on untouched skin, but taken as under lamps of one height
+    is_of_lamps : slants were not predicted by the light on untouched skin, but taken as under lamps of one height
     misread : float32 array of shape (n, n, 9), `as_slopes` as the inverse map itself reads raised skin; None where that
         is not known
     """
@@ -173,10 +173,10 @@ class ElevationResponse:
 
     @property
     def possible_fraction(self) -> float:
-        """Share of the foretold that may be there where it is not certain, at most 1.
+        """Share of the predicted that may be there where it is not certain, at most 1.
 
         A share that is neither near 0 nor near 1 says that light changes with elevation in another way: all of the
-        foretold may be there.
+        predicted may be there.
         """
         if self.share > UNEXPLAINED:
             return 1.0
@@ -208,7 +208,7 @@ class ElevationResponse:
 
     @property
     def nearness_sigma_per_px(self) -> float:
-        """Standard uncertainty of `nearness_per_px`: what a correction leaves of slants that were foretold."""
+        """Standard uncertainty of `nearness_per_px`: what a correction leaves of slants that were predicted."""
         if self.is_of_lamps:
             return LAMPS_DOUBT * abs(self.nearness_per_px)
         a, c = self.directions.astype(np.float64), self.slanting.astype(np.float64)
@@ -266,24 +266,24 @@ def _response(
         slants = slants - apexes.elevation_px[:, None, None] * added
     directions = _fitted(slants.reshape(-1, 6), apexes.place, PLACE_DEGREE).reshape(-1, 2, 3)
     doubt = _left_out_error(slants.reshape(-1, 6), apexes.place, PLACE_DEGREE)
-    here = _foretold(directions, light, apexes.place, shape)
+    here = _predicted(directions, light, apexes.place, shape)
     if np.abs(np.linalg.det(_system(here.directions))).min() < MIN_VOLUME:
         return None
-    seen, foretold = (_parts(here.directions, b) for b in (apexes.brightening, here.brightening))
-    power = max(float((foretold[:, 0] ** 2).sum()), 1e-30)
-    share = float((seen[:, 0] * foretold[:, 0]).sum()) / power
-    left = seen[:, 0] - share * foretold[:, 0]
+    seen, predicted = (_parts(here.directions, b) for b in (apexes.brightening, here.brightening))
+    power = max(float((predicted[:, 0] ** 2).sum()), 1e-30)
+    share = float((seen[:, 0] * predicted[:, 0]).sum()) / power
+    left = seen[:, 0] - share * predicted[:, 0]
     sigma = float(np.sqrt((left**2).sum() / (len(left) - 1) / power))
     common = _fitted(seen[:, :1], apexes.place, BRIGHTENING_DEGREE)
     degree = BENT_TILT_DEGREE if len(seen) >= MIN_BALLS_BENT else TILT_DEGREE
     tilt = _fitted(seen[:, 1:], apexes.place, degree)
-    vignetting = _fitted(seen[:, 1:] - share * foretold[:, 1:], apexes.place, TILT_DEGREE)
+    vignetting = _fitted(seen[:, 1:] - share * predicted[:, 1:], apexes.place, TILT_DEGREE)
     side = np.linspace(-1.0, 1.0, NODES)
     nodes = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    there = _foretold(directions, light, nodes, shape)
+    there = _predicted(directions, light, nodes, shape)
     parts = np.concatenate([monomials(nodes, BRIGHTENING_DEGREE) @ common, monomials(nodes, degree) @ tilt], 1)
     brightening = np.einsum("nkc,nc->nk", _system(there.directions), parts)
-    # Derivatives of smooth polynomials are too small: what is seen over what was foretold tells by how much.
+    # Derivatives of smooth polynomials are too small: what is seen over what was predicted tells by how much.
     vignetted = (monomials(nodes, TILT_DEGREE) @ vignetting)[:, :, None]
     slanting = min(share, MAX_SHARE) * (there.slanting - vignetted / share) if share > 0.0 else 0.0 * there.slanting
     return ElevationResponse(
@@ -344,7 +344,7 @@ def _apexes(balls: Sequence[tuple[NormalizedImage, Ball, float]]) -> _Apexes | N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Foretold:
+class _Predicted:
     """a (N, 2, 3), b (N, 3) and c (N, 2, 3) at places of the field, but for vignetting."""
 
     directions: Float64Array
@@ -352,12 +352,14 @@ class _Foretold:
     slanting: Float64Array
 
 
-def _foretold(directions: Float64Array, light: Float64Array, place: Float64Array, shape: tuple[int, int]) -> _Foretold:
+def _predicted(
+    directions: Float64Array, light: Float64Array, place: Float64Array, shape: tuple[int, int]
+) -> _Predicted:
     a = np.einsum("nk,kdc->ndc", monomials(place, PLACE_DEGREE), directions)
     across, down = _derivatives(place, PLACE_DEGREE, shape)
     spreading = across @ directions[:, 0] + down @ directions[:, 1]
     ramp = np.stack([part @ light for part in _derivatives(place, LIGHT_DEGREE, shape)], axis=1)
-    return _Foretold(a, spreading + (a * ramp).sum(axis=1), -ramp)
+    return _Predicted(a, spreading + (a * ramp).sum(axis=1), -ramp)
 
 
 def _light(flat_field: Float32Array) -> Float64Array:

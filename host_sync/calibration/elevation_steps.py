@@ -16,10 +16,12 @@ from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
 from host_sync.calibration.lamp_elevation import find_lamps
 from host_sync.calibration.shading_model import GLITTERING, fit_shading_model
+from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_slopes import LampReader
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.light_height import nearness_per_px
+from host_sync.uncertainty.slope_error import OverCells
 
 
 def elevated_balls_of(
@@ -50,19 +52,23 @@ def lowered_presses(located: Sequence[UsedPress], elevated: ElevatedBalls) -> li
 
 def lamps_that_read_better(
     kept: Sequence[tuple[NormalizedImage, Sequence[Ball]]], inverse: InverseFit, followed: ElevatedBalls | None
-) -> LampReader | None:
-    """What reads balls by the lamps that explain them; None where no lamps do, or held-out balls are read better."""
-    if followed is None or followed.lamps is None:
+) -> OverCells | None:
+    """What reads the balls of `kept` by the lamps that explain them.
+
+    None where no lamps do, or the map without a ball reads it better than lamps without its fold.
+    """
+    if followed is None or followed.lamps is None or inverse.held_out_deg is None:
         return None
-    reads = LampReader(inverse.map, followed.lamps.model)
+    lamps = followed.lamps
+    without = [LampReader(inverse.map, lamps.without(int(number))) for number in np.flatnonzero(inverse.kept)]
     errors_deg = []
-    for image, balls in kept:
-        if balls:
-            shown = gather_samples([(image, balls)])
-            found = reads.in_frame(image).predict(shown.intensity, shown.column, shown.row)
-            errors_deg.append(angle_between_deg(found, np.stack([shown.p, shown.q], axis=-1)))
-    error_deg = float(np.concatenate(errors_deg).mean())
-    return reads if inverse.held_out_deg is None or error_deg < inverse.held_out_deg else None
+    for (image, ball), reader in zip(((image, ball) for image, balls in kept for ball in balls), without, strict=True):
+        shown = gather_samples([(image, [ball])])
+        found = reader.in_frame(image).predict(shown.intensity, shown.column, shown.row)
+        errors_deg.append(angle_between_deg(found, np.stack([shown.p, shown.q], axis=-1)))
+    if float(np.concatenate(errors_deg).mean()) >= inverse.held_out_deg:
+        return None
+    return OverCells(LampReader(inverse.map, lamps.model), without, cell_px(inverse.map.shape))
 
 
 def elevation_left(

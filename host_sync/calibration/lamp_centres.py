@@ -3,7 +3,7 @@
 An apex is sought where intensity is that of untouched skin but for a brightening that all channels share. It stands
 nearer to the lamps than untouched skin, and under each by another share: level skin there looks as if it sloped, and
 the place that looks level is off by so much times the ball's radius. A map that is taught such centres reads all skin
-at the apexes' elevation tilted. Lamps whose places are known foretell the slope, and the shared brightening beside it;
+at the apexes' elevation tilted. Lamps whose places are known predict the slope, and the shared brightening beside it;
 what balls show of that brightening says how much of both a coat follows.
 """
 
@@ -24,7 +24,7 @@ APEX: Final = 0.1
 """Radius of the patch around an apex whose mean intensity is taken, as a share of the ball's radius."""
 
 MAX_FOLLOWED: Final = 1.2
-"""Share of the foretold slope, at most, that centres are moved for: a matt coat shows 0.95, one with flakes 0.6."""
+"""Share of the predicted slope, at most, that centres are moved for: a matt coat shows 0.95, one with flakes 0.6."""
 
 Press = tuple[NormalizedImage, Sequence[Ball]]
 

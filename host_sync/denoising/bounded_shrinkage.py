@@ -17,7 +17,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array
 from host_sync.denoising.detail_transfer import DetailTransfer, TransferBench
 from host_sync.denoising.frame_noise import FrameNoise, measure_noise
-from host_sync.denoising.shrinkage_kernel import shrink
+from host_sync.denoising.long_waves import shrink_but_long_waves
 from host_sync.denoising.slope_colour import SlopeColour
 from host_sync.denoising.wavelet_shrinkage import Shrinkage
 
@@ -54,7 +54,7 @@ class DetailShrinkage:
 
     def shrunk(self, image: NormalizedImage) -> NormalizedImage:
         """The image with its noise shrunk."""
-        return shrink(image, self.shrinkage)
+        return shrink_but_long_waves(image, self.shrinkage)
 
     def record(self) -> dict[str, Any]:
         """What the calibration report says."""

@@ -15,7 +15,7 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.denoising.frame_noise import FrameNoise, root_of
-from host_sync.denoising.shrinkage_kernel import shrink
+from host_sync.denoising.long_waves import shrink_but_long_waves
 from host_sync.denoising.slope_colour import SlopeColour
 from host_sync.denoising.wavelet_shrinkage import HALO_PX, Shrinkage
 
@@ -131,7 +131,9 @@ class TransferBench:
     def _shrunk(self, root: Float32Array, shrinkage: Shrinkage) -> Float32Array:
         everywhere = np.ones(root.shape[:2], np.bool_)
         values = np.asarray(np.maximum(root, np.float32(0.0)) ** 2, np.float32)
-        return np.ascontiguousarray(shrink(NormalizedImage(values, everywhere, ~everywhere), shrinkage).values)
+        return np.ascontiguousarray(
+            shrink_but_long_waves(NormalizedImage(values, everywhere, ~everywhere), shrinkage).values
+        )
 
 
 def _side() -> int:

@@ -19,7 +19,7 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap, surface
 from device.surface.poisson_dct import integrate_dct
 from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
 from host_sync.denoising.frame_noise import FrameNoise, root_of
-from host_sync.denoising.shrinkage_kernel import shrink
+from host_sync.denoising.long_waves import shrink_but_long_waves
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage
 from host_sync.results.record import SlopeNoise
 
@@ -40,7 +40,7 @@ def measure_slope_noise(
     raw = noise.sample((TILE_PX, TILE_PX), rng)
     everywhere = np.ones(raw.shape[:2], np.bool_)
     flat = NormalizedImage(np.asarray((1.0 + raw) ** 2, np.float32), everywhere, ~everywhere)
-    shrunk = root_of(np.ascontiguousarray(shrink(flat, shrinkage).values)) - np.float32(1.0)
+    shrunk = root_of(np.ascontiguousarray(shrink_but_long_waves(flat, shrinkage).values)) - np.float32(1.0)
     tilt = np.degrees(np.arctan(np.hypot(samples.p, samples.q)))
     bands: list[tuple[float, float, float]] = []
     for low, high in pairwise(TILT_EDGES_DEG):

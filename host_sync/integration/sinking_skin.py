@@ -66,7 +66,7 @@ def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
     for _ in range(ROUNDS):
         slope, start = np.polyfit(z[kept], bend[kept], 1)
         off = np.abs(bend - slope * z - start)
-        kept = off < OUTLIER * max(float(off[kept].std()), 1e-12)
+        kept = off < OUTLIER * max(float(np.sqrt((off[kept] ** 2).mean())), 1e-12)
     if slope <= 0.0 or float(np.corrcoef(z[kept], bend[kept])[0, 1]) < MIN_CORRELATION:
         return 0.0
     return float(-start / slope)

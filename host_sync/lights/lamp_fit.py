@@ -167,7 +167,7 @@ class _Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """Samples whose intensity a model is to foretell.
+    """Samples whose intensity a model is to predict.
 
     intensity : float64 array of shape (N, 3)
     close : what skin close to them shows, float64 array of shape (N, 3)
@@ -302,7 +302,7 @@ class _Search:
         return _Solution(numbers, free, shift, residual, found.fun, np.asarray(found.jac), ball)
 
     def _left(self, numbers: Float64Array, shift_px: Float64Array) -> Float64Array:
-        """Intensity foretold less that seen, (N, 3)."""
+        """Intensity predicted less that seen, (N, 3)."""
         p, q, z_px = self._sphere(shift_px)
         with np.errstate(all="ignore"):
             shown = self.model(numbers).shown(p, q, self.column, self.row, z_px, self.close)

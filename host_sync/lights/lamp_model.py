@@ -39,7 +39,7 @@ class LampModel:
     mixing : float64 array of shape (3, 3), by channel what it passes of each lamp's light; 1 of its own
     haze : float64 array of shape (3,), light that does not depend on the slope
     roughness : of the coat, the standard deviation of its facets' slopes, radians
-    gloss : share of the coat that shines
+    gloss : how strongly shining facets count; diffuse skin counts as 1 - gloss
     gloss_width : width of that reflection, the microfacets' alpha
     tilt_gain : by what share skin of tilt t shows more than such a coat does, over 1 - cos t: flakes show less
     bounce_close, bounce_afar : light that skin of tilt t receives from skin close by (`surroundings`) and from level
@@ -129,8 +129,12 @@ class FittedLamps:
     """Lamps that balls tell.
 
     model : of all balls
-    folds : as they would be without a fold of the balls each
+    folds : as they would be without every K-th ball, from each of the first K on
     """
 
     model: LampModel
     folds: tuple[LampModel, ...]
+
+    def without(self, ball: int) -> LampModel:
+        """The lamps that balls show without the fold of the ball of this number; without folds those of all balls."""
+        return self.folds[ball % len(self.folds)] if self.folds else self.model

@@ -18,7 +18,7 @@ from host_sync.lights.lamp_model import LampModel
 from host_sync.lights.surroundings import Surroundings
 
 INTENSITY_SIGMA: Final = 0.01
-"""Standard uncertainty of the intensity that lamps foretell."""
+"""Standard uncertainty of the intensity that lamps predict."""
 
 STEP: Final = 1e-3
 """Slope by which derivatives are taken."""

@@ -1,7 +1,7 @@
 """Any number of lights as groups of three, each of which is calibrated and read as an RGB frame is.
 
 Groups are those whose lights differ most, and together they hold every light. Where a light shows other than the others
-foretell, groups that hold it do not count. Why so, and what was tried: docs/decisions/0010-any-number-of-lights.md.
+predict, groups that hold it do not count. Why so, and what was tried: docs/decisions/0010-any-number-of-lights.md.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LightGroups:
 
     flat_field : float32 array of shape (H, W, N), light of untouched skin
     groups : of three lights each, every light in one of them at least
-    matt : what foretells each light from the others
+    matt : what predicts each light from the others
     typical : float64 array of shape (N,), median contradiction of each light in the presses
     allowed : by how much a frame's may differ from it
     names : of the lights, as messages call them
@@ -62,7 +62,7 @@ class LightGroups:
         return len(self.names)
 
     def check(self, frame: LinearFrame, name: str) -> list[str]:
-        """What speaks against a frame: a light that shows other than the others foretell; nothing of three or fewer.
+        """What speaks against a frame: a light that shows other than the others predict; nothing of three or fewer.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class LightGroups:
             return []
         direction = "brighter" if off[worst] > 0.0 else "darker"
         return [
-            f"light {self.names[worst]} is {abs(off[worst]):.0%} {direction} than the others foretell, where "
+            f"light {self.names[worst]} is {abs(off[worst]):.0%} {direction} than the others predict, where "
             f"{self.allowed:.0%} is usual: check the order of the images and that light"
         ]
 
@@ -182,7 +182,7 @@ def joined(gradients: Sequence[GradientField], left_out: Sequence[MaskArray]) ->
 
 
 def _contradiction(matt: MattLights, frame: LinearFrame, flat_field: Float32Array) -> Float64Array:
-    """By how much each light differs from what the others foretell, in cells: (h, w, N)."""
+    """By how much each light differs from what the others predict, in cells: (h, w, N)."""
     rows, columns = frame.shape
     size = (max(columns // CELL_PX, 1), max(rows // CELL_PX, 1))
     cells = []

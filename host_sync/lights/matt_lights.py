@@ -1,8 +1,8 @@
-"""Where lights stand as seen from each place, by which any of them can be foretold from the others.
+"""Where lights stand as seen from each place, by which any of them can be predicted from the others.
 
 A matt skin of slope g shows, divided by its reference, s I_k = 1 + a_k(x, y)·g under light k, with s = √(1 + |g|²).
 Four lights or more are more equations than unknowns (1 / s, p / s, q / s): what one light shows can be held against
-what the others foretell. A light that is hidden or mirrored is found that way.
+what the others predict. A light that is hidden or mirrored is found that way.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MattLights:
     """Directions of lights.
 
     directions : float32 array of shape (N, K, 2), a's components by light and monomial of place
-    tolerance : float32 array of shape (N,), intensity by which a light may differ from what the others foretell
+    tolerance : float32 array of shape (N,), intensity by which a light may differ from what the others predict
     """
 
     directions: Float32Array
@@ -69,7 +69,7 @@ class MattLights:
         return NEAR_DEGREE if self.directions.shape[1] == len(position_exponents(NEAR_DEGREE)) else FAR_DEGREE
 
     def contradiction(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """By how much each light differs from what the others foretell: (n, N), 0 where they foretell nothing.
+        """By how much each light differs from what the others predict: (n, N), 0 where they predict nothing.
 
         intensity : float32 array of shape (n, N)
         place : position variables, float64 array of shape (n, 2)

@@ -1,7 +1,7 @@
 """Slopes where an object keeps a light from the skin beside it, or where the skin has turned away from a light.
 
 The inverse map takes three lights for granted. Over the first height map a ray from each pixel towards each light says
-where the light may be hidden; a channel that is darker there than the shading model foretells of the slopes that the
+where the light may be hidden; a channel that is darker there than the shading model predicts of the slopes that the
 other two show, or that would be dark, counts for nothing, and the other two decide, with the surface of the first
 integration as what is known beforehand. Shadows are wide beside a pixel, so that a reduced field is enough; what
 changes is added to the slopes of every pixel.
@@ -40,10 +40,10 @@ MIN_SLOPE: Final = 0.1
 """Height maps whose steepest hundredth is gentler than this hide no light."""
 
 DARKER: Final = (0.03, 0.08)
-"""Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
+"""Intensity by which a channel is darker than predicted: from the first its weight falls, at the second it is zero."""
 
 INTENSITY_SIGMA: Final = 0.02
-"""Standard uncertainty of the foretold intensity."""
+"""Standard uncertainty of the predicted intensity."""
 
 PRIOR_SIGMA: Final = 0.15
 """Standard uncertainty of the slopes of the first integration where a light is hidden."""
@@ -177,8 +177,8 @@ class _Cells:
         if shown.size:
             raised = self.raised[shown] * z_px.ravel()[shown, None, None]
             there_p, there_q = (values.ravel()[shown].astype(np.float64) for values in (p, q))
-            foretold, _ = intensity_and_slope_change(self.coefficients[shown], there_p, there_q, raised)
-            seen.reshape(-1, 4)[shown, :3] = self.intensity.reshape(-1, 3)[shown] - foretold
+            predicted, _ = intensity_and_slope_change(self.coefficients[shown], there_p, there_q, raised)
+            seen.reshape(-1, 4)[shown, :3] = self.intensity.reshape(-1, 3)[shown] - predicted
             seen.reshape(-1, 4)[shown, 3] = 1.0
         smooth = cv2.GaussianBlur(seen, (0, 0), NEIGHBOURS).astype(np.float64)
         return np.asarray(smooth[..., :3] / (smooth[..., 3:] + 1e-4))
@@ -204,13 +204,13 @@ def _two_light_slopes(
     """
     slope, trust = prior.copy(), np.where(hidden, 0.0, 1.0)
     for step in range(STEPS):
-        foretold, change = intensity_and_slope_change(coefficients, slope[:, 0], slope[:, 1], raised)
+        predicted, change = intensity_and_slope_change(coefficients, slope[:, 0], slope[:, 1], raised)
         if step >= FREE_STEPS:
-            trust = np.where(hidden, np.minimum(arriving, trust_in(intensity, foretold, DARKER)), 1.0)
+            trust = np.where(hidden, np.minimum(arriving, trust_in(intensity, predicted, DARKER)), 1.0)
         weight = trust / INTENSITY_SIGMA**2
         # A hidden light is missing from the other channels too, as far as their filters pass it.
-        lost = (1.0 - trust) * np.maximum(foretold - intensity, 0.0)
-        foretold = foretold - leaks * (lost.sum(axis=1, keepdims=True) - lost)
-        move = gauss_newton_step(change, weight, intensity - foretold, prior - slope, PRIOR_SIGMA)
+        lost = (1.0 - trust) * np.maximum(predicted - intensity, 0.0)
+        predicted = predicted - leaks * (lost.sum(axis=1, keepdims=True) - lost)
+        move = gauss_newton_step(change, weight, intensity - predicted, prior - slope, PRIOR_SIGMA)
         slope += bounded(move)
     return slope, trust.min(axis=1)

@@ -27,6 +27,7 @@ class CellCorrection:
     weight : of slopes in shadow in the integration, as a share of that of others
     unsure : float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each wrong
         all at once; None where nothing is known of them
+    left_alone : float32 array of shape (h, w), 1 where slopes are as they were read, for a pixel is saturated, else 0
     """
 
     p: Float32Array
@@ -37,6 +38,7 @@ class CellCorrection:
     cell: int
     weight: float
     unsure: SlopePair | None = None
+    left_alone: Float32Array | None = None
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""

@@ -1,4 +1,4 @@
-"""Which lights do not reach the skin: rays over a height map, and channels that are darker than foretold."""
+"""Which lights do not reach the skin: rays over a height map, and channels that are darker than predicted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array
 
 SET: Final = (0.16, 0.08)
-"""Foretold intensity below which a light is about to set, and at which it has."""
+"""Predicted intensity below which a light is about to set, and at which it has."""
 
 ARRIVES: Final = (0.03, 0.12)
 """What a light alone shows, over what it shows of untouched skin: up to the first it does not arrive, from the second
@@ -39,13 +39,13 @@ def clearance(z_px: Float32Array, cell: float, slant: Float64Array) -> Float32Ar
     return clear
 
 
-def trust_in(intensity: Float64Array, foretold: Float64Array, darker: tuple[float, float]) -> Float64Array:
-    """Weight of channels (N, 3) that may be dark: 0 where darker than foretold, or where no light is foretold.
+def trust_in(intensity: Float64Array, predicted: Float64Array, darker: tuple[float, float]) -> Float64Array:
+    """Weight of channels (N, 3) that may be dark: 0 where darker than predicted, or where no light is predicted.
 
-    darker : intensity by which one is darker than foretold: from the first its weight falls, at the second it is 0
+    darker : intensity by which one is darker than predicted: from the first its weight falls, at the second it is 0
     """
-    missing = np.clip((foretold - intensity - darker[0]) / (darker[1] - darker[0]), 0.0, 1.0)
-    setting = np.clip((SET[0] - foretold) / (SET[0] - SET[1]), 0.0, 1.0)
+    missing = np.clip((predicted - intensity - darker[0]) / (darker[1] - darker[0]), 0.0, 1.0)
+    setting = np.clip((SET[0] - predicted) / (SET[0] - SET[1]), 0.0, 1.0)
     return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
 
 

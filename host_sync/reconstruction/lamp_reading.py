@@ -1,7 +1,7 @@
 """Slopes as lamps tell them that explain the balls of a calibration.
 
 The inverse map reads every pixel; over cells of pixels, where lamps and coat are known as a whole, what it misreads is
-found from the cells' own intensity and added to the slopes of every pixel. Elevation counts as the lamps foretell, and
+found from the cells' own intensity and added to the slopes of every pixel. Elevation counts as the lamps predict, and
 where a ray from a cell to a lamp meets the skin, its channel counts for nothing if it is as dark as that says: then the
 other two decide, and the surface around, in whose integration such slopes weigh little.
 """
@@ -57,7 +57,7 @@ GRAZED: Final = (0.03, 0.09)
 is. Lamps are not points, and cells round edges off."""
 
 DARKER: Final = (0.02, 0.06)
-"""Intensity by which a channel is darker than foretold: from the first its weight falls, at the second it is zero."""
+"""Intensity by which a channel is darker than predicted: from the first its weight falls, at the second it is zero."""
 
 HIDDEN_SURFACE_SIGMA: Final = 0.05
 """Standard uncertainty of the slopes of the surface that was found so far where a light is hidden: two lights at a low
@@ -94,7 +94,9 @@ def read_under_lamps(
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     share = np.float32(RELATIVE_SIGMA) * (shadow > 0.0)
     unsure = cells.unsure(slope, z_px, lamps.folds) if lamps.folds else None
-    return CellCorrection(p_change, q_change, share * p_change, share * q_change, shadow, cell, SHADOW_WEIGHT, unsure)
+    sigma = share * p_change, share * q_change
+    left_alone = (~cells.faithful).astype(np.float32)
+    return CellCorrection(p_change, q_change, *sigma, shadow, cell, SHADOW_WEIGHT, unsure, left_alone)
 
 
 def _elevation_px(

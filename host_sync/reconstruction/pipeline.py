@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import msgspec
 import numpy as np
 
@@ -179,11 +180,7 @@ def _uncertainty(
     size = reduced_size(p.shape)
     error = slope_error_of(calibration, reading.method)
     contradiction = nonintegrable_residual(gradients, p, q)
-    replicas = calibration.inverse.replicas if reading.method == "direct" else ()
-    if correction is not None and correction.unsure is not None:
-        unsure = CalibrationUncertainty.of(correction.unsure, size)
-    else:
-        unsure = calibration_uncertainty(first.intensity, replicas, size)
+    unsure = _calibration_uncertainty(reading, size)
     known = height_uncertainty(
         height,
         gradients,
@@ -197,6 +194,20 @@ def _uncertainty(
     )
     kept = noise.shrunk_kept if noise else NOISE_KEPT
     return known, slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
+
+
+def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:
+    """What the calibration does not know, on a field of `size` (w, h): of lamps, or of the map where it reads alone."""
+    first = reading.first
+    replicas = first.calibration.inverse.replicas if reading.method == "direct" else ()
+    correction = first.correction
+    if correction is None or correction.unsure is None:
+        return calibration_uncertainty(first.intensity, replicas, size)
+    of_lamps = CalibrationUncertainty.of(correction.unsure, size)
+    if correction.left_alone is None or not correction.left_alone.any():
+        return of_lamps
+    share = np.asarray(cv2.resize(correction.left_alone, size, interpolation=cv2.INTER_LINEAR), np.float32)
+    return of_lamps.mixed_with(calibration_uncertainty(first.intensity, replicas, size), share)
 
 
 def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:

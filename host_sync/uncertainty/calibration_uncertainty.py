@@ -38,6 +38,13 @@ class CalibrationUncertainty:
         """Deviations (K, n, m) of slopes p and q, resampled to a reduced field of `size` (w, h)."""
         return cls(*(np.stack([_resampled(one, size[::-1]) for one in part]) for part in deviations))
 
+    def mixed_with(self, other: CalibrationUncertainty, share: Float32Array) -> CalibrationUncertainty:
+        """This one where `share`, float32 array of shape (h, w), is 0, the other one where it is 1."""
+        own = np.float32(1.0) - share
+        return CalibrationUncertainty(
+            np.concatenate([own * self.p, share * other.p]), np.concatenate([own * self.q, share * other.q])
+        )
+
     def sigma(self, shape: tuple[int, int]) -> Float32Array:
         """Standard deviation of either slope, resampled to a field of `shape` (H, W)."""
         square = 0.5 * ((self.p**2).sum(axis=0) + (self.q**2).sum(axis=0))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Final, NamedTuple, Protocol
 
 import cv2
@@ -92,16 +92,18 @@ def measure_slope_error(
     """The slope error on the balls of a calibration, whose samples are `training`.
 
     What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
-    fit's replicas say at every pixel how much more that is.
+    fit's replicas say at every pixel how much more that is. What corrects slopes over cells is judged by balls that it
+    was not fitted to; gains are those of all balls, for what these do not tell of a gain its folds say in every frame.
 
-    over_cells : what corrects the map's slopes over cells, whose folds say the same of it; None where nothing does
+    over_cells : what corrects the map's slopes over cells; None where nothing does
     """
     known = bool(fit.replicas) or over_cells is not None
-    errors = list(_ball_errors(presses, lambda _: fit.map))
+    errors = list(_ball_errors(presses, lambda _, __: fit.map))
     bands = _by_band(errors)
     if over_cells is not None:
-        errors = list(_ball_errors(over_cells.means_of(presses), over_cells.reads.in_frame))
-        bands = _with_patches_of(bands, _by_band(errors))
+        means = over_cells.means_of(presses)
+        errors = list(_ball_errors(means, over_cells.of_all))
+        bands = _with_patches_of(bands, _by_band(list(_ball_errors(means, over_cells.of_others))))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
@@ -138,11 +140,22 @@ class ReadsFrames(Protocol):
 class OverCells:
     """What reads slopes of means over cells.
 
+    reads : fitted to all balls
+    without : fitted without a ball, by ball in the order of the presses
     size_px : of a cell
     """
 
     reads: ReadsFrames
+    without: Sequence[ReadsFrames]
     size_px: int
+
+    def of_all(self, image: NormalizedImage, _ball: int) -> ReadsSlopes:
+        """What reads an image's slopes, fitted to all balls."""
+        return self.reads.in_frame(image)
+
+    def of_others(self, image: NormalizedImage, ball: int) -> ReadsSlopes:
+        """The same, fitted without the ball of this number."""
+        return self.without[ball].in_frame(image)
 
     def means_of(self, presses: Pressed) -> Pressed:
         """The presses with the mean of a cell around each pixel in its place."""
@@ -163,7 +176,7 @@ class ErrorByTilt(NamedTuple):
 
 def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
     """What is read wrong of the balls that were pressed."""
-    tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, lambda _: reads))), strict=True)
+    tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, lambda _, __: reads))), strict=True)
     return ErrorByTilt(tilt, pixel, patch)
 
 
@@ -253,11 +266,15 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
 
 
-def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage], ReadsSlopes]) -> Iterator[_BallError]:
-    """The slope error of each ball that shows enough faithful pixels."""
+def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes]) -> Iterator[_BallError]:
+    """The slope error of each ball that shows enough faithful pixels.
+
+    reader : of an image and the number of a ball among all
+    """
+    number = count()
     for image, balls in presses:
-        reads = reader(image)
         for ball in balls:
+            reads = reader(image, next(number))
             window = _window(ball, image.shape)
             row, column = np.mgrid[window].astype(np.float32)
             inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < ball.contact_radius_px**2

@@ -1,4 +1,4 @@
-"""What balls show of gentle slopes foretells gentle slopes anywhere else in the field."""
+"""What balls show of gentle slopes predicts gentle slopes anywhere else in the field."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def uneven_light() -> IlluminationMap:
     return IlluminationMap(np.stack([1.0 + 0.6 * x, 1.0 - 0.6 * x, 1.0 + 0.6 * y], axis=-1).astype(np.float32))
 
 
-def test_gentle_slopes_between_and_beyond_balls_are_foretold() -> None:
+def test_gentle_slopes_between_and_beyond_balls_are_predicted() -> None:
     skin = GentleSkin.of(*on_balls(), SHAPE)
     random = np.random.default_rng(1)
     slope, place = random.uniform(-0.1, 0.1, (500, 2)), random.uniform(-1.0, 1.0, (500, 2))
@@ -82,7 +82,7 @@ def test_balls_left_out_tell_whether_the_reference_goes_with_the_lights(coloured
     np.testing.assert_allclose(skin.shown(slope, place), shaded(slope, place, under), atol=4e-3)
 
 
-def test_no_gentle_slope_foretells_nothing() -> None:
+def test_no_gentle_slope_predicts_nothing() -> None:
     samples, slope = on_balls()
     skin = GentleSkin.best(samples, np.sign(slope) * (np.abs(slope) + 0.5), SHAPE, uneven_light())
     np.testing.assert_array_equal(skin.coefficients, 0.0)

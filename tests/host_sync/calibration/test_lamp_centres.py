@@ -63,7 +63,7 @@ def test_a_coat_that_does_not_brighten_moves_nothing() -> None:
     assert np.hypot(kept.column - ball.column, kept.row - ball.row) < 0.3
 
 
-def test_level_skin_raised_reads_alike_in_every_channel_at_the_slope_that_is_foretold() -> None:
+def test_level_skin_raised_reads_alike_in_every_channel_at_the_slope_that_is_predicted() -> None:
     place = np.array([[60.0, 300.0]])
     slope, brighter = LAMPS.level_skin_raised(place, np.array([2.0]), SHAPE)
     raised, tilted = np.full(SHAPE, 2.0), np.zeros(SHAPE)

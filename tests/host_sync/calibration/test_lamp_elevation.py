@@ -154,8 +154,10 @@ def points() -> LampModel:
 
 
 def test_lamps_of_one_height_slant_more_by_one_over_it() -> None:
-    response = response_under(points())
+    response = response_under(points(), residual=0.004)
     assert response.nearness_per_px * HEIGHT_PX == pytest.approx(1.0, abs=0.05)
+    assert response.relative_sigma == pytest.approx(0.04)
+    assert response_under(points(), residual=0.02).relative_sigma == pytest.approx(0.1)
     assert response.nearness_sigma_per_px < 0.25 * response.nearness_per_px
 
 

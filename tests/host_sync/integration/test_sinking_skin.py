@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import GradientField, HeightMap
-from host_sync.integration.sinking_skin import MAX_SHARE, height_left_um
+from host_sync.integration.sinking_skin import MAX_SHARE, _unbent_at, height_left_um
 from host_sync.integration.zero_level import Datum
 
 SHAPE = (240, 320)
@@ -65,3 +65,12 @@ def test_a_zero_at_rest_lies_lower_and_is_less_sure() -> None:
     assert abs(at_rest.zero_um) < 0.4 * datum.zero_um
     assert at_rest.zero_sigma_um == pytest.approx(np.hypot(1.0, 0.5 * (datum.zero_um - at_rest.zero_um)), rel=1e-5)
     assert Datum(resting, 5.0, 1.0, 0.0).at_rest(height, gradients).zero_um == 5.0
+
+
+@pytest.mark.parametrize("correlation", [0.3, 0.6])
+def test_bends_that_follow_heights_loosely_tell_nothing(correlation: float) -> None:
+    """Leaving out what lies off the line must not make a line of a cloud."""
+    random = np.random.default_rng(2)
+    z, noise = random.standard_normal((2, 3000))
+    bend = correlation * z + np.sqrt(1.0 - correlation**2) * noise
+    assert _unbent_at(z, bend - 1.0) == 0.0

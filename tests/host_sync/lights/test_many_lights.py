@@ -115,7 +115,7 @@ def test_a_frame_of_other_lights_is_refused(six: Calibration) -> None:
 def test_a_dim_light_is_named(six: Calibration) -> None:
     frame = lit_by_ring(press_px(*balls()[0]), SIX, 300)
     frame.rgb[..., 3] *= 0.9
-    with pytest.raises(CalibrationMismatch, match=r"light 4 is .* darker than the others foretell"):
+    with pytest.raises(CalibrationMismatch, match=r"light 4 is .* darker than the others predict"):
         reconstruct(frame, six, "scan")
 
 

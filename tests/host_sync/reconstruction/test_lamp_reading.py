@@ -130,6 +130,9 @@ def test_saturated_pixels_and_holes_are_left_as_they_are_read() -> None:
     found = read_under_lamps(read, broken, LAMPS)
     assert found is not None
     assert np.isfinite(found.p).all()
+    assert found.left_alone is not None
+    np.testing.assert_array_equal(found.left_alone[:58, 102:], 1.0)
+    assert not found.left_alone[62:].any()
     found.apply(read)
     np.testing.assert_array_equal(read.p[:110, 210:], before[:110, 210:])
     flank = (np.hypot(p, q) > 0.2) & ~hole & ~((COLUMN > 190) & (ROW < 130))

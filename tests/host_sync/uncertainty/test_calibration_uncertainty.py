@@ -51,6 +51,15 @@ def test_deviations_keep_their_shape_over_the_field() -> None:
     assert correlation == pytest.approx(-1.0, abs=1e-3)
 
 
+def test_two_doubts_are_mixed_place_by_place() -> None:
+    one, other = (calibration_uncertainty(image(), [tilting(slope), tilting(-slope)], SIZE) for slope in (0.01, 0.04))
+    right = np.zeros((30, 40), np.float32)
+    right[:, 20:] = 1.0
+    sigma = one.mixed_with(other, right).sigma((30, 40))
+    np.testing.assert_allclose(sigma[:, :20], one.sigma((30, 40))[:, :20], atol=1e-7)
+    np.testing.assert_allclose(sigma[:, 20:], other.sigma((30, 40))[:, 20:], atol=1e-7)
+
+
 def test_without_replicas_there_is_no_doubt_to_draw() -> None:
     doubt = calibration_uncertainty(image(), [], SIZE)
     assert doubt.p.shape == (0, 30, 40)
