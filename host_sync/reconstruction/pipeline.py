@@ -37,6 +37,7 @@ from host_sync.uncertainty.height_error import (
     reduced_size,
     slope_sigma,
 )
+from host_sync.uncertainty.lost_detail import lost_variance, with_lost_detail
 from host_sync.uncertainty.slope_error import SlopeError
 
 
@@ -130,15 +131,19 @@ def reconstruct(
     slopes = surface_slopes(height)
     uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum)
     uncertainty.start()
-    shown, other = height, None
+    shown, other, lost = height, None, None
     if shrinkage is not None:
         raw_gradients = reading.raw_gradients()
         other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
+        if noise is not None and detail == "shrunk":
+            lost = lost_variance(surface_slopes(other), slopes, noise)
         if detail == "raw":
             shown, other, gradients = other, height, raw_gradients
     p, q = slopes if shown is height else surface_slopes(shown)
     strange = extrapolated(intensity, calibration.inverse.map, p, q)
     known, slopes_sigma = uncertainty.result()
+    if lost is not None:
+        slopes_sigma = with_lost_detail(slopes_sigma, lost)
     if shown is not height:
         slopes_sigma = raw_slope_sigma(slopes_sigma, *slopes, noise)
     return Reconstruction(
