@@ -44,6 +44,7 @@ from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.lamp_elevation import as_read
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.quadric_fit import quadric_that_reads_better
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
@@ -54,6 +55,7 @@ from host_sync.johnson2009.model import PaperModel, fit_paper_model
 from host_sync.lights.known_lamps import KnownLamps, Position
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.light_groups import LightGroups
+from host_sync.lights.normal_quadric import FittedQuadric
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
@@ -102,6 +104,7 @@ class Calibration:
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
     lamps : where the lamp of each channel stands, None where it is not known
     fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
+    quadric : of the normal, that explains the balls where no lamps do, None where none does; slopes are read by it, too
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -124,6 +127,7 @@ class Calibration:
     shading: ShadingModel | None = None
     lamps: KnownLamps | None = None
     fitted_lamps: FittedLamps | None = None
+    quadric: FittedQuadric | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -231,7 +235,11 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    over_cells = lamps_that_read_better(kept, inverse, followed)
+    over_cells, quadric = lamps_that_read_better(kept, inverse, followed), None
+    fitted_lamps = followed.lamps if followed and over_cells else None
+    if over_cells is None:
+        found = quadric_that_reads_better(kept, inverse, IlluminationMap.of(flat_field) if reference else None)
+        quadric, over_cells = found or (None, None)
     error = measure_slope_error(
         kept,
         training,
@@ -240,8 +248,7 @@ def calibrate(
         over_cells,
     )
     response = followed.response if followed else None
-    fitted_lamps = followed.lamps if followed and over_cells else None
-    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps)
+    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric)
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -263,6 +270,7 @@ def calibrate(
         shading=fit_shading_model(training, kept),
         lamps=lamps,
         fitted_lamps=fitted_lamps,
+        quadric=quadric,
     )
 
 
@@ -360,6 +368,7 @@ def _digest(
     shrinkage: DetailShrinkage | None = None,
     elevation: ElevationResponse | None = None,
     lamps: FittedLamps | None = None,
+    quadric: FittedQuadric | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -373,4 +382,6 @@ def _digest(
     for model in (lamps.model, *lamps.folds) if lamps else ():
         for field in fields(model):
             digest.update(np.asarray(getattr(model, field.name), np.float64).tobytes())
+    for one in (quadric.model, *quadric.folds) if quadric else ():
+        digest.update(one.coefficients.tobytes())
     return digest.hexdigest()[:12]

@@ -13,15 +13,19 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from device.inverse_map.illumination import is_node_grid
 from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import position_exponents
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
+from host_sync.calibration.quadric_fit import DEGREES
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
 from host_sync.lights.matt_lights import NUMBERS_OF_TERMS
+from host_sync.lights.normal_quadric import TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 
@@ -42,6 +46,8 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
     "KnownLamps": {"position_px": "3 3"},
     "LampModel": {"position": "3 3", "mixing": "3 3", "haze": "3"},
+    "NormalQuadric": {"coefficients": f"{TERMS} places 3"},
+    "IlluminationMap": {"nodes": "h w 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
     "LightGroups": {"flat_field": "H W lights", "typical": "lights"},
@@ -76,6 +82,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_field(one)
         _check_errors(one.slope_error, one.slope_noise)
         _check_lamps(one)
+        _check_quadric(one)
     _check_lights(calibration)
 
 
@@ -198,6 +205,19 @@ def _check_lamps(calibration: Calibration) -> None:
             and min(model.gloss_width, model.tail) > 0.0
         ):
             raise Unsound("lamps and a coat that no instrument has")
+
+
+def _check_quadric(calibration: Calibration) -> None:
+    """Refuse a quadric of another field, or of other numbers than its degree asks for."""
+    quadric = calibration.quadric
+    for model in () if quadric is None else (quadric.model, *quadric.folds):
+        places = len(position_exponents(model.degree)) if model.degree in DEGREES else 0
+        if not (
+            model.shape == calibration.flat_field.shape[:2]
+            and model.coefficients.shape[1] == places
+            and (model.light is None or (is_node_grid(model.light.nodes, 3) and float(model.light.nodes.min()) > 0.0))
+        ):
+            raise Unsound("a function of the normal that is not of its field")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

@@ -24,6 +24,12 @@ def cell_px(shape: tuple[int, ...]) -> int:
     return -(-shape[1] // WIDEST_CELLS)
 
 
+def middles_of_cells(size: tuple[int, ...], cell: int) -> tuple[Float64Array, Float64Array]:
+    """Rows and columns of the middles of `size` (h, w) cells of `cell` x `cell` pixels, shape (h,) and (w,)."""
+    rows, columns = (np.arange(count, dtype=np.float64) * cell + 0.5 * (cell - 1) for count in size[:2])
+    return np.asarray(rows), np.asarray(columns)
+
+
 def means_of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
     """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
     below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))

@@ -87,24 +87,30 @@ class LampModel:
         return np.asarray(direct + self.bounced(p, q, np.ones_like(direct) if close is None else close))
 
     def bounced(self, p: Float64Array, q: Float64Array, close: Float64Array) -> Float64Array:
-        """Intensity (N, 3) that slopes (N,) receive from skin around them, of which that close by shows `close`."""
+        """Intensity (N, 3) that slopes (N,) receive from skin around them, of which that close by shows `close`; of
+        slopes (K, N) it is of shape (K, N, 3).
+        """
         tilted = 1.0 - 1.0 / np.sqrt(1.0 + p * p + q * q)
-        return np.asarray(tilted[:, None] * (self.bounce_afar + self.bounce_close * close))
+        return np.asarray(tilted[..., None] * (self.bounce_afar + self.bounce_close * close))
 
     def own_light(
         self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
     ) -> Float64Array:
-        """What skin shows of each channel's own lamp directly, up to a factor of its own: shape (N, 3)."""
+        """What skin shows of each channel's own lamp directly, up to a factor of its own: shape (N, 3).
+
+        For K slopes at each place, p and q of shape (N, K), it is of shape (N, K, 3).
+        """
         rows, columns = self.shape
         x, y = (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns
         square = self.roughness**2
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
         shine = (self.gloss, self.gloss_width**2, self.tail)
         coat = np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera])
-        own = np.empty((len(x), 3))
+        slopes = (np.ascontiguousarray(part.reshape(len(x), -1)) for part in (p, q))
+        own = np.empty((len(x), p.size // max(len(x), 1), 3))
         axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
-        parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, p, q, x, y, z_px / columns, own)
-        return own
+        parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, *slopes, x, y, z_px / columns, own)
+        return own.reshape(*p.shape, 3)
 
     def mixed(self, own: Float64Array) -> Float64Array:
         """What the channels show of their own and the others' lamps: float64 array of shape (N, 3)."""

@@ -23,6 +23,9 @@ INTENSITY_SIGMA: Final = 0.01
 STEP: Final = 1e-3
 """Slope by which derivatives are taken."""
 
+BESIDE: Final = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+"""Steps of slopes p and q, in `STEP`, at which light is taken for its derivatives."""
+
 SURFACE_SIGMA: Final = 0.15
 """Standard uncertainty of slopes as they are known before lamps tell them."""
 
@@ -73,10 +76,13 @@ class LampSkin:
         own = self.model.own_light(p, q, self.column, self.row, z_px)
         return np.asarray(self.model.mixed(own) / self.rest + self.model.bounced(p, q, self.close))
 
-    def changes(self, slope: Float64Array, z_px: Float64Array, shown: Float64Array) -> Float64Array:
-        """What intensities that are shown change with both slopes: shape (N, 3, 2)."""
-        beside = [self.shown(slope + STEP * np.eye(2)[axis], z_px) for axis in (0, 1)]
-        return np.stack([(one - shown) / STEP for one in beside], axis=-1)
+    def shown_and_changes(self, slope: Float64Array, z_px: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Intensity (N, 3) as `shown`, and what it changes with both slopes: shape (N, 3, 2)."""
+        p, q = (slope[:, axis, None] + STEP * BESIDE[axis] for axis in (0, 1))
+        own = self.model.own_light(p, q, self.column, self.row, z_px)
+        direct = self.model.mixed(own) / self.rest[:, None, :]
+        here, by_p, by_q = np.moveaxis(direct, 1, 0) + self.model.bounced(p.T, q.T, self.close)
+        return here, np.stack([by_p - here, by_q - here], axis=-1) / STEP
 
     def without(self, lost: Float64Array) -> Float64Array:
         """What channels lack of other lamps' light where they lack `lost` (N, 3) of their own: shape (N, 3)."""
@@ -103,15 +109,14 @@ def move_towards(
     z_px: Float64Array,
     before: KnownBefore,
     trust: Float64Array | None = None,
-    shown: Float64Array | None = None,
+    known: tuple[Float64Array, Float64Array] | None = None,
 ) -> Float64Array:
     """One Gauss-Newton step from slopes (N, 2) towards those that explain intensities (N, 3): the new slopes.
 
     trust : how much each channel counts, 0 to 1, shape (N, 3); all of them fully where it is None
-    shown : what the slopes show, where that is known
+    known : as of `LampSkin.shown_and_changes` for these slopes, where that was asked before
     """
-    shown = skin.shown(slope, z_px) if shown is None else shown
-    change = skin.changes(slope, z_px, shown)
+    shown, change = skin.shown_and_changes(slope, z_px) if known is None else known
     missing = intensity - shown
     weight = np.full_like(shown, INTENSITY_SIGMA**-2)
     if trust is not None:
@@ -138,8 +143,10 @@ def gauss_newton_step(
     """
     known = sigma**-2
     by_p, by_q = change[..., 0], change[..., 1]
-    pp, pq, qq = ((weight * one * other).sum(axis=1) for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q)))
-    along_p, along_q = ((weight * missing * one).sum(axis=1) for one in (by_p, by_q))
+    pp, pq, qq, along_p, along_q = (
+        np.einsum("nc,nc,nc->n", weight, one, other)
+        for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q), (missing, by_p), (missing, by_q))
+    )
     along_p, along_q = along_p + known * back[:, 0], along_q + known * back[:, 1]
     pp, qq = pp + known, qq + known
     move = np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1)

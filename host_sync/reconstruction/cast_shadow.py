@@ -24,7 +24,7 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Mas
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.shading_model import ShadingModel, intensity_and_slope_change
 from host_sync.integration.zero_level import elevation_over_datum_px
-from host_sync.kernels.cell_rows import cell_px, means_of_cells
+from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
 from host_sync.lights.lamp_slopes import bounded, gauss_newton_step
 from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import cell_means
@@ -125,7 +125,7 @@ class _Cells:
         alone: Float32Array | None,
     ) -> _Cells:
         """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
-        row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
+        row, column = middles_of_cells(size, cell)
         x, y = (field_position(axis, axis, image.shape)[:, k] for k, axis in enumerate((column, row)))
         place = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1).reshape(-1, 2)
         raised = np.zeros((len(place), 3, 3))

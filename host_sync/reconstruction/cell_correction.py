@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -45,6 +45,19 @@ class CellCorrection:
         less = np.float32(self.weight - 1.0) * self.shadow
         planes = bordered(np.stack([self.p, self.q, less]))
         parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
+
+    def in_shadow(self, shadow: CellCorrection | None) -> CellCorrection:
+        """This correction where every light arrives and that of a shadow, over the same cells, where one does not."""
+        if shadow is None:
+            return self
+        lit = np.float32(1.0) - shadow.shadow
+        return replace(
+            shadow,
+            p=lit * self.p + shadow.p,
+            q=lit * self.q + shadow.q,
+            unsure=self.unsure,
+            left_alone=self.left_alone,
+        )
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""

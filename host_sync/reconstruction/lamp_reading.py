@@ -18,7 +18,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
-from host_sync.kernels.cell_rows import cell_px, means_of_cells
+from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import (
@@ -134,7 +134,7 @@ class _Cells:
         cls, image: NormalizedImage, model: LampModel, size: tuple[int, int], cell: int, alone: Float32Array | None
     ) -> _Cells:
         """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
-        row, column = (np.arange(count) * cell + 0.5 * (cell - 1) for count in size)
+        row, column = middles_of_cells(size, cell)
         across, down = (axis.ravel() for axis in np.meshgrid(column, row))
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
         intensity, faithful = faithful_cells(image, size, cell)
@@ -172,8 +172,8 @@ class _Cells:
         z = z_px.ravel().astype(np.float64)
         here = np.flatnonzero(np.linalg.norm(slope, axis=-1) > LEVEL[0])
         skin, there = self.skin.select(here), slope.reshape(-1, 2)[here]
-        shown = skin.shown(there, z[here])
-        change, weight = skin.changes(there, z[here], shown), np.full_like(shown, INTENSITY_SIGMA**-2)
+        shown, change = skin.shown_and_changes(there, z[here])
+        weight = np.full_like(shown, INTENSITY_SIGMA**-2)
         moves = np.zeros((len(others), z.size, 2), np.float32)
         for move, other in zip(moves, others, strict=True):
             less = shown - skin.shown(there, z[here], other)
@@ -224,8 +224,8 @@ class _Cells:
         before, slope = KnownBefore(surface[here], HIDDEN_SURFACE_SIGMA), surface[here]
         weight = np.where(hidden[here], 0.0, 1.0)
         for step in range(HIDDEN_STEPS):
-            shown = skin.shown(slope, z)
+            shown = skin.shown_and_changes(slope, z)
             if step >= FREE_STEPS:
-                weight = np.where(hidden[here], np.minimum(arriving[here], trust_in(seen, shown, DARKER)), 1.0)
+                weight = np.where(hidden[here], np.minimum(arriving[here], trust_in(seen, shown[0], DARKER)), 1.0)
             slope = move_towards(skin, seen, slope, z, before, weight, shown)
         found[here], trust[here] = slope, weight.min(axis=1)

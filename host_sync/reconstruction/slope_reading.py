@@ -23,6 +23,7 @@ from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.hidden_skin import find_hidden_skin
 from host_sync.reconstruction.lamp_reading import read_under_lamps
+from host_sync.reconstruction.quadric_reading import read_by_quadric
 from host_sync.results.record import FrameCheck, refusals
 
 
@@ -170,14 +171,21 @@ def _correction(
     method: Method,
     alone: Float32Array | None,
 ) -> CellCorrection | None:
-    """What the default's slopes gain: by lamps that are known as a whole, else where a light is hidden."""
+    """What the default's slopes gain: by lamps that are known as a whole, else by a quadric of the normal and where a
+    light is hidden.
+    """
     if method == "paper":
         return None
     if calibration.fitted_lamps is not None:
         return read_under_lamps(gradients, intensity, calibration.fitted_lamps, alone)
+    shadow = None
     if calibration.shading is not None:
-        return find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation, alone)
-    return None if calibration.lamps is None else find_hidden_skin(gradients, calibration.lamps)
+        shadow = find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation, alone)
+    elif calibration.lamps is not None:
+        shadow = find_hidden_skin(gradients, calibration.lamps)
+    if calibration.quadric is None:
+        return shadow
+    return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).in_shadow(shadow)
 
 
 def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:

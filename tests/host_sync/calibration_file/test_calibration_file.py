@@ -18,6 +18,7 @@ from point_lamps import point_lamps
 from pressed_frames import write_frame_set
 
 from device.errors import CalibrationError
+from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
 from host_sync.calibration_file.cache import SETTING, CalibrationCache
@@ -36,6 +37,7 @@ from host_sync.cli.main import main
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.lights.lamp_model import FittedLamps
+from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
 from host_sync.reconstruction.pipeline import reconstruct
 
 MUTATIONS = 60
@@ -302,6 +304,13 @@ def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
     return replace(calibration, fitted_lamps=FittedLamps(model, (replace(model, **changed),)))
 
 
+def with_quadric(calibration: Calibration, **changed: Any) -> Calibration:
+    """With a quadric of its field, but for what is changed."""
+    light = IlluminationMap(np.ones((3, 3, 3), np.float32))
+    model = NormalQuadric(calibration.flat_field.shape[:2], 1, np.zeros((TERMS, 3, 3)), light)
+    return replace(calibration, quadric=FittedQuadric(model, (replace(model, **changed),)))
+
+
 HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a table that points beyond its end": lambda one: with_table(one, bin_of=one.paper.table.bin_of + np.int32(10**6)),
     "candidates that end early": lambda one: with_table(one, candidates=one.paper.table.candidates[:-1]),
@@ -323,6 +332,11 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "lamps under the skin": lambda one: with_lamps(one, position=-np.eye(3)),
     "two lamps": lambda one: with_lamps(one, position=np.ones((2, 3))),
     "a lobe without width": lambda one: with_lamps(one, gloss_width=0.0),
+    "a quadric of another field": lambda one: with_quadric(one, shape=(10, 10)),
+    "a quadric of another degree": lambda one: with_quadric(one, degree=2),
+    "a quadric of a degree that nobody fits": lambda one: with_quadric(one, degree=-1),
+    "a quadric without measure": lambda one: with_quadric(one, coefficients=np.full((TERMS, 3, 3), np.nan)),
+    "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),
 }
@@ -332,6 +346,7 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
 def test_what_kernels_would_trust_is_checked(kept: KeptCalibration, harm: str) -> None:
     check_sound(kept.calibration, "file")
     check_sound(with_lamps(kept.calibration), "file")
+    check_sound(with_quadric(kept.calibration), "file")
     with pytest.raises(Unsound):
         check_sound(HARMS[harm](kept.calibration), "file")
 

@@ -7,7 +7,7 @@ import pytest
 
 from device.surface.fields import GradientField, HeightMap
 from host_sync.integration.sinking_skin import MAX_SHARE, _unbent_at, height_left_um
-from host_sync.integration.zero_level import Datum
+from host_sync.integration.zero_level import SPREAD_SHARE, Datum
 
 SHAPE = (240, 320)
 PITCH_UM = 20.0
@@ -63,7 +63,9 @@ def test_a_zero_at_rest_lies_lower_and_is_less_sure() -> None:
     datum = Datum(resting, float(z_um[resting].mean()), 1.0, float(resting.mean()))
     at_rest = datum.at_rest(height, gradients)
     assert abs(at_rest.zero_um) < 0.4 * datum.zero_um
-    assert at_rest.zero_sigma_um == pytest.approx(np.hypot(1.0, 0.5 * (datum.zero_um - at_rest.zero_um)), rel=1e-5)
+    assert at_rest.zero_sigma_um == pytest.approx(
+        np.hypot(SPREAD_SHARE, 0.5 * (datum.zero_um - at_rest.zero_um)), rel=1e-5
+    )
     assert Datum(resting, 5.0, 1.0, 0.0).at_rest(height, gradients).zero_um == 5.0
 
 

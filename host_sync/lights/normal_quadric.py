@@ -1,0 +1,123 @@
+"""What skin shows as a quadratic function of its normal, whose coefficients change over the field.
+
+Whatever lights there are, a diffuse coat reflects within a few per cent such a function (Basri and Jacobs, "Lambertian
+reflectance and linear subspaces", PAMI 25, 2003), and makers of gel sensors describe them so. It knows no elevation and
+no cast shadow, but where it explains the balls it holds between them, too, for every slope and place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import field_position, monomials
+from device.surface.fields import Float32Array, Float64Array
+from host_sync.lights.lamp_slopes import (
+    INTENSITY_SIGMA,
+    READER_STEPS,
+    STEP,
+    SURFACE_SIGMA,
+    bounded,
+    gauss_newton_step,
+)
+
+TERMS: Final = 8
+"""Terms of a normal that are not the same on all skin: of a unit vector's six squares and products one is the rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalQuadric:
+    """Coefficients of a field.
+
+    shape : (H, W) of the full-size field, pixels
+    degree : of each coefficient's polynomial in position
+    coefficients : float64 array of shape (`TERMS`, K, 3), by term of the normal, monomial of position and channel
+    light : of untouched skin, which the polynomials are divided by; None where they are not
+    """
+
+    shape: tuple[int, int]
+    degree: int
+    coefficients: Float64Array
+    light: IlluminationMap | None
+
+    def at(self, column: Float64Array, row: Float64Array) -> QuadricSkin:
+        """Skin at pixels of these columns and rows (N,)."""
+        place = field_position(column, row, self.shape)
+        by_place = monomials(place, self.degree) @ self.coefficients.swapaxes(0, 1).reshape(-1, TERMS * 3)
+        by_place = by_place.reshape(-1, TERMS, 3)
+        return QuadricSkin(by_place if self.light is None else by_place / self.light.at(place)[:, None, :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadricSkin:
+    """Places of skin.
+
+    coefficients : float64 array of shape (N, `TERMS`, 3)
+    """
+
+    coefficients: Float64Array
+
+    def select(self, rows: np.ndarray) -> QuadricSkin:
+        """The places of these numbers."""
+        return QuadricSkin(self.coefficients[rows])
+
+    def shown(self, slope: Float64Array) -> Float64Array:
+        """Intensity (N, 3) of slopes (N, 2), divided by that of untouched skin at the same place; 0 at least."""
+        terms = normal_terms(slope)[:, None, :]
+        return np.asarray(np.maximum(1.0 + np.matmul(terms, self.coefficients)[:, 0], 0.0))
+
+    def changes(self, slope: Float64Array, shown: Float64Array) -> Float64Array:
+        """What intensities that are shown change with both slopes: shape (N, 3, 2)."""
+        beside = [self.shown(slope + STEP * np.eye(2)[axis]) for axis in (0, 1)]
+        return np.stack([(one - shown) / STEP for one in beside], axis=-1)
+
+    def slopes(self, intensity: Float64Array, read: Float64Array) -> Float64Array:
+        """Slopes (N, 2) that explain intensities (N, 3), from slopes as they are known before."""
+        slope, weight = read, np.full_like(intensity, INTENSITY_SIGMA**-2)
+        for _ in range(READER_STEPS):
+            shown = self.shown(slope)
+            change = self.changes(slope, shown)
+            slope = slope + bounded(gauss_newton_step(change, weight, intensity - shown, read - slope, SURFACE_SIGMA))
+        return slope
+
+
+def normal_terms(slope: Float64Array) -> Float64Array:
+    """Terms (N, `TERMS`) of the normals of slopes (N, 2), less those of level skin."""
+    up = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1))
+    x, y = -slope[:, 0] * up, -slope[:, 1] * up
+    return np.stack([x, y, up - 1.0, x * x, x * y, y * y, x * up, y * up], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedQuadric:
+    """A quadric that balls tell.
+
+    model : of all balls
+    folds : as it would be without every K-th ball, from each of the first K on
+    """
+
+    model: NormalQuadric
+    folds: tuple[NormalQuadric, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadricReader:
+    """What a quadric makes of an inverse map's slopes."""
+
+    inverse: InverseMap
+    model: NormalQuadric
+
+    def in_frame(self, _image: NormalizedImage) -> QuadricReader:
+        """The same reader: a quadric knows nothing of the skin around."""
+        return self
+
+    def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
+        """Slopes p and q, float64 array of shape (N, 2), of intensities (N, 3) at pixels (N,)."""
+        read = self.inverse.predict(intensity, column, row)
+        skin = self.model.at(column.astype(np.float64), row.astype(np.float64))
+        return skin.slopes(intensity.astype(np.float64), read)
