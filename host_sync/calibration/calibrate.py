@@ -104,7 +104,8 @@ class Calibration:
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
     lamps : where the lamp of each channel stands, None where it is not known
     fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
-    quadric : of the normal, that explains the balls where no lamps do, None where none does; slopes are read by it, too
+    quadric : function of the normal, fitted to the balls where no lamps explain them, that corrects slopes; None where
+        it does not help
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -140,6 +141,13 @@ class Calibration:
     def uses_single_lights(self) -> bool:
         """Whether frames of single lights tell it where one is hidden."""
         return self.shading is not None or self.fitted_lamps is not None
+
+    @property
+    def corrected_by(self) -> str | None:
+        """What corrects the slopes that the map reads; None where nothing does."""
+        if self.fitted_lamps is not None:
+            return "lamps fitted to the balls"
+        return None if self.quadric is None else "a quadratic function of the normal"
 
     @property
     def preferred(self) -> Method:
@@ -383,5 +391,5 @@ def _digest(
         for field in fields(model):
             digest.update(np.asarray(getattr(model, field.name), np.float64).tobytes())
     for one in (quadric.model, *quadric.folds) if quadric else ():
-        digest.update(one.coefficients.tobytes())
+        digest.update(one.coefficients.tobytes() + bytes([one.degree, one.light is not None]))
     return digest.hexdigest()[:12]

@@ -20,18 +20,17 @@ from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric,
 from host_sync.uncertainty.slope_error import OverCells, ReadsSlopes
 
 DEGREES: Final = (1, 2)
-"""Degrees of the coefficients' polynomials in position that are tried, divided by the light of untouched skin and not.
-
-With degree 3 a dozen balls leave the corners of the field to chance.
+"""Degrees of the coefficients' polynomials in position that are tried, each with and without division by the light of
+untouched skin. With degree 3 a dozen balls leave the corners of the field to chance.
 """
 
 MAX_LEFT: Final = 0.02
 """Root mean square of what a quadric may leave of held-out balls' intensity.
 
-Rendered by makers' models, balls keep 0.004 to 0.010; under near lamps, and on real sensors, 0.03 to 0.1.
+It leaves 0.004 to 0.010 of balls that makers' models render, 0.03 to 0.1 of those under near lamps and on real sensors.
 """
 
-SETTING: Final = 0.08
+LIGHT_SETS: Final = 0.08
 """Intensity below which a light sets, so that no smooth function holds: not fitted."""
 
 RIDGE: Final = 1e-6
@@ -54,7 +53,7 @@ def quadric_that_reads_better(
     lights = (None,) if light is None else (None, light)
     lessons = [_Lesson.of(samples, shape, degree, one) for degree in DEGREES for one in lights]
     lesson = min(lessons, key=_Lesson.left)
-    if lesson.left() > MAX_LEFT:
+    if not lesson.left() <= MAX_LEFT:
         return None
     errors_deg = np.zeros((2, len(samples.p)))
     truth = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
@@ -65,7 +64,7 @@ def quadric_that_reads_better(
         for own, reader in zip(errors_deg, readers, strict=True):
             own[rows] = angle_between_deg(reader.predict(some.taught, some.column, some.row), truth[rows])
     of_map, of_quadric = errors_deg.mean(axis=1)
-    if of_quadric >= of_map:
+    if not of_quadric < of_map:
         return None
     fitted = FittedQuadric(lesson.whole, lesson.folds)
     count = sum(len(balls) for _, balls in kept)
@@ -75,7 +74,7 @@ def quadric_that_reads_better(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lesson:
-    """Quadrics of one form.
+    """Quadrics of one form, fitted to balls.
 
     samples : of balls
     whole : learned from all of them
@@ -98,7 +97,7 @@ class _Lesson:
         grams, moments = np.zeros((FOLDS, 3, design.shape[1], design.shape[1])), np.zeros((FOLDS, 3, design.shape[1]))
         for number in range(FOLDS):
             for channel in range(3):
-                rows = np.flatnonzero((fold == number) & (samples.taught[:, channel] > SETTING))
+                rows = np.flatnonzero((fold == number) & (samples.taught[:, channel] > LIGHT_SETS))
                 terms = design[rows] / over[rows, channel, None]
                 grams[number, channel] = terms.T @ terms
                 moments[number, channel] = terms.T @ (samples.taught[rows, channel] - 1.0)

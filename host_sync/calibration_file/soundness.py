@@ -59,6 +59,8 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
 MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"), ("InverseFit", "ball_error_deg")}
 LARGEST_SIDE: Final = 32_768
 LARGEST_GAIN: Final = 10.0
+LARGEST_COEFFICIENT: Final = 1e6
+MIN_FOLDS: Final = 2
 
 
 class Unsound(ValueError):
@@ -210,11 +212,14 @@ def _check_lamps(calibration: Calibration) -> None:
 def _check_quadric(calibration: Calibration) -> None:
     """Refuse a quadric of another field, or of other numbers than its degree asks for."""
     quadric = calibration.quadric
+    if quadric is not None and len(quadric.folds) < MIN_FOLDS:
+        raise Unsound("a function of the normal without folds")
     for model in () if quadric is None else (quadric.model, *quadric.folds):
         places = len(position_exponents(model.degree)) if model.degree in DEGREES else 0
         if not (
             model.shape == calibration.flat_field.shape[:2]
             and model.coefficients.shape[1] == places
+            and float(np.abs(model.coefficients).max()) < LARGEST_COEFFICIENT
             and (model.light is None or (is_node_grid(model.light.nodes, 3) and float(model.light.nodes.min()) > 0.0))
         ):
             raise Unsound("a function of the normal that is not of its field")

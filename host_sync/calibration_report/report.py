@@ -69,6 +69,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
         "gain_of": "held-out balls" if inverse.of_another_radius is None else "balls of another radius",
         "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.max_trained_slope))),
         "reads": "intensity" if inverse.map.near is None else "slopes of a matt skin under near lights",
+        "corrected_by": calibration.corrected_by,
         "degree_in_colour": inverse.map.own.colour_degree,
         "waves_of_colour": inverse.map.own.waves.count,
         "degree_in_position": inverse.map.own.position_degree,

@@ -3,8 +3,8 @@
 Flat skin that reaches the border is untouched or lies on an object that reaches beyond the border. Objects press the
 skin towards the camera, so that of flat parts the lowest ones are untouched. Around an object skin sinks towards rest
 over a long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ
-from place to place by what errors of slopes add up to: that spread is the zero's uncertainty. Where no skin is
-untouched a height map has no zero: its heights are relative to each other.
+from place to place by what errors of slopes add up to: the zero's uncertainty is a share of that spread. Where no skin
+is untouched a height map has no zero: its heights are relative to each other.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ ALIKE_SHARE: Final = 0.1
 HEIGHT_PERCENT: Final = (1.0, 99.0)
 """Percentiles between which a map's heights lie."""
 
-SPREAD_SHARE: Final = 0.8
+SPREAD_SHARE: Final = 0.7
 """Standard uncertainty of the mean of blocks' heights, as a share of their spread: slope errors add up over the field,
 so that blocks do not err independently.
 
-On eleven rendered devices far skin was off by 0.1 to 0.3 of its spread, and objects beside it by 0.7 to 1.7.
+On eleven rendered devices the mean was off by 0.1 to 0.3 of the spread. Objects, whose heights feel the same errors of
+slopes, were off by 0.7 to 1.7 of it.
 """
 
 SINKING_SHARE: Final = 0.5
@@ -83,8 +84,13 @@ class Datum:
     @property
     def zero_sigma_um(self) -> float:
         """Standard uncertainty of the zero, µm: of the skin it is taken from, and of how much that sinks yet."""
+        return self.zero_sigma_beside_um(0.0)
+
+    def zero_sigma_beside_um(self, known_um: float) -> float:
+        """The same beside errors of slopes that let blocks' heights differ by `known_um`, root mean square, µm."""
         share = 1.0 if self.is_relative else SPREAD_SHARE
-        return float(np.hypot(share * self.spread_um, SINKING_SHARE * self.sinking_um))
+        left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
+        return float(np.hypot(left_um, SINKING_SHARE * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:

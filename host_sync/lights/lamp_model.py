@@ -106,8 +106,9 @@ class LampModel:
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
         shine = (self.gloss, self.gloss_width**2, self.tail)
         coat = np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera])
-        slopes = (np.ascontiguousarray(part.reshape(len(x), -1)) for part in (p, q))
-        own = np.empty((len(x), p.size // max(len(x), 1), 3))
+        count = 1 if p.ndim == 1 else p.shape[1]
+        slopes = (np.ascontiguousarray(part.reshape(len(x), count)) for part in (p, q))
+        own = np.empty((len(x), count, 3))
         axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
         parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, *slopes, x, y, z_px / columns, own)
         return own.reshape(*p.shape, 3)

@@ -15,7 +15,7 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import field_position, monomials
+from device.inverse_map.polynomial_features import blocks_of, field_position, monomials
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.lights.lamp_slopes import (
     INTENSITY_SIGMA,
@@ -27,12 +27,12 @@ from host_sync.lights.lamp_slopes import (
 )
 
 TERMS: Final = 8
-"""Terms of a normal that are not the same on all skin: of a unit vector's six squares and products one is the rest."""
+"""Three components of a normal and six products of them, less one: the squares add up to 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalQuadric:
-    """Coefficients of a field.
+    """The quadratic function of a field of skin.
 
     shape : (H, W) of the full-size field, pixels
     degree : of each coefficient's polynomial in position
@@ -55,7 +55,7 @@ class NormalQuadric:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadricSkin:
-    """Places of skin.
+    """The quadratic function at N places.
 
     coefficients : float64 array of shape (N, `TERMS`, 3)
     """
@@ -95,7 +95,7 @@ def normal_terms(slope: Float64Array) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedQuadric:
-    """A quadric that balls tell.
+    """A quadric that was fitted to balls.
 
     model : of all balls
     folds : as it would be without every K-th ball, from each of the first K on
@@ -118,6 +118,8 @@ class QuadricReader:
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Slopes p and q, float64 array of shape (N, 2), of intensities (N, 3) at pixels (N,)."""
-        read = self.inverse.predict(intensity, column, row)
-        skin = self.model.at(column.astype(np.float64), row.astype(np.float64))
-        return skin.slopes(intensity.astype(np.float64), read)
+        slopes = self.inverse.predict(intensity, column, row)
+        for part in blocks_of(len(slopes)):
+            skin = self.model.at(column[part].astype(np.float64), row[part].astype(np.float64))
+            slopes[part] = skin.slopes(intensity[part].astype(np.float64), slopes[part])
+        return slopes

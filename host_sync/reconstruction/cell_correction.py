@@ -27,7 +27,8 @@ class CellCorrection:
     weight : of slopes in shadow in the integration, as a share of that of others
     unsure : float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each wrong
         all at once; None where nothing is known of them
-    left_alone : float32 array of shape (h, w), 1 where slopes are as they were read, for a pixel is saturated, else 0
+    left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
+        the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
     """
 
     p: Float32Array
@@ -46,18 +47,14 @@ class CellCorrection:
         planes = bordered(np.stack([self.p, self.q, less]))
         parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
 
-    def in_shadow(self, shadow: CellCorrection | None) -> CellCorrection:
-        """This correction where every light arrives and that of a shadow, over the same cells, where one does not."""
+    def with_shadow(self, shadow: CellCorrection | None) -> CellCorrection:
+        """This correction where every light arrives, and that of a shadow, over the same cells, where one does not."""
         if shadow is None:
             return self
         lit = np.float32(1.0) - shadow.shadow
-        return replace(
-            shadow,
-            p=lit * self.p + shadow.p,
-            q=lit * self.q + shadow.q,
-            unsure=self.unsure,
-            left_alone=self.left_alone,
-        )
+        p, q = lit * self.p + shadow.p, lit * self.q + shadow.q
+        alone = shadow.shadow if self.left_alone is None else np.maximum(self.left_alone, shadow.shadow)
+        return replace(shadow, p=p, q=q, unsure=self.unsure, left_alone=alone)
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""

@@ -202,17 +202,17 @@ def _uncertainty(
 
 
 def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:
-    """What the calibration does not know, on a field of `size` (w, h): of lamps, or of the map where it reads alone."""
+    """What the calibration does not know, on a field of `size` (w, h): of what corrects slopes, or of the map."""
     first = reading.first
     replicas = first.calibration.inverse.replicas if reading.method == "direct" else ()
     correction = first.correction
     if correction is None or correction.unsure is None:
         return calibration_uncertainty(first.intensity, replicas, size)
-    of_lamps = CalibrationUncertainty.of(correction.unsure, size)
+    of_correction = CalibrationUncertainty.of(correction.unsure, size)
     if correction.left_alone is None or not correction.left_alone.any():
-        return of_lamps
+        return of_correction
     share = np.asarray(cv2.resize(correction.left_alone, size, interpolation=cv2.INTER_LINEAR), np.float32)
-    return of_lamps.mixed_with(calibration_uncertainty(first.intensity, replicas, size), share)
+    return of_correction.mixed_with(calibration_uncertainty(first.intensity, replicas, size), share)
 
 
 def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:

@@ -1,11 +1,13 @@
-"""Slopes as a quadratic function of the normal tells them that explains the balls of a calibration.
+"""A quadratic function of the normal, fitted to the balls of a calibration, corrects slopes.
 
-The inverse map, which is taught by a dozen balls, reads skin between them some per mille too flat or too steep. Over
-cells of pixels the quadric reads their mean intensity, too; by how much it reads otherwise than the map is added to the
-slopes of every pixel.
+The inverse map, which a dozen balls teach, reads skin between them some per mille too flat or too steep. The quadric
+reads the mean intensities of cells of pixels, too; by how much it reads them otherwise than the map is added to the
+slopes of every pixel. Cells that it does not explain are left as the map reads them.
 """
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 
@@ -19,23 +21,30 @@ from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.lamp_reading import LEVEL
 from host_sync.uncertainty.calibration_uncertainty import jackknifed
 
+EXPLAINED: Final = (0.03, 0.06)
+"""Root mean square of what a quadric leaves of a cell's three channels: up to the first it explains the cell, from the
+second on it does not: a light is hidden, or something lies on the skin."""
+
 
 def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: FittedQuadric) -> CellCorrection:
     """What the slopes of an image (H, W) gain that an inverse map read."""
     cell = cell_px(image.shape)
     size = (-(-image.shape[0] // cell), -(-image.shape[1] // cell))
     means, faithful = faithful_cells(image, size, cell)
+    means = np.nan_to_num(means, nan=1.0)
     row, column = middles_of_cells(size, cell)
-    read = inverse_map.on_grid(np.nan_to_num(means, nan=1.0).astype(np.float32), column, row).astype(np.float64)
-    share = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0) * faithful
-    here = np.flatnonzero(share > 0.0)
+    read = inverse_map.on_grid(means.astype(np.float32), column, row).astype(np.float64)
+    steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0)
+    counts = faithful.astype(np.float64)
+    here = np.flatnonzero((steep > 0.0) & faithful)
     places = column[here % size[1]], row[here // size[1]]
-    skin = quadric.model.at(*places)
-    before = read.reshape(-1, 2)[here]
-    found = skin.slopes(means.reshape(-1, 3)[here], before)
-    change = np.zeros((2, *size), np.float32)
-    change.reshape(2, -1)[:, here] = (share.ravel()[here, None] * (found - before)).T
+    skin, seen, before = quadric.model.at(*places), means.reshape(-1, 3)[here], read.reshape(-1, 2)[here]
+    found = skin.slopes(seen, before)
     shown = skin.shown(found)
+    left = np.sqrt(((seen - shown) ** 2).mean(axis=1))
+    counts.ravel()[here] = np.clip((EXPLAINED[1] - left) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
+    change = np.zeros((2, *size), np.float32)
+    change.reshape(2, -1)[:, here] = ((steep * counts).ravel()[here, None] * (found - before)).T
     changes, weight = skin.changes(found, shown), np.full_like(shown, INTENSITY_SIGMA**-2)
     moves = np.zeros((2, len(quadric.folds), *size), np.float32)
     for number, fold in enumerate(quadric.folds):
@@ -43,6 +52,5 @@ def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: Fi
         move = gauss_newton_step(changes, weight, less, np.zeros_like(found), SURFACE_SIGMA)
         moves[:, number].reshape(2, -1)[:, here] = move.T
     unsure = jackknifed(moves[0]), jackknifed(moves[1])
-    nothing = np.zeros(size, np.float32)
-    left_alone = (~faithful).astype(np.float32)
+    nothing, left_alone = np.zeros(size, np.float32), (1.0 - counts).astype(np.float32)
     return CellCorrection(change[0], change[1], nothing, nothing, nothing, cell, 1.0, unsure, left_alone)

@@ -185,7 +185,7 @@ def _correction(
         shadow = find_hidden_skin(gradients, calibration.lamps)
     if calibration.quadric is None:
         return shadow
-    return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).in_shadow(shadow)
+    return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).with_shadow(shadow)
 
 
 def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:

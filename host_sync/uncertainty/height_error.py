@@ -206,8 +206,7 @@ def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Ar
     if datum.is_relative:
         return datum.zero_sigma_um
     drawn_um = np.concatenate([block_heights_um(sample_um, skin > HALF) for sample_um in samples_um])
-    known = float(np.square(drawn_um).mean()) if drawn_um.size else 0.0
-    return float(np.sqrt(max(datum.zero_sigma_um**2 - known, 0.0)))
+    return datum.zero_sigma_beside_um(float(np.sqrt(np.square(drawn_um).mean())) if drawn_um.size else 0.0)
 
 
 def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -25,9 +26,11 @@ from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps
+from host_sync.lights.normal_quadric import FittedQuadric
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0
+Fitted = TypeVar("Fitted", FittedLamps, FittedQuadric)
 
 
 def field_calibration(shape: Shape, presses: int, folder: Path) -> Calibration:
@@ -97,14 +100,16 @@ def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
         elevation=elevation,
         lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
         fitted_lamps=_for_shape(calibration.fitted_lamps, reference.shape),
+        quadric=_for_shape(calibration.quadric, reference.shape),
     )
 
 
-def _for_shape(lamps: FittedLamps | None, shape: Shape) -> FittedLamps | None:
-    """The lamps of the same field at (H, W) pixels: their lengths are in widths of the field."""
-    if lamps is None:
+def _for_shape(fitted: Fitted | None, shape: Shape) -> Fitted | None:
+    """What was fitted to balls for the same field at (H, W) pixels: its lengths are in widths of the field."""
+    if fitted is None:
         return None
-    return FittedLamps(replace(lamps.model, shape=shape), tuple(replace(fold, shape=shape) for fold in lamps.folds))
+    folds = tuple(replace(fold, shape=shape) for fold in fitted.folds)
+    return replace(fitted, model=replace(fitted.model, shape=shape), folds=folds)
 
 
 def at_size(inverse_map: InverseMap, shape: Shape) -> InverseMap:

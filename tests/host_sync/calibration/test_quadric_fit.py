@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -52,7 +53,7 @@ def test_what_explains_the_balls_reads_the_skin_between_them() -> None:
 def test_folds_are_taught_without_their_balls() -> None:
     """The fold of a ball that does not belong to the field is the only one that reads the others right."""
     image, ball = PRESSES[2]
-    strange = [*PRESSES[:2], (type(image)(1.0 + 1.1 * (image.values - 1.0), image.valid, image.clipped), ball)]
+    strange = [*PRESSES[:2], (replace(image, values=1.0 + 1.1 * (image.values - 1.0)), ball)]
     found = quadric_that_reads_better([*strange, *PRESSES[3:]], inverse(0.3), None)
     assert found is not None
     middle, slope = (np.array([float(ball[0].column)]), np.array([float(ball[0].row)])), np.array([[0.3, 0.1]])
@@ -64,6 +65,14 @@ def test_folds_are_taught_without_their_balls() -> None:
 
 def test_a_map_that_reads_as_well_is_left_alone() -> None:
     assert quadric_that_reads_better(PRESSES, inverse(0.0), None) is None
+
+
+def test_what_cannot_be_judged_is_not_taken() -> None:
+    image, ball = PRESSES[0]
+    values = image.values.copy()
+    values[int(ball[0].row), int(ball[0].column)] = np.nan
+    broken = [(replace(image, values=values), ball), *PRESSES[1:]]
+    assert quadric_that_reads_better(broken, inverse(0.05), None) is None
 
 
 def test_without_replicas_nothing_judges_it() -> None:

@@ -304,11 +304,12 @@ def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
     return replace(calibration, fitted_lamps=FittedLamps(model, (replace(model, **changed),)))
 
 
-def with_quadric(calibration: Calibration, **changed: Any) -> Calibration:
-    """With a quadric of its field, but for what is changed."""
+def with_quadric(calibration: Calibration, folds: int = 2, **changed: Any) -> Calibration:
+    """With a quadric of its field and so many folds, the last of them changed."""
     light = IlluminationMap(np.ones((3, 3, 3), np.float32))
     model = NormalQuadric(calibration.flat_field.shape[:2], 1, np.zeros((TERMS, 3, 3)), light)
-    return replace(calibration, quadric=FittedQuadric(model, (replace(model, **changed),)))
+    all_folds = (model, replace(model, **changed))
+    return replace(calibration, quadric=FittedQuadric(model, all_folds[2 - folds :]))
 
 
 HARMS: dict[str, Callable[[Calibration], Calibration]] = {
@@ -336,6 +337,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric of another degree": lambda one: with_quadric(one, degree=2),
     "a quadric of a degree that nobody fits": lambda one: with_quadric(one, degree=-1),
     "a quadric without measure": lambda one: with_quadric(one, coefficients=np.full((TERMS, 3, 3), np.nan)),
+    "a quadric beyond measure": lambda one: with_quadric(one, coefficients=np.full((TERMS, 3, 3), 1e300)),
+    "a quadric without folds": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),

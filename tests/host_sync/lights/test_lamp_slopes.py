@@ -49,6 +49,23 @@ def test_skin_shows_what_the_model_says() -> None:
     np.testing.assert_allclose(SKIN.select(some).shown(TRUE[some], Z_PX[some]), wanted[some], rtol=1e-12)
 
 
+def test_no_place_shows_nothing() -> None:
+    none = np.zeros(0)
+    skin = LampSkin.at(MODEL, none, none)
+    shown, changes = skin.shown_and_changes(np.zeros((0, 2)), none)
+    assert shown.shape == (0, 3)
+    assert changes.shape == (0, 3, 2)
+    assert skin.shown(np.zeros((0, 2)), none, MODEL).shape == (0, 3)
+
+
+def test_changes_are_those_of_what_is_shown() -> None:
+    shown, changes = SKIN.shown_and_changes(TRUE, Z_PX)
+    np.testing.assert_array_equal(shown, SKIN.shown(TRUE, Z_PX))
+    for axis in (0, 1):
+        beside = SKIN.shown(TRUE + 1e-3 * np.eye(2)[axis], Z_PX)
+        np.testing.assert_allclose(changes[..., axis], (beside - shown) / 1e-3, rtol=1e-9)
+
+
 def test_slopes_are_found_at_any_elevation() -> None:
     before = KnownBefore(READ, 10.0)
     np.testing.assert_allclose(found(SEEN, before), TRUE, atol=1e-4)

@@ -93,20 +93,44 @@ def test_cells_with_a_saturated_pixel_are_left_as_the_map_reads_them() -> None:
     assert not correction.p[here].any()
     assert correction.left_alone is not None
     assert (correction.left_alone[here] == 1.0).all()
-    assert correction.left_alone.sum() == correction.left_alone[here].size
+    assert (correction.left_alone[TILT_OF_CELLS > 0.03] == 0.0).mean() > 0.98
 
 
-def test_in_shadow_the_correction_of_the_shadow_counts() -> None:
+def test_cells_that_the_quadric_does_not_explain_are_left_as_the_map_reads_them() -> None:
+    """A channel is dark over a patch of the hill, as beside dust."""
+    values = IMAGE.values.copy()
+    values[100:120, 130:150, 0] *= 0.3
+    correction = read_by_quadric(replace(IMAGE, values=values), flat_map(), ALL_ALIKE)
+    here = np.s_[100 // CELL : 120 // CELL, 130 // CELL : 150 // CELL]
+    assert not correction.p[here].any()
+    assert correction.left_alone is not None
+    assert (correction.left_alone[here] == 1.0).all()
+
+
+def test_a_pixel_that_is_not_known_moves_no_slope() -> None:
+    values = IMAGE.values.copy()
+    values[100, 140] = np.nan
+    correction = read_by_quadric(replace(IMAGE, values=values), flat_map(), ALL_ALIKE)
+    assert np.isfinite(correction.p).all()
+    assert np.isfinite(correction.unsure or ()).all()
+
+
+def test_in_shadow_the_correction_of_the_shadow_counts_and_what_is_not_known_of_the_map() -> None:
     own = read_by_quadric(IMAGE, flat_map(), ALL_ALIKE)
-    assert own.in_shadow(None) is own
+    assert own.with_shadow(None) is own
     half = np.zeros_like(own.p)
     half[:, : half.shape[1] // 2] = 1.0
+    half[:, half.shape[1] // 2] = 0.25
     other = CellCorrection(0.1 * half, 0.2 * half, 0.03 * half, 0.04 * half, half, CELL, 0.1)
-    both = own.in_shadow(other)
-    lit = half == 0.0
+    both = own.with_shadow(other)
+    lit, edge = half == 0.0, half == 0.25
     np.testing.assert_array_equal(both.p[lit], own.p[lit])
-    np.testing.assert_array_equal(both.p[~lit], other.p[~lit])
-    np.testing.assert_array_equal(both.q[~lit], other.q[~lit])
+    np.testing.assert_array_equal(both.p[half == 1.0], other.p[half == 1.0])
+    np.testing.assert_allclose(both.q[edge], 0.75 * own.q[edge] + other.q[edge], rtol=1e-6)
     np.testing.assert_array_equal(both.sigma_p, other.sigma_p)
     assert both.weight == other.weight
     assert both.unsure is own.unsure
+    assert both.left_alone is not None
+    assert (both.left_alone >= half).all()
+    assert own.left_alone is not None
+    np.testing.assert_array_equal(both.left_alone[lit], own.left_alone[lit])
