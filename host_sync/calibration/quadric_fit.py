@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -52,8 +53,8 @@ def quadric_that_reads_better(
     samples = everything.select(np.random.default_rng(0).permutation(len(everything.p))[:MAX_SAMPLES])
     lights = (None,) if light is None else (None, light)
     lessons = [_Lesson.of(samples, shape, degree, one) for degree in DEGREES for one in lights]
-    lesson = min(lessons, key=_Lesson.left)
-    if not lesson.left() <= MAX_LEFT:
+    left, lesson = min(((one.left(), one) for one in lessons), key=itemgetter(0))
+    if not left <= MAX_LEFT:
         return None
     errors_deg = np.zeros((2, len(samples.p)))
     truth = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)

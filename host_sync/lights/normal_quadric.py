@@ -62,10 +62,6 @@ class QuadricSkin:
 
     coefficients: Float64Array
 
-    def select(self, rows: np.ndarray) -> QuadricSkin:
-        """The places of these numbers."""
-        return QuadricSkin(self.coefficients[rows])
-
     def shown(self, slope: Float64Array) -> Float64Array:
         """Intensity (N, 3) of slopes (N, 2), divided by that of untouched skin at the same place; 0 at least."""
         terms = normal_terms(slope)[:, None, :]
