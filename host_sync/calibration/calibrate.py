@@ -215,14 +215,15 @@ def calibrate(
     shrinkage = _learn_shrinkage(located, reference, flat_field)
     located = _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
-    begun, located, centres = _fit(presses, located, IlluminationMap.of(flat_field) if reference else None)
+    light = IlluminationMap.of(flat_field) if reference else None
+    begun, located, centres = _fit(presses, located, light)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
     followed = followed_balls(located, begun.fit, elevated) if elevated else None
     if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
         located = lowered_presses(located, followed)
-        begun = _fit_to(located, IlluminationMap.of(flat_field), begun)
+        begun = _fit_to(located, light, begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     if reference:
@@ -246,7 +247,7 @@ def calibrate(
     over_cells, quadric = lamps_that_read_better(kept, inverse, followed), None
     fitted_lamps = followed.lamps if followed and over_cells else None
     if over_cells is None:
-        found = quadric_that_reads_better(kept, inverse, IlluminationMap.of(flat_field) if reference else None)
+        found = quadric_that_reads_better(kept, inverse, light)
         quadric, over_cells = found or (None, None)
     error = measure_slope_error(
         kept,

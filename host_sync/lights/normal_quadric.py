@@ -18,6 +18,7 @@ from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import blocks_of, field_position, monomials
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.lights.lamp_slopes import (
+    BESIDE,
     INTENSITY_SIGMA,
     READER_STEPS,
     STEP,
@@ -67,17 +68,16 @@ class QuadricSkin:
         terms = normal_terms(slope)[:, None, :]
         return np.asarray(np.maximum(1.0 + np.matmul(terms, self.coefficients)[:, 0], 0.0))
 
-    def changes(self, slope: Float64Array, shown: Float64Array) -> Float64Array:
-        """What intensities that are shown change with both slopes: shape (N, 3, 2)."""
-        beside = [self.shown(slope + STEP * np.eye(2)[axis]) for axis in (0, 1)]
-        return np.stack([(one - shown) / STEP for one in beside], axis=-1)
+    def shown_and_changes(self, slope: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Intensity (N, 3) as `shown`, and what it changes with both slopes: shape (N, 3, 2)."""
+        here, by_p, by_q = (self.shown(slope + STEP * beside) for beside in BESIDE.T)
+        return here, np.stack([by_p - here, by_q - here], axis=-1) / STEP
 
     def slopes(self, intensity: Float64Array, read: Float64Array) -> Float64Array:
         """Slopes (N, 2) that explain intensities (N, 3), from slopes as they are known before."""
         slope, weight = read, np.full_like(intensity, INTENSITY_SIGMA**-2)
         for _ in range(READER_STEPS):
-            shown = self.shown(slope)
-            change = self.changes(slope, shown)
+            shown, change = self.shown_and_changes(slope)
             slope = slope + bounded(gauss_newton_step(change, weight, intensity - shown, read - slope, SURFACE_SIGMA))
         return slope
 

@@ -42,8 +42,7 @@ class Surroundings:
     def of(cls, image: NormalizedImage) -> Surroundings:
         """The surroundings in an image; cells with a saturated pixel, or a dark reference, count as untouched skin."""
         cell = cell_px(image.shape)
-        size = (-(-image.shape[0] // cell), -(-image.shape[1] // cell))
-        return cls.of_cells(*faithful_cells(image, size, cell), cell)
+        return cls.of_cells(*faithful_cells(image, cell), cell)
 
     @classmethod
     def of_cells(cls, intensity: Float64Array, faithful: MaskArray, cell: int) -> Surroundings:
@@ -58,7 +57,10 @@ class Surroundings:
         return self.intensity[down, across].astype(np.float64)
 
 
-def faithful_cells(image: NormalizedImage, size: tuple[int, int], cell: int) -> tuple[Float64Array, MaskArray]:
-    """Mean intensity of an image's cells, shape (h, w, 3), and where no pixel is saturated or dark, bool (h, w)."""
+def faithful_cells(image: NormalizedImage, cell: int) -> tuple[Float64Array, MaskArray]:
+    """Mean intensity of an image's cells of `cell` x `cell` pixels, shape (h, w, 3), and where no pixel is saturated or
+    dark, bool array of shape (h, w).
+    """
+    size = (-(-image.shape[0] // cell), -(-image.shape[1] // cell))
     share = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell)[..., 0]
     return means_of_cells(image.values, size, cell), share > ALL

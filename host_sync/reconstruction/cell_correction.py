@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, GradientField
+from device.surface.fields import Float32Array, Float64Array, GradientField
 from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, gauss_newton_step
+from host_sync.uncertainty.calibration_uncertainty import jackknifed
 
 SlopePair = tuple[Float32Array, Float32Array]
+
+LEVEL: Final = (0.005, 0.015)
+"""Slopes up to the first are left as they are read, from the second on they are corrected in full."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +66,28 @@ class CellCorrection:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
         p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
         return np.asarray(p, np.float32), np.asarray(q, np.float32)
+
+
+def steepness(slope: Float64Array) -> Float64Array:
+    """How much slopes (h, w, 2) are to be corrected, for they are not level: 0 to 1, shape (h, w)."""
+    return np.asarray(np.clip((np.linalg.norm(slope, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0))
+
+
+def unsure_cells(
+    here: np.ndarray, size: tuple[int, int], change: Float64Array, less: Sequence[Float64Array]
+) -> SlopePair:
+    """By how much slopes of `size` (h, w) cells differ from fold to fold: deviations as of `CellCorrection.unsure`.
+
+    here : numbers of the N cells that are corrected; the others are sure
+    change : of their intensity with slopes, shape (N, 3, 2)
+    less : for every fold by how much less than all folds together it shows there, shape (N, 3)
+    """
+    weight, level = np.full((len(here), 3), INTENSITY_SIGMA**-2), np.zeros((len(here), 2))
+    moves = np.zeros((len(less), size[0] * size[1], 2), np.float32)
+    for move, own in zip(moves, less, strict=True):
+        move[here] = gauss_newton_step(change, weight, own, level, SURFACE_SIGMA)
+    p, q = (jackknifed(moves[..., axis]).reshape(-1, *size) for axis in (0, 1))
+    return p, q
 
 
 @njit(cache=True, nogil=True)

@@ -22,19 +22,16 @@ from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cell
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import (
-    INTENSITY_SIGMA,
     SURFACE_SIGMA,
     KnownBefore,
     LampSkin,
-    gauss_newton_step,
     move_towards,
 )
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
-from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair
+from host_sync.reconstruction.cell_correction import LEVEL, CellCorrection, SlopePair, steepness, unsure_cells
 from host_sync.reconstruction.elevation_correction import cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
-from host_sync.uncertainty.calibration_uncertainty import jackknifed
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
@@ -42,9 +39,6 @@ STEPS: Final = (2, 1, 1)
 HIDDEN_STEPS: Final = 8
 FREE_STEPS: Final = 3
 """Steps where a light may be hidden, which begin at the surface, and how many of them leave such lights out."""
-
-LEVEL: Final = (0.005, 0.015)
-"""Slopes up to the first are left as they are read, from the second on lamps tell them."""
 
 PENUMBRA: Final = 0.3
 """A light may be hidden in part where the tangent of its elevation clears the skin by less."""
@@ -137,7 +131,7 @@ class _Cells:
         row, column = middles_of_cells(size, cell)
         across, down = (axis.ravel() for axis in np.meshgrid(column, row))
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
-        intensity, faithful = faithful_cells(image, size, cell)
+        intensity, faithful = faithful_cells(image, cell)
         skin = LampSkin.at(model, across, down, Surroundings.of_cells(intensity, faithful, cell))
         return cls(np.nan_to_num(intensity).reshape(-1, 3), skin, cell, arriving, faithful)
 
@@ -154,7 +148,7 @@ class _Cells:
         known = known & self.faithful
         hidden, arriving = self._may_be_hidden(z_px)
         hidden &= known[..., None]
-        steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0) * known
+        steep = steepness(read) * known
         lit, dark = (np.flatnonzero(part) for part in ((steep > 0.0) & ~hidden.any(axis=-1), hidden.any(axis=-1)))
         if not lit.size and not dark.size:
             return None
@@ -173,13 +167,8 @@ class _Cells:
         here = np.flatnonzero(np.linalg.norm(slope, axis=-1) > LEVEL[0])
         skin, there = self.skin.select(here), slope.reshape(-1, 2)[here]
         shown, change = skin.shown_and_changes(there, z[here])
-        weight = np.full_like(shown, INTENSITY_SIGMA**-2)
-        moves = np.zeros((len(others), z.size, 2), np.float32)
-        for move, other in zip(moves, others, strict=True):
-            less = shown - skin.shown(there, z[here], other)
-            move[here] = gauss_newton_step(change, weight, less, np.zeros_like(there), SURFACE_SIGMA)
-        p, q = (jackknifed(moves[..., axis]).reshape(-1, *z_px.shape) for axis in (0, 1))
-        return p, q
+        less = [shown - skin.shown(there, z[here], other) for other in others]
+        return unsure_cells(here, (z_px.shape[0], z_px.shape[1]), change, less)
 
     def _may_be_hidden(self, z_px: Float32Array) -> tuple[MaskArray, Float64Array]:
         """Which lights may be hidden where, bool array of shape (h, w, 3), and how much each arrives at most."""

@@ -14,12 +14,9 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from host_sync.kernels.cell_rows import cell_px, middles_of_cells
-from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, gauss_newton_step
 from host_sync.lights.normal_quadric import FittedQuadric
 from host_sync.lights.surroundings import faithful_cells
-from host_sync.reconstruction.cell_correction import CellCorrection
-from host_sync.reconstruction.lamp_reading import LEVEL
-from host_sync.uncertainty.calibration_uncertainty import jackknifed
+from host_sync.reconstruction.cell_correction import CellCorrection, steepness, unsure_cells
 
 EXPLAINED: Final = (0.03, 0.06)
 """Root mean square of what a quadric leaves of a cell's three channels: up to the first it explains the cell, from the
@@ -29,28 +26,21 @@ second on it does not: a light is hidden, or something lies on the skin."""
 def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: FittedQuadric) -> CellCorrection:
     """What the slopes of an image (H, W) gain that an inverse map read."""
     cell = cell_px(image.shape)
-    size = (-(-image.shape[0] // cell), -(-image.shape[1] // cell))
-    means, faithful = faithful_cells(image, size, cell)
-    means = np.nan_to_num(means, nan=1.0)
+    means, faithful = faithful_cells(image, cell)
+    means, size = np.nan_to_num(means, nan=1.0), (faithful.shape[0], faithful.shape[1])
     row, column = middles_of_cells(size, cell)
     read = inverse_map.on_grid(means.astype(np.float32), column, row).astype(np.float64)
-    steep = np.clip((np.linalg.norm(read, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0)
-    counts = faithful.astype(np.float64)
+    steep = steepness(read)
     here = np.flatnonzero((steep > 0.0) & faithful)
     places = column[here % size[1]], row[here // size[1]]
     skin, seen, before = quadric.model.at(*places), means.reshape(-1, 3)[here], read.reshape(-1, 2)[here]
     found = skin.slopes(seen, before)
-    shown = skin.shown(found)
+    shown, changes = skin.shown_and_changes(found)
     left = np.sqrt(((seen - shown) ** 2).mean(axis=1))
+    counts = faithful.astype(np.float64)
     counts.ravel()[here] = np.clip((EXPLAINED[1] - left) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
     change = np.zeros((2, *size), np.float32)
     change.reshape(2, -1)[:, here] = ((steep * counts).ravel()[here, None] * (found - before)).T
-    changes, weight = skin.changes(found, shown), np.full_like(shown, INTENSITY_SIGMA**-2)
-    moves = np.zeros((2, len(quadric.folds), *size), np.float32)
-    for number, fold in enumerate(quadric.folds):
-        less = shown - fold.at(*places).shown(found)
-        move = gauss_newton_step(changes, weight, less, np.zeros_like(found), SURFACE_SIGMA)
-        moves[:, number].reshape(2, -1)[:, here] = move.T
-    unsure = jackknifed(moves[0]), jackknifed(moves[1])
+    unsure = unsure_cells(here, size, changes, [shown - fold.at(*places).shown(found) for fold in quadric.folds])
     nothing, left_alone = np.zeros(size, np.float32), (1.0 - counts).astype(np.float32)
     return CellCorrection(change[0], change[1], nothing, nothing, nothing, cell, 1.0, unsure, left_alone)

@@ -50,7 +50,7 @@ def test_a_light_that_has_set_shows_nothing_and_tells_nothing() -> None:
     assert (skin.shown(slope) >= 0.0).all()
     seen = darker.shown(slope)
     assert (seen[:, 0] == 0.0).mean() > 0.9
-    assert not darker.changes(slope, seen)[seen[:, 0] == 0.0, 0].any()
+    assert not darker.shown_and_changes(slope)[1][seen[:, 0] == 0.0, 0].any()
     np.testing.assert_allclose(darker.slopes(seen, 0.95 * slope), slope, atol=0.02)
 
 
