@@ -4,7 +4,8 @@ Flat skin that reaches the border is untouched or lies on an object that reaches
 skin towards the camera, so that of flat parts the lowest ones are untouched. Around an object skin sinks towards rest
 over a long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ
 from place to place by what errors of slopes add up to: the zero's uncertainty is a share of that spread. Where no skin
-is untouched a height map has no zero: its heights are relative to each other.
+is untouched, as where an object's fine texture fills the field, a height map has no zero: its heights are relative to
+each other.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Hei
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import height_of_rest_um, skin_at_rest
 from host_sync.integration.precise_distance import distance_px
+from host_sync.integration.relief import is_relief
 from host_sync.integration.sinking_skin import height_left_um
 
 NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
@@ -123,7 +125,7 @@ def find_datum(height: HeightMap, gradients: GradientField) -> Datum:
     """The datum of a height map that has these slopes."""
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
-    if far is None:
+    if far is None or is_relief(height, gradients, far):
         known = height.z_um[gradients.valid]
         spread_um = float(np.nanstd(known)) if known.size else 0.0
         return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)

@@ -30,6 +30,15 @@ from host_sync.lights.lamp_slopes import (
 TERMS: Final = 8
 """Three components of a normal and six products of them, less one: the squares add up to 1."""
 
+DARK_LIGHT: Final = 1e-3
+"""Light of untouched skin, of its mean over the field, that nothing darker is divided by."""
+
+CONTRAST_SLOPE: Final = 0.35
+"""Slope of the skin whose intensity tells a quadric's contrast, 19 degrees: a ball's on the mean."""
+
+CONTRAST_PLACES: Final = 6
+"""Places along each side of the field where it is asked for, and directions of the slope."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalQuadric:
@@ -46,12 +55,22 @@ class NormalQuadric:
     coefficients: Float64Array
     light: IlluminationMap | None
 
+    def contrast(self) -> float:
+        """By how much skin of `CONTRAST_SLOPE` differs from level skin, median over the field and directions."""
+        rows, columns = self.shape
+        even = (np.arange(CONTRAST_PLACES) + 0.5) / CONTRAST_PLACES
+        across, down, angle = (part.ravel() for part in np.meshgrid(even * columns, even * rows, 2.0 * np.pi * even))
+        slope = CONTRAST_SLOPE * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return float(np.median(np.abs(self.at(across, down).shown(slope) - 1.0)))
+
     def at(self, column: Float64Array, row: Float64Array) -> QuadricSkin:
         """Skin at pixels of these columns and rows (N,)."""
         place = field_position(column, row, self.shape)
         by_place = monomials(place, self.degree) @ self.coefficients.swapaxes(0, 1).reshape(-1, TERMS * 3)
         by_place = by_place.reshape(-1, TERMS, 3)
-        return QuadricSkin(by_place if self.light is None else by_place / self.light.at(place)[:, None, :])
+        if self.light is not None:
+            by_place /= np.maximum(self.light.at(place), DARK_LIGHT)[:, None, :]
+        return QuadricSkin(by_place)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,8 @@
 The inverse map reads every pixel; over cells of pixels, where lamps and coat are known as a whole, what it misreads is
 found from the cells' own intensity and added to the slopes of every pixel. Elevation counts as the lamps predict, and
 where a ray from a cell to a lamp meets the skin, its channel counts for nothing if it is as dark as that says: then the
-other two decide, and the surface around, in whose integration such slopes weigh little.
+other two decide, and the surface around, in whose integration such slopes weigh little. Where no skin is untouched the
+light tells how high all of it stands.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from host_sync.integration.datum import height_of_rest_um
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
@@ -30,8 +32,9 @@ from host_sync.lights.lamp_slopes import (
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
 from host_sync.reconstruction.cell_correction import LEVEL, CellCorrection, SlopePair, steepness, unsure_cells
-from host_sync.reconstruction.elevation_correction import cell_means
+from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
+from host_sync.reconstruction.light_elevation import Rise, RiseSearch, rise_told_by_light
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
@@ -76,34 +79,97 @@ def read_under_lamps(
     cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     cells = _Cells.of(image, lamps.model, p.shape, cell, alone)
-    solver, read = Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64)
-    slope, shadow, z_px = read, np.zeros_like(p), np.zeros_like(p)
+    reading = _Reading(cells, Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64), known)
+    found = reading.begin()
     for steps in STEPS:
-        z_px = _elevation_px(solver, slope, known, shadow, cell)
-        found = cells.slopes(read, slope, known, z_px, steps)
-        if found is None:
+        found = reading.improved(found, steps)
+        if found.is_level:
             return None
-        slope, shadow = found
-    change = (slope - read).astype(np.float32)
+    rise = None
+    if not found.has_zero:
+        found, rise = reading.raised(found)
+    change = (found.slope - reading.read).astype(np.float32)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
-    share = np.float32(RELATIVE_SIGMA) * (shadow > 0.0)
-    unsure = cells.unsure(slope, z_px, lamps.folds) if lamps.folds else None
+    share = np.float32(RELATIVE_SIGMA) * (found.shadow > 0.0)
+    unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
     left_alone = (~cells.faithful).astype(np.float32)
-    return CellCorrection(p_change, q_change, *sigma, shadow, cell, SHADOW_WEIGHT, unsure, left_alone)
+    return CellCorrection(p_change, q_change, *sigma, found.shadow, cell, SHADOW_WEIGHT, unsure, left_alone)
 
 
-def _elevation_px(
-    solver: Integrator, slope: Float64Array, known: MaskArray, shadow: Float32Array, cell: int
-) -> Float32Array:
-    """Elevation of cells over untouched skin, pixels: float32 array of shape (h, w)."""
-    p, q = (np.ascontiguousarray(slope[..., axis], np.float32) for axis in (0, 1))
-    evenly = GradientField(p, q, known, known.astype(np.float32))
-    weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * shadow)
-    height, _ = solver.integrate(replace(evenly, weight=weight.astype(np.float32)), float(cell))
-    in_px = HeightMap(height.z_um, float(cell))
-    level = find_datum(in_px, evenly).level(in_px).z_um
-    return np.where(np.isfinite(level), level, np.float32(0.0)).astype(np.float32)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What was found of a field of cells so far.
+
+    slope : shape (h, w, 2)
+    shadow : how much of each a hidden light leaves to the others, 0 to 1, shape (h, w)
+    z_px : elevation that the slopes were found with, shape (h, w)
+    has_zero : whether some skin is untouched
+    is_level : whether no skin is steep enough to be corrected
+    """
+
+    slope: Float64Array
+    shadow: Float32Array
+    z_px: Float32Array
+    has_zero: bool = True
+    is_level: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """Cells, and slopes as the inverse map reads them, shape (h, w, 2), where they are known."""
+
+    cells: _Cells
+    solver: Integrator
+    read: Float64Array
+    known: MaskArray
+
+    def begin(self) -> _Found:
+        """Nothing found yet."""
+        nothing = np.zeros(self.known.shape, np.float32)
+        return _Found(self.read, nothing, nothing)
+
+    def improved(self, found: _Found, steps: int, risen_px: float | None = None) -> _Found:
+        """What is found next from what was found.
+
+        risen_px : elevation of the middle of all heights where no skin is untouched; None where that is not asked
+        """
+        z_px, has_zero = self._elevation_px(found, risen_px)
+        told = self.cells.slopes(self.read, found.slope, self.known, z_px, steps, everywhere=risen_px is not None)
+        if told is None:
+            return _Found(found.slope, found.shadow, z_px, has_zero, is_level=True)
+        return _Found(*told, z_px, has_zero)
+
+    def raised(self, found: _Found) -> tuple[_Found, Rise | None]:
+        """What is found at the elevation that the light tells, and what is left of that; None where it tells none."""
+        highest_px = HIGHEST_SHARE * self.cells.skin.model.shape[1] * float(self.cells.skin.model.position[:, 2].min())
+        search, there = RiseSearch(highest_px), found
+        while True:
+            there = self.improved(there, STEPS[0], search.z_px)
+            rise = self.cells.rise(there.slope, there.z_px)
+            if rise is None:
+                return found, None
+            if not search.goes_on(rise):
+                return there, rise
+
+    def _elevation_px(self, found: _Found, risen_px: float | None) -> tuple[Float32Array, bool]:
+        """Elevation of cells over untouched skin, float32 array of shape (h, w), and whether some skin is untouched.
+
+        risen_px : of the median, where that is known otherwise
+        """
+        p, q = (np.ascontiguousarray(found.slope[..., axis], np.float32) for axis in (0, 1))
+        step_px, known = float(self.cells.cell), self.known
+        evenly = GradientField(p, q, known, known.astype(np.float32))
+        weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * found.shadow)
+        height, _ = self.solver.integrate(replace(evenly, weight=weight.astype(np.float32)), step_px)
+        in_px = HeightMap(height.z_um, step_px)
+        if risen_px is None:
+            datum = find_datum(in_px, evenly)
+            level, has_zero = datum.level(in_px).z_um, not datum.is_relative
+        else:
+            middle_px = height_of_rest_um(in_px, known)
+            level, has_zero = in_px.z_um + np.float32(risen_px - middle_px), False
+        return np.where(np.isfinite(level), level, np.float32(0.0)).astype(np.float32), has_zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +202,14 @@ class _Cells:
         return cls(np.nan_to_num(intensity).reshape(-1, 3), skin, cell, arriving, faithful)
 
     def slopes(
-        self, read: Float64Array, slope: Float64Array, known: MaskArray, z_px: Float32Array, steps: int
+        self,
+        read: Float64Array,
+        slope: Float64Array,
+        known: MaskArray,
+        z_px: Float32Array,
+        steps: int,
+        *,
+        everywhere: bool = False,
     ) -> tuple[Float64Array, Float32Array] | None:
         """Slopes (h, w, 2) that the lamps tell, and how much of each a hidden light leaves to the others, 0 to 1.
 
@@ -144,11 +217,12 @@ class _Cells:
         slope : where the search begins
         known : where slopes are
         z_px : elevation
+        everywhere : also of level skin, which is untouched else
         """
         known = known & self.faithful
         hidden, arriving = self._may_be_hidden(z_px)
         hidden &= known[..., None]
-        steep = steepness(read) * known
+        steep = (np.ones(known.shape) if everywhere else steepness(read)) * known
         lit, dark = (np.flatnonzero(part) for part in ((steep > 0.0) & ~hidden.any(axis=-1), hidden.any(axis=-1)))
         if not lit.size and not dark.size:
             return None
@@ -161,14 +235,33 @@ class _Cells:
         mixed = read.reshape(-1, 2) + share * (found - read.reshape(-1, 2))
         return mixed.reshape(read.shape), (1.0 - trust).reshape(z_px.shape).astype(np.float32)
 
-    def unsure(self, slope: Float64Array, z_px: Float32Array, others: Sequence[LampModel]) -> SlopePair:
-        """By how much slopes under other lamps differ, so scaled that their squares add to a variance."""
+    def rise(self, slope: Float64Array, z_px: Float32Array) -> Rise | None:
+        """By how much all skin stands higher than it was taken to, as the light tells; None where it tells nothing."""
+        hidden, _ = self._may_be_hidden(z_px)
+        here = np.flatnonzero(self.faithful & ~hidden.any(axis=-1))
+        z = z_px.ravel()[here].astype(np.float64)
+        return rise_told_by_light(self.skin.select(here), self.intensity[here], slope.reshape(-1, 2)[here], z)
+
+    def unsure(
+        self, slope: Float64Array, z_px: Float32Array, others: Sequence[LampModel], rise: Rise | None
+    ) -> SlopePair:
+        """By how much slopes under other lamps differ, and at an elevation that may be as well, so scaled that their
+        squares add to a variance.
+        """
         z = z_px.ravel().astype(np.float64)
         here = np.flatnonzero(np.linalg.norm(slope, axis=-1) > LEVEL[0])
         skin, there = self.skin.select(here), slope.reshape(-1, 2)[here]
         shown, change = skin.shown_and_changes(there, z[here])
         less = [shown - skin.shown(there, z[here], other) for other in others]
-        return unsure_cells(here, (z_px.shape[0], z_px.shape[1]), change, less)
+        size = (z_px.shape[0], z_px.shape[1])
+        by_fold = unsure_cells(here, size, change, less)
+        if rise is None:
+            return by_fold
+        # Two that differ by √2 times the uncertainty have it as the root of their deviations' squares.
+        apart = np.sqrt(2.0) * rise.unsure_px
+        by_rise = unsure_cells(here, size, change, [np.zeros_like(shown), shown - skin.shown(there, z[here] + apart)])
+        p, q = (np.concatenate(parts) for parts in zip(by_fold, by_rise, strict=True))
+        return p, q
 
     def _may_be_hidden(self, z_px: Float32Array) -> tuple[MaskArray, Float64Array]:
         """Which lights may be hidden where, bool array of shape (h, w, 3), and how much each arrives at most."""

@@ -18,9 +18,10 @@ from host_sync.lights.normal_quadric import FittedQuadric
 from host_sync.lights.surroundings import faithful_cells
 from host_sync.reconstruction.cell_correction import CellCorrection, steepness, unsure_cells
 
-EXPLAINED: Final = (0.03, 0.06)
-"""Root mean square of what a quadric leaves of a cell's three channels: up to the first it explains the cell, from the
-second on it does not: a light is hidden, or something lies on the skin."""
+EXPLAINED: Final = (0.08, 0.16)
+"""What a quadric leaves of a cell's three channels, as a share of what its slopes show on the mean, root mean squares
+both: up to the first it explains the cell, from the second on it does not: a light is hidden, or something lies on the
+skin."""
 
 
 def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: FittedQuadric) -> CellCorrection:
@@ -36,9 +37,10 @@ def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: Fi
     skin, seen, before = quadric.model.at(*places), means.reshape(-1, 3)[here], read.reshape(-1, 2)[here]
     found = skin.slopes(seen, before)
     shown, changes = skin.shown_and_changes(found)
-    left = np.sqrt(((seen - shown) ** 2).mean(axis=1))
+    left = np.sqrt(((seen - shown) ** 2).mean(axis=1)) / quadric.model.contrast()
     counts = faithful.astype(np.float64)
-    counts.ravel()[here] = np.clip((EXPLAINED[1] - left) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
+    told = np.count_nonzero(shown > 0.0, axis=1) >= 2
+    counts.ravel()[here] = told * np.clip((EXPLAINED[1] - left) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
     change = np.zeros((2, *size), np.float32)
     change.reshape(2, -1)[:, here] = ((steep * counts).ravel()[here, None] * (found - before)).T
     unsure = unsure_cells(here, size, changes, [shown - fold.at(*places).shown(found) for fold in quadric.folds])

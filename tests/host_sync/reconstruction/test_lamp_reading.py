@@ -12,6 +12,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
 from host_sync.lights.lamp_model import FittedLamps
+from host_sync.lights.lamp_slopes import KnownBefore, LampSkin, move_towards
 from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
 
 SHAPE = (240, 320)
@@ -154,3 +155,40 @@ def test_slopes_are_as_unsure_as_lamps_of_fewer_balls_differ() -> None:
     sigma = np.sqrt((found.unsure[0] ** 2 + found.unsure[1] ** 2).sum(axis=0))
     assert 0.002 < sigma[flank].mean() < 0.02
     assert not sigma[:4].any()
+
+
+def texture() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height of waves that fill the field, px, and its slopes, 4 degrees steep on the mean."""
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(SHAPE[1]), np.fft.fftfreq(SHAPE[0])))
+    band = (frequency > 1 / 80) & (frequency < 1 / 16)
+    z = np.fft.ifft2(np.fft.fft2(np.random.default_rng(0).standard_normal(SHAPE)) * band).real
+    z *= 0.05 / np.hypot(*np.gradient(z)).std()
+    q, p = np.gradient(z)
+    return z - np.median(z), p, q
+
+
+def as_if_untouched(image: NormalizedImage) -> GradientField:
+    """Slopes that the same lamps read at the elevation of untouched skin."""
+    skin = LampSkin.at(MODEL, COLUMN.ravel(), ROW.ravel())
+    seen, level = image.values.reshape(-1, 3).astype(np.float64), np.zeros(ROW.size)
+    slope = np.zeros((ROW.size, 2))
+    for _ in range(4):
+        slope = move_towards(skin, seen, slope, level, KnownBefore(slope, 1.0))
+    p, q = slope.T.reshape(2, *SHAPE)
+    return field(p, q)
+
+
+def test_texture_that_fills_the_field_is_read_at_the_elevation_that_the_light_tells() -> None:
+    z, p, q = texture()
+    risen_px = 5.0
+    image = image_of(z + risen_px, p, q)
+    noise = 0.005 * np.random.default_rng(1).standard_normal(image.values.shape)
+    image = replace(image, values=np.asarray(image.values + noise, np.float32))
+    read = as_if_untouched(image)
+    off_px = (integrate(read, 1.0)[0].z_um - z).std()
+    found = read_under_lamps(read, image, LAMPS)
+    assert found is not None
+    found.apply(read)
+    left_px = (integrate(read, 1.0)[0].z_um - z).std()
+    assert off_px > 0.3
+    assert left_px < 0.3 * off_px
