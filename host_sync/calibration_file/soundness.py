@@ -59,6 +59,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
 MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"), ("InverseFit", "ball_error_deg")}
 LARGEST_SIDE: Final = 32_768
 LARGEST_GAIN: Final = 10.0
+LARGEST_PLACE: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
 MIN_FOLDS: Final = 2
 
@@ -230,6 +231,9 @@ def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:
     parts = [error.tilt_deg, error.pixel_deg, error.patch_deg, *error.ball_gains]
     if any(abs(gain) > LARGEST_GAIN for ball in error.ball_gains for gain in ball):
         raise Unsound("gains of slopes that are not those of a map")
+    places = np.array(error.ball_places)
+    if places.size and (len(places) != len(error.ball_gains) or not np.abs(places).max() < LARGEST_PLACE):
+        raise Unsound("gains of balls that lie at no place of the field")
     alike = len({len(part) for part in parts}) == 1 and len(error.tilt_deg) > 0
     if noise is not None:
         alike = alike and len({len(part) for part in (noise.tilt_deg, noise.raw_deg, noise.shrunk_deg)}) == 1

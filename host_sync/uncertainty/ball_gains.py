@@ -3,6 +3,7 @@
 Such a share moves all of an object at once: height maps of steps, coins and grooves are wrong by it. Balls show which
 shares go together, those of gentle and of steep slopes at one place, and how far they differ from place to place. So
 every ball is one draw of what an object's slopes may be wrong by, and gentle objects do not pay for the rims of balls.
+Balls close by count most: an object in the middle of the field does not pay for a ball in its corner.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ says how well a ball tells its gain."""
 
 NEGLIGIBLE: Final = 1e-6
 """Share of a slope that no height map notices."""
+
+CLOSE_WIDTHS: Final = 0.15
+"""Standard deviation, in widths of the field, of the Gaussian by which balls count for a place near them."""
+
+FAR_SHARE: Final = 0.02
+"""What a ball counts at least, however far it is."""
 
 GENTLE_DEG: Final = 10.0
 """Bands below are one: of single degrees noise and centres tell more than gains."""
@@ -59,14 +66,20 @@ def gains_of_ball(
     return _filled(gain), variance
 
 
+def tell_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> list[int]:
+    """Numbers of the balls that tell a gain in every band."""
+    return [number for number, (gain, _) in enumerate(balls) if np.isfinite(gain).all()]
+
+
 def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[tuple[float, ...], ...]:
-    """Gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball.
+    """Gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball; only of
+    those that `tell_gains`.
 
     What balls agree on is believed whatever their sectors say: those may differ for a reason that all balls have.
 
     balls : gains and their variances, as of `gains_of_ball`
     """
-    known = [(gain, variance) for gain, variance in balls if np.isfinite(gain).all()]
+    known = [balls[number] for number in tell_gains(balls)]
     if not known:
         return ()
     gains, variances = (np.stack(part) for part in zip(*known, strict=True))
@@ -90,6 +103,27 @@ def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
     own = np.array(gains)
     _, size, together = np.linalg.svd(own / np.sqrt(len(own)), full_matrices=False)
     return np.asarray((size[:, None] * together)[size > NEGLIGIBLE])
+
+
+def gains_by_place(
+    gains: Sequence[Sequence[float]], places: Sequence[tuple[float, float]], size: tuple[int, int]
+) -> Float32Array:
+    """How large the gains of balls close by are over those of all balls, root mean squares, on a reduced field of
+    `size` (w, h): float32 array of shape (h, w).
+
+    places : of the balls, column and row in widths of the field; without them it is 1 everywhere
+    """
+    columns, rows = size
+    square = np.square(np.array(gains)).mean(axis=-1) if gains else np.zeros(0)
+    if len(places) != len(square) or not square.sum() > 0.0:
+        return np.ones((rows, columns), np.float32)
+    across, down = (
+        np.exp(-0.5 * ((np.arange(count)[:, None] + 0.5) / columns - at) ** 2 / CLOSE_WIDTHS**2)
+        for count, at in zip((columns, rows), np.array(places).T, strict=True)
+    )
+    counts, total = down @ across.T, (down * square) @ across.T
+    mean = (total + FAR_SHARE * square.sum()) / (counts + FAR_SHARE * len(square))
+    return np.asarray(np.sqrt(mean / square.mean()), np.float32)
 
 
 def gain_at(curve: Float64Array, cosine: Float32Array, tilt_deg: Sequence[float]) -> Float32Array:

@@ -18,7 +18,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_heights_um
-from host_sync.uncertainty.ball_gains import gain_at, gain_curves
+from host_sync.uncertainty.ball_gains import gain_at, gain_curves, gains_by_place
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
@@ -152,7 +152,8 @@ def height_uncertainty(
     # Skin at another elevation than the balls' may be read too steep.
     higher = error.elevation.steeper(z_small / np.float32(height.pitch_um), square)
     cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
-    gains = [higher, *(gain_at(curve, cosine, error.tilt_deg) for curve in gain_curves(error.ball_gains))]
+    here = gains_by_place(error.ball_gains, error.ball_places, size)
+    gains = [higher, *(here * gain_at(curve, cosine, error.tilt_deg) for curve in gain_curves(error.ball_gains))]
     flat = [np.asarray(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR), np.float32) for slope in resting]
     known = [flat, shadow, None if calibration is None else (calibration.p, calibration.q)]
     common = [

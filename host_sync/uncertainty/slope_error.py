@@ -26,7 +26,7 @@ from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball
+from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball, tell_gains
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.inflation import held_out_inflation
 
@@ -62,6 +62,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_px : size of such a patch, the standard deviation of a Gaussian
     elevation : at which the balls showed each slope
     ball_gains : by what share slopes are read too steep, for every ball at these tilts; none where no ball tells
+    ball_places : of these balls, column and row in widths of the field; none where they were not kept
     """
 
     tilt_deg: tuple[float, ...]
@@ -70,6 +71,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_px: float
     elevation: ElevationCorrection
     ball_gains: tuple[tuple[float, ...], ...]
+    ball_places: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +110,15 @@ def measure_slope_error(
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     more = 1.0 if known else inflation.throughout(noise_deg)
+    gains, places = _gains(errors, [tilt for tilt, _, _ in bands], fit.map.shape[1])
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
         elevation=elevation or elevation_correction(presses, training, fit.map),
-        ball_gains=tuple(
-            tuple(more * gain for gain in ball) for ball in _gains(errors, [tilt for tilt, _, _ in bands])
-        ),
+        ball_gains=tuple(tuple(more * gain for gain in ball) for ball in gains),
+        ball_places=places,
     )
 
 
@@ -208,10 +210,14 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
     return bands or [(0.0, 0.0, 0.0)]
 
 
-def _gains(errors: Sequence[_BallError], tilts_deg: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-    """Of every ball at the bands' tilts."""
+def _gains(
+    errors: Sequence[_BallError], tilts_deg: Sequence[float], columns: int
+) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]]:
+    """Of every ball that tells them, at the bands' tilts, and where these balls lie."""
     bands = [next(pair for pair in pairwise(TILT_EDGES_DEG) if pair[0] <= tilt < pair[1]) for tilt in tilts_deg]
-    return believed_gains([gains_of_ball(error.slope, error.truth, error.inside, bands) for error in errors])
+    found = [gains_of_ball(error.slope, error.truth, error.inside, bands) for error in errors]
+    balls = [errors[number].ball for number in tell_gains(found)]
+    return believed_gains(found), tuple((float(ball.column / columns), float(ball.row / columns)) for ball in balls)
 
 
 def _spread_deg(angle: Float64Array) -> float:

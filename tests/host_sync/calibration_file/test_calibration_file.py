@@ -298,6 +298,10 @@ def with_gains(calibration: Calibration, gains: tuple[tuple[float, ...], ...]) -
     return replace(calibration, slope_error=msgspec.structs.replace(calibration.slope_error, ball_gains=gains))
 
 
+def with_ball_places(calibration: Calibration, *places: tuple[float, float]) -> Calibration:
+    return replace(calibration, slope_error=msgspec.structs.replace(calibration.slope_error, ball_places=places))
+
+
 def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
     """With lamps that stand over its field, but for what is changed."""
     model = point_lamps(calibration.flat_field.shape[:2])
@@ -342,6 +346,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric of one fold": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
+    "fewer places than balls with a gain": lambda one: with_ball_places(one, (0.5, 0.5)),
+    "a ball at no place": lambda one: with_ball_places(one, *((float("nan"), 0.5),) * len(one.slope_error.ball_gains)),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),
 }
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, sphere_slopes
-from host_sync.uncertainty.ball_gains import believed_gains, gain_at, gain_curves, gains_of_ball
+from host_sync.uncertainty.ball_gains import believed_gains, gain_at, gain_curves, gains_by_place, gains_of_ball
 from host_sync.uncertainty.height_error import SAMPLES, _normals
 
 BANDS = ((0.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0))
@@ -96,3 +96,18 @@ def test_a_ball_that_shows_one_sector_says_nothing_of_its_scatter() -> None:
     one = inside & (slope[1] > 0.0) & (slope[1] < 0.9 * slope[0])
     _, variance = gains_of_ball(0.1 * np.random.default_rng(0).standard_normal(slope.shape), slope, one, BANDS)
     assert np.isnan(variance).all()
+
+
+def test_gains_of_balls_close_by_count_most() -> None:
+    gains, places = [(0.01, 0.01), (0.04, 0.04)], [(0.1, 0.4), (0.9, 0.4)]
+    share = gains_by_place(gains, places, (100, 80))
+    whole = np.sqrt((0.01**2 + 0.04**2) / 2)
+    assert share.shape == (80, 100)
+    assert share[40, 10] * whole == pytest.approx(0.01, rel=0.3)
+    assert share[40, 90] * whole == pytest.approx(0.04, rel=0.05)
+    assert share[40, 50] == pytest.approx(1.0, abs=0.05)
+
+
+def test_gains_without_places_count_alike_everywhere() -> None:
+    for gains, places in (([(0.01,), (0.04,)], ()), ((), ()), ([(0.0,)], [(0.5, 0.5)])):
+        np.testing.assert_array_equal(gains_by_place(gains, places, (5, 4)), np.ones((4, 5)))
