@@ -42,6 +42,7 @@ from host_sync.calibration.elevation_steps import (
 )
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
+from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.lamp_elevation import as_read
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.quadric_fit import quadric_that_reads_better
@@ -72,7 +73,6 @@ MORE_BALLS_GAIN: Final = 0.95
 CORE_KEPT: Final = 0.9
 """So many of the balls that train without a cut must train with it: an error that is small because balls are left out
 says nothing."""
-
 
 OPEN_CHOICE_DEG: Final = 2.0
 """From this held-out error of the default on, the paper's method is tried beside it without being asked for. It is
@@ -106,6 +106,7 @@ class Calibration:
     fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
     quadric : function of the normal, fitted to the balls where no lamps explain them, that corrects slopes; None where
         it does not help
+    press_levels : light of untouched skin in the presses, by which the lamps' drift is told; None where none shows it
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -129,6 +130,7 @@ class Calibration:
     lamps: KnownLamps | None = None
     fitted_lamps: FittedLamps | None = None
     quadric: FittedQuadric | None = None
+    press_levels: PressLevels | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -249,13 +251,8 @@ def calibrate(
     if over_cells is None:
         found = quadric_that_reads_better(kept, inverse, light)
         quadric, over_cells = found or (None, None)
-    error = measure_slope_error(
-        kept,
-        training,
-        inverse,
-        elevation_left(kept, training, inverse, elevated, followed),
-        over_cells,
-    )
+    left = elevation_left(kept, training, inverse, elevated, followed)
+    error = measure_slope_error(kept, training, inverse, left, over_cells)
     response = followed.response if followed else None
     digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric)
     return Calibration(
@@ -280,6 +277,7 @@ def calibrate(
         lamps=lamps,
         fitted_lamps=fitted_lamps,
         quadric=quadric,
+        press_levels=PressLevels.of([image for image, _ in kept], inverse.map) if reference else None,
     )
 
 

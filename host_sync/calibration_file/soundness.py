@@ -18,6 +18,7 @@ from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import position_exponents
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
+from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.quadric_fit import DEGREES
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
@@ -60,6 +61,7 @@ MAY_BE_NAN: Final = {("ReflectanceMaps", "mean"), ("ReflectanceMaps", "variance"
 LARGEST_SIDE: Final = 32_768
 LARGEST_GAIN: Final = 10.0
 LARGEST_PLACE: Final = 10.0
+LARGEST_LEVEL: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
 MIN_FOLDS: Final = 2
 
@@ -86,6 +88,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_errors(one.slope_error, one.slope_noise)
         _check_lamps(one)
         _check_quadric(one)
+        _check_levels(one.press_levels)
     _check_lights(calibration)
 
 
@@ -224,6 +227,16 @@ def _check_quadric(calibration: Calibration) -> None:
             and (model.light is None or (is_node_grid(model.light.nodes, 3) and float(model.light.nodes.min()) > 0.0))
         ):
             raise Unsound("a function of the normal that is not of its field")
+
+
+def _check_levels(levels: PressLevels | None) -> None:
+    """Refuse levels that are not of three channels, or beyond measure."""
+    if levels is None:
+        return
+    rows = (levels.mean, *levels.covariance)
+    values = np.array([value for row in rows for value in row])
+    if [len(row) for row in rows] != [3] * 4 or not np.abs(values).max() < LARGEST_LEVEL:
+        raise Unsound("levels of light that are not those of three lamps")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

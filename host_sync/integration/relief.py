@@ -32,6 +32,9 @@ The lowest tenth of untouched skin shows 0.6 to 0.8 on rendered and real sensors
 5.6.
 """
 
+MIN_KEPT: Final = 0.004
+"""Root mean square slope below which waves of an object's foot, which fade into untouched skin, are no texture."""
+
 QUIETEST: Final = 0.1
 MIN_CELLS: Final = 100
 
@@ -56,7 +59,7 @@ def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> b
     by_p, by_q = (np.gradient(z, cell * height.pitch_um, axis=axis) for axis in (1, 0))
     kept, removed = _power(by_p, by_q), _power(p - by_p, q - by_q)
     ratio = np.sqrt(kept[inner] / np.maximum(removed[inner], np.float32(1e-12)))
-    return bool(np.quantile(ratio, QUIETEST) > MAX_KEPT)
+    return bool(np.quantile(ratio, QUIETEST) > MAX_KEPT and np.quantile(kept[inner], QUIETEST) > MIN_KEPT**2)
 
 
 def _power(p: Float32Array, q: Float32Array) -> Float32Array:

@@ -34,7 +34,7 @@ from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
 from host_sync.reconstruction.cell_correction import LEVEL, CellCorrection, SlopePair, steepness, unsure_cells
 from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
-from host_sync.reconstruction.light_elevation import Rise, RiseSearch, rise_told_by_light
+from host_sync.reconstruction.light_elevation import DRIFT_ROUNDS, DRIFT_SHARE, Rise, RiseSearch, rise_told_by_light
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
@@ -87,7 +87,8 @@ def read_under_lamps(
             return None
     rise = None
     if not found.has_zero:
-        found, rise = reading.raised(found)
+        reading, found, rise = reading.raised(found)
+        cells = reading.cells
     change = (found.slope - reading.read).astype(np.float32)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     share = np.float32(RELATIVE_SIGMA) * (found.shadow > 0.0)
@@ -140,17 +141,26 @@ class _Reading:
             return _Found(found.slope, found.shadow, z_px, has_zero, is_level=True)
         return _Found(*told, z_px, has_zero)
 
-    def raised(self, found: _Found) -> tuple[_Found, Rise | None]:
-        """What is found at the elevation that the light tells, and what is left of that; None where it tells none."""
+    def raised(self, found: _Found) -> tuple[_Reading, _Found, Rise | None]:
+        """What is found at the elevation and the brightness of lamps that the light tells, and what is left of these;
+        None where it tells none.
+        """
         highest_px = HIGHEST_SHARE * self.cells.skin.model.shape[1] * float(self.cells.skin.model.position[:, 2].min())
-        search, there = RiseSearch(highest_px), found
+        search, there, reading = RiseSearch(highest_px), found, self
         while True:
             there = self.improved(there, STEPS[0], search.z_px)
             rise = self.cells.rise(there.slope, there.z_px)
             if rise is None:
-                return found, None
-            if not search.goes_on(rise):
-                return there, rise
+                return self, found, None
+            if not search.goes_on(rise.z_px):
+                break
+        risen_px = search.z_px
+        for _ in range(DRIFT_ROUNDS if rise.drift.any() else 0):
+            risen_px = float(np.clip(risen_px + DRIFT_SHARE * rise.z_px, -highest_px, highest_px))
+            reading = replace(reading, cells=reading.cells.darker(DRIFT_SHARE * rise.levels))
+            there = reading.improved(there, STEPS[0], risen_px)
+            rise = reading.cells.rise(there.slope, there.z_px) or rise
+        return reading, there, rise
 
     def _elevation_px(self, found: _Found, risen_px: float | None) -> tuple[Float32Array, bool]:
         """Elevation of cells over untouched skin, float32 array of shape (h, w), and whether some skin is untouched.
@@ -235,6 +245,10 @@ class _Cells:
         mixed = read.reshape(-1, 2) + share * (found - read.reshape(-1, 2))
         return mixed.reshape(read.shape), (1.0 - trust).reshape(z_px.shape).astype(np.float32)
 
+    def darker(self, levels: Float64Array) -> _Cells:
+        """The same under lamps whose levels' logarithms (3,) are lower by so much."""
+        return replace(self, intensity=self.intensity * np.exp(-levels))
+
     def rise(self, slope: Float64Array, z_px: Float32Array) -> Rise | None:
         """By how much all skin stands higher than it was taken to, as the light tells; None where it tells nothing."""
         hidden, _ = self._may_be_hidden(z_px)
@@ -257,10 +271,12 @@ class _Cells:
         by_fold = unsure_cells(here, size, change, less)
         if rise is None:
             return by_fold
-        # Two that differ by √2 times the uncertainty have it as the root of their deviations' squares.
-        apart = np.sqrt(2.0) * rise.unsure_px
-        by_rise = unsure_cells(here, size, change, [np.zeros_like(shown), shown - skin.shown(there, z[here] + apart)])
-        p, q = (np.concatenate(parts) for parts in zip(by_fold, by_rise, strict=True))
+        # Two that differ by √2 times a deviation have it as the root of their own deviations' squares.
+        parts = [by_fold]
+        for z_px_apart, *levels in np.sqrt(2.0) * rise.deviations():
+            apart = skin.shown(there, z[here] + z_px_apart) - shown + shown * np.array(levels)
+            parts.append(unsure_cells(here, size, change, [np.zeros_like(shown), -apart]))
+        p, q = (np.concatenate(one) for one in zip(*parts, strict=True))
         return p, q
 
     def _may_be_hidden(self, z_px: Float32Array) -> tuple[MaskArray, Float64Array]:

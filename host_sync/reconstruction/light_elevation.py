@@ -1,8 +1,8 @@
 """How high skin stands where none of it is untouched: skin that is nearer to the lamps shows another light.
 
-Three channels tell two slopes of every cell. What slopes cannot explain changes with elevation, by a pattern over the
-field that is known as the lamps are. So the elevation of the whole field is found, although its zero is nowhere seen.
-How bright each lamp is counts for nothing: only the pattern does.
+Three channels tell two slopes of every cell. What slopes cannot explain changes with elevation, and with the brightness
+of each lamp, by patterns over the field that are known as the lamps are. So both are found, although untouched skin is
+nowhere seen.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float64Array
+from host_sync.calibration.lamp_drift import LEAST_SIGMA, believed_share
 from host_sync.lights.lamp_slopes import LampSkin
 
 RISE_PX: Final = 1.0
@@ -33,21 +34,49 @@ CLOSE_PX: Final = 0.05
 FIRST_SHARE: Final = 0.6
 """Of what the light tells at first, the first move: heights that were found too low tell too much."""
 
+DRIFT_ROUNDS: Final = 12
+DRIFT_SHARE: Final = 0.35
+"""Rounds in which the lamps' levels are followed, too, and share of what the light tells that each moves."""
+
 RESPONSES: Final = (-3.0, -0.5)
 """By how much what is left of an elevation changes with what is taken for it, at most and at least."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rise:
-    """By how much a field of skin stands higher than it was taken to, pixels, and the standard uncertainty of that."""
+    """By how much a field of skin stands higher than it was taken to, and its lamps shine brighter.
+
+    z_px : pixels
+    levels : logarithms, float64 array of shape (3,)
+    parts : both without one part of the field each, float64 array of shape (B, 4)
+    """
 
     z_px: float
-    sigma_px: float
+    levels: Float64Array
+    parts: Float64Array
 
     @property
-    def unsure_px(self) -> float:
-        """Standard uncertainty of the elevation where the search for it ends, pixels."""
-        return float(np.hypot(self.z_px, self.sigma_px))
+    def sigma_px(self) -> float:
+        """Standard uncertainty of the elevation, pixels."""
+        return float(np.sqrt(self._covariance[0, 0]))
+
+    @property
+    def drift(self) -> Float64Array:
+        """The lamps' levels, as far as they are more than their uncertainty."""
+        return self.levels * believed_share(self.levels, self._covariance[1:, 1:] + LEAST_SIGMA**2 * np.eye(3))
+
+    def deviations(self) -> Float64Array:
+        """Deviations of both whose squares add to their variance where the search for them ends: shape (5, 4)."""
+        size, along = np.linalg.eigh(self._covariance)
+        left = np.array([self.z_px, *self.drift])
+        return np.vstack([left, (along * np.sqrt(np.maximum(size, 0.0))).T])
+
+    @property
+    def _covariance(self) -> Float64Array:
+        """Of both, as the parts of the field tell."""
+        apart = self.parts - self.parts.mean(axis=0)
+        count = len(self.parts)
+        return np.asarray((count - 1) / count * apart.T @ apart)
 
 
 class RiseSearch:
@@ -62,12 +91,14 @@ class RiseSearch:
         self._last: tuple[float, float] | None = None
         self._rounds = 0
 
-    def goes_on(self, rise: Rise) -> bool:
-        """Take what the light tells at `z_px`; False where that is close enough, or rounds are used up."""
+    def goes_on(self, left_px: float) -> bool:
+        """Take how much higher the light tells the skin to be than `z_px`; False where that is close enough, or rounds
+        are used up.
+        """
         self._rounds += 1
-        if abs(rise.z_px) <= CLOSE_PX or self._rounds >= MAX_ROUNDS:
+        if abs(left_px) <= CLOSE_PX or self._rounds >= MAX_ROUNDS:
             return False
-        here = self.z_px, rise.z_px
+        here = self.z_px, left_px
         response = -1.0 / FIRST_SHARE
         if self._last is not None and here[0] != self._last[0]:
             response = float(np.clip((here[1] - self._last[1]) / (here[0] - self._last[0]), *RESPONSES))
@@ -77,7 +108,7 @@ class RiseSearch:
 
 
 def rise_told_by_light(skin: LampSkin, intensity: Float64Array, slope: Float64Array, z_px: Float64Array) -> Rise | None:
-    """By how much skin stands higher than it was taken to; None where too few cells tell it.
+    """By how much skin stands higher than it was taken to, and lamps shine brighter; None where too few cells tell it.
 
     skin : N places all over the field that all lamps reach
     intensity : seen there, shape (N, 3)
@@ -96,20 +127,18 @@ def rise_told_by_light(skin: LampSkin, intensity: Float64Array, slope: Float64Ar
         left = np.abs(missing - design @ _solved(design, missing, block, None))
         near = left <= OUTLIER * np.median(left) / 0.6745
         design, missing, block = design[near], missing[near], block[near]
-    whole = _solved(design, missing, block, None)[0]
-    parts = np.array([_solved(design, missing, block, one)[0] for one in np.unique(block)])
-    count = len(parts)
-    spread = np.sqrt((count - 1) / count * np.square(parts - parts.mean()).sum())
-    return Rise(float(whole), float(spread))
+    whole = _solved(design, missing, block, None)
+    parts = np.array([_solved(design, missing, block, one) for one in np.unique(block)])
+    return Rise(float(whole[0]), whole[1:], parts)
 
 
 def _solved(design: Float64Array, missing: Float64Array, block: np.ndarray, without: int | None) -> Float64Array:
     """Least squares over the cells that are not of a block."""
     rows = slice(None) if without is None else block != without
     some = design[rows]
-    return np.asarray(np.linalg.lstsq(some.T @ some, some.T @ missing[rows], rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(some.T @ some, some.T @ missing[rows], rcond=None)[0], np.float64)
 
 
 def _blocks(at: Float64Array) -> np.ndarray:
     """Which part along a side each place belongs to."""
-    return (BLOCKS * (at - at.min()) / (np.ptp(at) + 1.0)).astype(np.intp)
+    return np.asarray((BLOCKS * (at - at.min()) / (np.ptp(at) + 1.0)).astype(np.intp))

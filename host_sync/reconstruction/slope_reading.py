@@ -10,6 +10,7 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_c
 from device.surface.fields import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.calibration.lamp_drift import take_drift_out
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.flat_field_kernel import raw_intensity
@@ -132,6 +133,7 @@ def _read_channels(
         intensity = flat_field_correct(frame, calibration.flat_field)
     check_exposure(intensity, calibration.flat_field, name)
     checks = calibration.frame_model.check(intensity, calibration.flat_field)
+    take_drift_out(intensity, calibration.inverse.map, calibration.press_levels)
     raw, shrinkage = intensity, calibration.shrinkage
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)

@@ -76,12 +76,14 @@ class SlopeError(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BallError:
-    """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there."""
+    """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there,
+    and its centre's column and row in widths of the field."""
 
     slope: Float64Array
     inside: MaskArray
     truth: Float64Array
     ball: Ball
+    place: tuple[float, float]
 
 
 def measure_slope_error(
@@ -110,7 +112,7 @@ def measure_slope_error(
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     more = 1.0 if known else inflation.throughout(noise_deg)
-    gains, places = _gains(errors, [tilt for tilt, _, _ in bands], fit.map.shape[1])
+    gains, places = _gains(errors, [tilt for tilt, _, _ in bands])
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
@@ -211,13 +213,12 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
 
 
 def _gains(
-    errors: Sequence[_BallError], tilts_deg: Sequence[float], columns: int
+    errors: Sequence[_BallError], tilts_deg: Sequence[float]
 ) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]]:
     """Of every ball that tells them, at the bands' tilts, and where these balls lie."""
     bands = [next(pair for pair in pairwise(TILT_EDGES_DEG) if pair[0] <= tilt < pair[1]) for tilt in tilts_deg]
     found = [gains_of_ball(error.slope, error.truth, error.inside, bands) for error in errors]
-    balls = [errors[number].ball for number in tell_gains(found)]
-    return believed_gains(found), tuple((float(ball.column / columns), float(ball.row / columns)) for ball in balls)
+    return believed_gains(found), tuple(errors[number].place for number in tell_gains(found))
 
 
 def _spread_deg(angle: Float64Array) -> float:
@@ -295,7 +296,8 @@ def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], Read
             here = Ball(
                 ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
             )
-            yield _BallError(slope, inside, truth, here)
+            place = float(ball.column / image.shape[1]), float(ball.row / image.shape[1])
+            yield _BallError(slope, inside, truth, here, place)
 
 
 def _centred(ball: Ball, read: Float64Array, column: Float32Array, row: Float32Array) -> Ball:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from point_lamps import point_lamps
 from scipy.ndimage import distance_transform_edt
 
@@ -178,12 +179,13 @@ def as_if_untouched(image: NormalizedImage) -> GradientField:
     return field(p, q)
 
 
-def test_texture_that_fills_the_field_is_read_at_the_elevation_that_the_light_tells() -> None:
+@pytest.mark.parametrize("drift", [(1.0, 1.0, 1.0), (0.98, 1.0, 1.01)])
+def test_texture_that_fills_the_field_is_read_under_the_light_that_it_tells_itself(drift: tuple[float, ...]) -> None:
     z, p, q = texture()
     risen_px = 5.0
     image = image_of(z + risen_px, p, q)
     noise = 0.005 * np.random.default_rng(1).standard_normal(image.values.shape)
-    image = replace(image, values=np.asarray(image.values + noise, np.float32))
+    image = replace(image, values=np.asarray((image.values + noise) * drift, np.float32))
     read = as_if_untouched(image)
     off_px = (integrate(read, 1.0)[0].z_um - z).std()
     found = read_under_lamps(read, image, LAMPS)

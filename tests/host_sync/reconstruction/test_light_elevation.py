@@ -9,7 +9,7 @@ import pytest
 from point_lamps import point_lamps
 
 from host_sync.lights.lamp_slopes import LampSkin
-from host_sync.reconstruction.light_elevation import MAX_ROUNDS, MIN_CELLS, Rise, RiseSearch, rise_told_by_light
+from host_sync.reconstruction.light_elevation import MAX_ROUNDS, MIN_CELLS, RiseSearch, rise_told_by_light
 
 SHAPE = (240, 320)
 MODEL = replace(
@@ -41,6 +41,21 @@ def test_brighter_lamps_and_dust_are_no_elevation() -> None:
     rise = rise_told_by_light(SKIN, light, SLOPE, np.zeros(len(ROW)))
     assert rise is not None
     assert rise.z_px == pytest.approx(2.0, abs=0.5)
+    np.testing.assert_allclose(rise.levels, np.log([1.02, 0.99, 1.0]), atol=2e-3)
+    np.testing.assert_allclose(rise.drift, rise.levels, atol=1e-3)
+
+
+def test_lamps_that_did_not_drift_are_left_as_they_are() -> None:
+    rise = rise_told_by_light(SKIN, seen(2.0), SLOPE, np.zeros(len(ROW)))
+    assert rise is not None
+    np.testing.assert_array_equal(rise.drift, 0.0)
+
+
+def test_deviations_hold_what_is_left_and_what_is_unsure() -> None:
+    rise = rise_told_by_light(SKIN, seen(2.0, 0.01), SLOPE, np.zeros(len(ROW)))
+    assert rise is not None
+    variance = (rise.deviations()[:, 0] ** 2).sum()
+    assert variance == pytest.approx(rise.z_px**2 + rise.sigma_px**2)
 
 
 def test_the_uncertainty_is_that_of_the_noise() -> None:
@@ -62,14 +77,14 @@ def test_few_cells_tell_nothing() -> None:
 @pytest.mark.parametrize("response", [-0.8, -1.4, -2.5])
 def test_the_search_ends_at_the_elevation(response: float) -> None:
     search, left_px = RiseSearch(100.0), 8.0
-    while search.goes_on(Rise(left_px, 0.1)):
+    while search.goes_on(left_px):
         left_px = response * (search.z_px - 8.0)
     assert search.z_px == pytest.approx(8.0, abs=0.1)
 
 
 def test_the_search_stays_in_bounds_and_ends() -> None:
     search, rounds = RiseSearch(5.0), 1
-    while search.goes_on(Rise(50.0, 0.1)):
+    while search.goes_on(50.0):
         rounds += 1
         assert abs(search.z_px) <= 5.0
     assert rounds == MAX_ROUNDS

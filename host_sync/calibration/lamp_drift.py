@@ -1,0 +1,146 @@
+"""By how much the lamps of a frame shine otherwise than they did in the calibration: one factor a channel.
+
+A lamp that is a per cent weaker tilts all slopes by a hundredth, which a field of a thousand pixels adds up to ten
+pixels of height. Untouched skin far from what was touched, whose slopes are zero, tells the factors to some 0.01 %.
+What is no more than their uncertainty, or than the calibration's own presses differ by, is taken for none: on some
+sensors a press changes the light of all skin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import cv2
+import msgspec
+import numpy as np
+
+from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
+from device.inverse_map.model import InverseMap
+from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from device.surface.poisson_dct import integrate_dct
+from host_sync.frame_checks.light_levels import cell_logs, untouched_levels
+from host_sync.integration.zero_level import Datum, block_heights_um, find_datum
+
+ACROSS: Final = 192
+SAMPLES_ALONG: Final = 1024
+"""Cells of the reduced field, and the columns of which they are the mean, about."""
+
+ALL: Final = 0.999
+"""Share of a cell's pixels that are faithful in a cell that counts."""
+
+ROUNDS: Final = 3
+SETTLED: Final = 0.002
+"""Slopes of the next round are free of what the last one found, until that changes by no more than this."""
+
+TRIMMED: Final = 0.2
+MIN_BLOCKS: Final = 6
+MIN_PRESSES: Final = 4
+ALIKE_BLOCKS: Final = 2.0
+"""Blocks that err together."""
+
+LEAST_SIGMA: Final = 1e-4
+"""Standard uncertainty of a log level, at least, where all of the field is untouched; where less of it is, skin still
+sinks towards rest, and the uncertainty is larger by one over that share."""
+
+MIN_SHARE: Final = 0.05
+"""Share of the field that is untouched, below which it tells nothing: there may be none between objects."""
+
+DOUBTED: Final = 9.0
+"""Mean square of a drift, in standard uncertainties, up to which it is none."""
+
+
+class PressLevels(msgspec.Struct, frozen=True):
+    """Logarithms of each channel's light in the calibration's presses over the reference's.
+
+    mean : three
+    covariance : by which presses differ, three rows of three
+    """
+
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, presses: Iterable[NormalizedImage], inverse_map: InverseMap) -> PressLevels | None:
+        """What presses show; None where fewer than `MIN_PRESSES` show untouched skin."""
+        told = [found[0] for press in presses if (found := untouched_level(press, inverse_map)) is not None]
+        if len(told) < MIN_PRESSES:
+            return None
+        levels = np.array(told)
+        covariance = np.cov(levels.T) * (1.0 + 1.0 / len(levels))
+        return cls(
+            tuple(float(one) for one in levels.mean(axis=0)), tuple(tuple(float(x) for x in row) for row in covariance)
+        )
+
+
+def take_drift_out(image: NormalizedImage, inverse_map: InverseMap, presses: PressLevels | None) -> None:
+    """Write the intensity under lamps that shine as in the calibration over an image's own.
+
+    presses : of the calibration; None where these tell nothing, and nothing is written
+    """
+    found = None if presses is None else untouched_level(image, inverse_map)
+    if presses is None or found is None:
+        return
+    drift = found[0] - np.array(presses.mean)
+    drift *= believed_share(drift, found[1] + np.array(presses.covariance))
+    if drift.any():
+        np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
+
+
+def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Float64Array, Float64Array] | None:
+    """Logarithm of untouched skin's light over the reference's, float64 array of shape (3,), and its covariance; None
+    where too little skin is untouched.
+    """
+    values, known, step = _cells(image)
+    row, column = ((np.arange(size) + 0.5) * step - 0.5 for size in values.shape[:2])
+    logs = np.log(np.maximum(values, np.float32(DARK_FLOOR))).astype(np.float32)
+    sights = untouched_levels(cell_logs(image))
+    level = sights[0].levels if sights else np.zeros(3)
+    for _ in range(ROUNDS):
+        read = inverse_map.on_grid(values * np.exp(-level).astype(np.float32), column, row)
+        p, q = (np.where(known, read[..., axis], np.float32(0.0)) for axis in (0, 1))
+        gradients = GradientField(p, q, known, known.astype(np.float32))
+        datum = find_datum(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients)
+        blocks = _of_blocks(logs, datum)
+        if len(blocks) < MIN_BLOCKS or datum.share < MIN_SHARE:
+            return None
+        before, level = level, _trimmed_mean(blocks)
+        if np.abs(level - before).max() < SETTLED:
+            break
+    sinking = (LEAST_SIGMA / datum.share) ** 2 * np.eye(3)
+    return level, np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
+
+
+def _cells(image: NormalizedImage) -> tuple[Float32Array, MaskArray, float]:
+    """Mean intensity (h, w, 3) of cells, which of them are faithful, and pixels along a cell."""
+    rows, columns = image.shape
+    across = min(ACROSS, columns)
+    step = columns / across
+    size = across, max(int(rows / step), 1)
+    stride = max(1, columns // SAMPLES_ALONG)
+    some = slice(stride // 2, None, stride)
+    values = np.ascontiguousarray(np.nan_to_num(image.values[some, some]))
+    faithful = image.faithful_at((some, some)).astype(np.float32)
+    share = cv2.resize(faithful, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32), share > ALL, step
+
+
+def _of_blocks(logs: Float32Array, datum: Datum) -> Float64Array:
+    """Median log intensity (N, 3) of the blocks of the field that show untouched skin."""
+    if datum.is_relative:
+        return np.zeros((0, 3))
+    return np.stack(
+        [block_heights_um(np.ascontiguousarray(logs[..., channel]), datum.skin) for channel in range(3)], axis=-1
+    )
+
+
+def _trimmed_mean(blocks: Float64Array) -> Float64Array:
+    """Mean of each column without the share `TRIMMED` at either end."""
+    cut = int(TRIMMED * len(blocks))
+    return np.asarray(np.sort(blocks, axis=0)[cut : len(blocks) - cut].mean(axis=0))
+
+
+def believed_share(level: Float64Array, covariance: Float64Array) -> float:
+    """Which share of log levels (3,) is a drift, and not their own uncertainty."""
+    square = float(level @ np.linalg.solve(covariance, level)) / 3.0
+    return 1.0 - min(DOUBTED / max(square, DOUBTED), 1.0) ** 2

@@ -1,0 +1,87 @@
+"""Lamps that shine otherwise than in the calibration, told by untouched skin beside an object."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from device.imaging.flat_field import NormalizedImage
+from host_sync.calibration.lamp_drift import PressLevels, take_drift_out, untouched_level
+
+SHAPE = (240, 320)
+ROW, COLUMN = (axis.astype(float) for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
+ANSWER = np.array([[1.0, -0.5, -0.5], [0.0, 0.8, -0.8]])
+"""Change of the three channels' log light with slopes p and q."""
+
+NOISE = 0.005
+DRIFT = np.array([-0.02, 0.0, 0.01])
+
+
+class LinearMap:
+    """Reads slopes of three channels as `ANSWER` has them."""
+
+    def on_grid(self, values: np.ndarray, _column: np.ndarray, _row: np.ndarray) -> np.ndarray:
+        return (np.log(values) @ np.linalg.pinv(ANSWER)).astype(np.float32)
+
+
+MAP = LinearMap()
+
+
+def frame(drift: np.ndarray, seed: int = 0, *, dome: float = 1.0, clipped: bool = False) -> NormalizedImage:
+    """A dome of 40 px on untouched skin under lamps that drifted; without height where `dome` is 0."""
+    across, down = COLUMN - 160.0, ROW - 120.0
+    fall = dome * np.exp(-(across**2 + down**2) / (2.0 * 20.0**2)) / 20.0
+    slopes = np.stack([-across * fall, -down * fall], axis=-1)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((*SHAPE, 3))
+    values = np.exp(slopes @ ANSWER + drift + noise).astype(np.float32)
+    everywhere = np.ones(SHAPE, np.bool_)
+    return NormalizedImage(values, everywhere, everywhere & clipped)
+
+
+def levels_of(*drifts: np.ndarray) -> PressLevels | None:
+    return PressLevels.of((frame(drift, seed + 1) for seed, drift in enumerate(drifts)), MAP)
+
+
+CALM = levels_of(*(np.zeros(3),) * 6)
+
+
+def test_untouched_skin_tells_levels_to_a_few_parts_in_ten_thousand() -> None:
+    for drift in (np.zeros(3), DRIFT, 2.0 * DRIFT):
+        found = untouched_level(frame(drift), MAP)
+        assert found is not None
+        level, covariance = found
+        np.testing.assert_allclose(level, drift, atol=5e-4)
+        assert np.sqrt(np.diag(covariance)).max() < 1e-3
+
+
+@pytest.mark.parametrize("dome", [0.0, 1.0])
+def test_drift_is_taken_out(dome: float) -> None:
+    image, steady = frame(DRIFT, dome=dome), frame(np.zeros(3), dome=dome)
+    take_drift_out(image, MAP, CALM)
+    np.testing.assert_allclose(image.values / steady.values, 1.0, atol=8e-4)
+
+
+def test_a_frame_without_drift_is_left_as_it_is() -> None:
+    for seed in range(20, 30):
+        image, steady = frame(np.zeros(3), seed), frame(np.zeros(3), seed)
+        take_drift_out(image, MAP, CALM)
+        np.testing.assert_array_equal(image.values, steady.values)
+
+
+def test_what_the_calibrations_own_presses_show_is_no_drift() -> None:
+    """On some sensors a press brightens all skin: the map was taught so."""
+    brighter = levels_of(*(np.full(3, 0.04),) * 6)
+    restless = levels_of(*(scale * DRIFT for scale in (-1.0, -0.5, 0.0, 0.4, 0.8, 1.3)))
+    for levels, drift in ((brighter, np.full(3, 0.04)), (restless, DRIFT)):
+        image = frame(drift)
+        take_drift_out(image, MAP, levels)
+        np.testing.assert_array_equal(image.values, frame(drift).values)
+
+
+def test_where_presses_or_frame_show_no_untouched_skin_nothing_is_done() -> None:
+    assert levels_of(*(np.zeros(3),) * 3) is None
+    blind = [frame(DRIFT, clipped=True) for _ in range(6)]
+    assert PressLevels.of(blind, MAP) is None
+    for image, levels in ((frame(DRIFT), None), (blind[0], CALM)):
+        take_drift_out(image, MAP, levels)
+        np.testing.assert_array_equal(image.values, frame(DRIFT).values)
