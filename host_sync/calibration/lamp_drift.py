@@ -19,7 +19,7 @@ from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
-from host_sync.frame_checks.light_levels import cell_logs, untouched_levels
+from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
 from host_sync.integration.zero_level import Datum, block_heights_um, find_datum
 
 ACROSS: Final = 192
@@ -45,6 +45,10 @@ sinks towards rest, and the uncertainty is larger by one over that share."""
 
 MIN_SHARE: Final = 0.05
 """Share of the field that is untouched, below which it tells nothing: there may be none between objects."""
+
+TILT_SHARE: Final = 0.15
+"""Of a drift, that two slopes of the whole field must leave; three lamps that drift each as they like leave less in one
+of seven cases, which are then read as tilted."""
 
 DOUBTED: Final = 9.0
 """Mean square of a drift, in standard uncertainties, up to which it is none."""
@@ -73,18 +77,27 @@ class PressLevels(msgspec.Struct, frozen=True):
         )
 
 
-def take_drift_out(image: NormalizedImage, inverse_map: InverseMap, presses: PressLevels | None) -> None:
+def take_drift_out(
+    image: NormalizedImage, inverse_map: InverseMap, presses: PressLevels | None, response: SlopeResponse | None
+) -> None:
     """Write the intensity under lamps that shine as in the calibration over an image's own.
 
-    presses : of the calibration; None where these tell nothing, and nothing is written
+    presses, response : of the calibration; None where its balls do not tell them, and nothing is written
     """
-    found = None if presses is None else untouched_level(image, inverse_map)
-    if presses is None or found is None:
+    found = None if presses is None or response is None else untouched_level(image, inverse_map)
+    if presses is None or response is None or found is None:
         return
     drift = found[0] - np.array(presses.mean)
     drift *= believed_share(drift, found[1] + np.array(presses.covariance))
-    if drift.any():
+    if drift.any() and not _is_tilt(drift, response):
         np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
+
+
+def _is_tilt(drift: Float64Array, response: SlopeResponse) -> bool:
+    """Whether a plate that lies tilted under the whole field explains the levels as well: then two slopes do."""
+    along = response.terms[0].T
+    slopes = np.linalg.lstsq(along, drift, rcond=None)[0]
+    return bool(np.linalg.norm(drift - along @ slopes) < TILT_SHARE * np.linalg.norm(drift))
 
 
 def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Float64Array, Float64Array] | None:

@@ -126,13 +126,18 @@ def find_datum(height: HeightMap, gradients: GradientField) -> Datum:
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
     if far is None or is_relief(height, gradients, far):
-        known = height.z_um[gradients.valid]
-        spread_um = float(np.nanstd(known)) if known.size else 0.0
-        return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
+        return no_datum(height, gradients)
     blocks_um = block_heights_um(height.z_um, far)
     zero_um = _trimmed_mean(blocks_um) if blocks_um.size else height_of_rest_um(height, far)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
     return Datum(far, zero_um, spread_um, float(far.mean()), blocks_um.size)
+
+
+def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
+    """What the heights of a map are relative to where no skin is untouched."""
+    known = height.z_um[gradients.valid]
+    spread_um = float(np.nanstd(known)) if known.size else 0.0
+    return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
 
 
 def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskArray | None:

@@ -35,6 +35,7 @@ class CellCorrection:
         all at once; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
+    is_raised : whether an object lifts all skin of the field, as the light tells: none is untouched
     """
 
     p: Float32Array
@@ -46,6 +47,7 @@ class CellCorrection:
     weight: float
     unsure: SlopePair | None = None
     left_alone: Float32Array | None = None
+    is_raised: bool = False
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""

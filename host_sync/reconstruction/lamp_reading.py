@@ -17,7 +17,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
-from host_sync.integration.datum import height_of_rest_um
+from host_sync.integration.datum import FLAT_SLOPES, height_of_rest_um
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
@@ -45,6 +45,13 @@ FREE_STEPS: Final = 3
 
 PENUMBRA: Final = 0.3
 """A light may be hidden in part where the tangent of its elevation clears the skin by less."""
+
+MIN_FLAT: Final = 0.9
+"""Share of the field that is flat, from which on the light is asked whether all of it stands higher."""
+
+MIN_RISE_PX: Final = 3.0
+RISE_SIGMAS: Final = 6.0
+"""Elevation, and times its uncertainty, from which on flat skin is no untouched skin."""
 
 OBSTRUCTED: Final = 0.85
 """The same as a share of what clears level skin: a lamp that stands low is not hidden for that."""
@@ -83,10 +90,10 @@ def read_under_lamps(
     found = reading.begin()
     for steps in STEPS:
         found = reading.improved(found, steps)
-        if found.is_level:
+        if found.is_level and not reading.is_plate(found):
             return None
     rise = None
-    if not found.has_zero:
+    if not found.has_zero or reading.is_plate(found):
         reading, found, rise = reading.raised(found)
         cells = reading.cells
     change = (found.slope - reading.read).astype(np.float32)
@@ -95,7 +102,8 @@ def read_under_lamps(
     unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
     left_alone = (~cells.faithful).astype(np.float32)
-    return CellCorrection(p_change, q_change, *sigma, found.shadow, cell, SHADOW_WEIGHT, unsure, left_alone)
+    raised = rise is not None
+    return CellCorrection(p_change, q_change, *sigma, found.shadow, cell, SHADOW_WEIGHT, unsure, left_alone, raised)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +148,12 @@ class _Reading:
         if told is None:
             return _Found(found.slope, found.shadow, z_px, has_zero, is_level=True)
         return _Found(*told, z_px, has_zero)
+
+    def is_plate(self, found: _Found) -> bool:
+        """Whether skin that is flat nearly everywhere lies on a plate under the whole field, as the light tells."""
+        steep = np.linalg.norm(found.slope, axis=-1)[self.known] > FLAT_SLOPES[-1]
+        rise = None if not steep.size or steep.mean() > 1.0 - MIN_FLAT else self.cells.rise(found.slope, found.z_px)
+        return rise is not None and abs(rise.z_px) > max(MIN_RISE_PX, RISE_SIGMAS * rise.sigma_px)
 
     def raised(self, found: _Found) -> tuple[_Reading, _Found, Rise | None]:
         """What is found at the elevation and the brightness of lamps that the light tells, and what is left of these;

@@ -20,7 +20,7 @@ from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
 from host_sync.gradients.surface_slope_kernel import surface_slopes
 from host_sync.integration.integrate import IntegrationReport, integrate
-from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum
+from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum, no_datum
 from host_sync.johnson2009.model import integrate_forward_difference
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
@@ -119,7 +119,8 @@ def reconstruct(
     noise = calibration.slope_noise
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    datum = find_datum(height, gradients).at_rest(height, gradients)
+    found = no_datum(height, gradients) if reading.is_raised else find_datum(height, gradients)
+    datum = found.at_rest(height, gradients)
     unlit = check_datum(intensity, datum.skin)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)

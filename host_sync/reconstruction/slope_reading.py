@@ -70,6 +70,11 @@ class SlopeReading:
         """Slopes of all groups together."""
         return joined([group.gradients for group in self.groups], self.left_out)
 
+    @property
+    def is_raised(self) -> bool:
+        """Whether no skin is untouched, as the light tells."""
+        return any(group.correction is not None and group.correction.is_raised for group in self.groups)
+
     def raw_gradients(self) -> GradientField:
         """The same with the frame's noise in them, to be asked for once; the same arrays where nothing was shrunk."""
         found = []
@@ -133,7 +138,8 @@ def _read_channels(
         intensity = flat_field_correct(frame, calibration.flat_field)
     check_exposure(intensity, calibration.flat_field, name)
     checks = calibration.frame_model.check(intensity, calibration.flat_field)
-    take_drift_out(intensity, calibration.inverse.map, calibration.press_levels)
+    response = calibration.frame_model.levels.response
+    take_drift_out(intensity, calibration.inverse.map, calibration.press_levels, response)
     raw, shrinkage = intensity, calibration.shrinkage
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)

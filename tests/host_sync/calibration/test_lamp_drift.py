@@ -7,6 +7,7 @@ import pytest
 
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration.lamp_drift import PressLevels, take_drift_out, untouched_level
+from host_sync.frame_checks.light_levels import SlopeResponse
 
 SHAPE = (240, 320)
 ROW, COLUMN = (axis.astype(float) for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
@@ -25,6 +26,7 @@ class LinearMap:
 
 
 MAP = LinearMap()
+RESPONSE = SlopeResponse(np.stack([ANSWER, 0.0 * ANSWER, 0.0 * ANSWER]), 0.01, 0.05)
 
 
 def frame(drift: np.ndarray, seed: int = 0, *, dome: float = 1.0, clipped: bool = False) -> NormalizedImage:
@@ -57,14 +59,14 @@ def test_untouched_skin_tells_levels_to_a_few_parts_in_ten_thousand() -> None:
 @pytest.mark.parametrize("dome", [0.0, 1.0])
 def test_drift_is_taken_out(dome: float) -> None:
     image, steady = frame(DRIFT, dome=dome), frame(np.zeros(3), dome=dome)
-    take_drift_out(image, MAP, CALM)
+    take_drift_out(image, MAP, CALM, RESPONSE)
     np.testing.assert_allclose(image.values / steady.values, 1.0, atol=8e-4)
 
 
 def test_a_frame_without_drift_is_left_as_it_is() -> None:
     for seed in range(20, 30):
         image, steady = frame(np.zeros(3), seed), frame(np.zeros(3), seed)
-        take_drift_out(image, MAP, CALM)
+        take_drift_out(image, MAP, CALM, RESPONSE)
         np.testing.assert_array_equal(image.values, steady.values)
 
 
@@ -74,7 +76,7 @@ def test_what_the_calibrations_own_presses_show_is_no_drift() -> None:
     restless = levels_of(*(scale * DRIFT for scale in (-1.0, -0.5, 0.0, 0.4, 0.8, 1.3)))
     for levels, drift in ((brighter, np.full(3, 0.04)), (restless, DRIFT)):
         image = frame(drift)
-        take_drift_out(image, MAP, levels)
+        take_drift_out(image, MAP, levels, RESPONSE)
         np.testing.assert_array_equal(image.values, frame(drift).values)
 
 
@@ -82,6 +84,18 @@ def test_where_presses_or_frame_show_no_untouched_skin_nothing_is_done() -> None
     assert levels_of(*(np.zeros(3),) * 3) is None
     blind = [frame(DRIFT, clipped=True) for _ in range(6)]
     assert PressLevels.of(blind, MAP) is None
-    for image, levels in ((frame(DRIFT), None), (blind[0], CALM)):
-        take_drift_out(image, MAP, levels)
+    for image, levels, response in (
+        (frame(DRIFT), None, RESPONSE),
+        (frame(DRIFT), CALM, None),
+        (blind[0], CALM, RESPONSE),
+    ):
+        take_drift_out(image, MAP, levels, response)
         np.testing.assert_array_equal(image.values, frame(DRIFT).values)
+
+
+def test_a_plate_that_lies_tilted_under_the_whole_field_is_no_drift() -> None:
+    tilted = np.array([0.004, -0.008]) @ ANSWER
+    for levels, kept in ((tilted, True), (tilted + 0.01, False)):
+        image = frame(levels, dome=0.0)
+        take_drift_out(image, MAP, CALM, RESPONSE)
+        assert np.array_equal(image.values, frame(levels, dome=0.0).values) == kept

@@ -194,3 +194,28 @@ def test_texture_that_fills_the_field_is_read_under_the_light_that_it_tells_itse
     left_px = (integrate(read, 1.0)[0].z_um - z).std()
     assert off_px > 0.3
     assert left_px < 0.3 * off_px
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.01])
+def test_a_plate_under_the_whole_field_is_no_untouched_skin(tilt: float) -> None:
+    p, q = np.full(SHAPE, tilt), np.zeros(SHAPE)
+    z = 6.0 + tilt * (COLUMN - 160.0)
+    image = image_of(z, p, q)
+    noise = 0.003 * np.random.default_rng(1).standard_normal(image.values.shape)
+    image = replace(image, values=np.asarray(image.values + noise, np.float32))
+    read = as_if_untouched(image)
+    off_px = (integrate(read, 1.0)[0].z_um - z).std()
+    found = read_under_lamps(read, image, LAMPS)
+    assert found is not None
+    assert found.is_raised
+    found.apply(read)
+    assert (integrate(read, 1.0)[0].z_um - z).std() < 0.3 * off_px
+
+
+def test_untouched_skin_is_no_plate() -> None:
+    zero = np.zeros(SHAPE)
+    image = image_of(zero, zero, zero)
+    noise = 0.003 * np.random.default_rng(1).standard_normal(image.values.shape)
+    image = replace(image, values=np.asarray(image.values + noise, np.float32))
+    found = read_under_lamps(as_if_untouched(image), image, LAMPS)
+    assert found is None or not found.is_raised
