@@ -3,7 +3,8 @@
 Such a share moves all of an object at once: height maps of steps, coins and grooves are wrong by it. Balls show which
 shares go together, those of gentle and of steep slopes at one place, and how far they differ from place to place. So
 every ball is one draw of what an object's slopes may be wrong by, and gentle objects do not pay for the rims of balls.
-Balls close by count most: an object in the middle of the field does not pay for a ball in its corner.
+Balls close by count most: an object in the middle of the field does not pay for a ball in its corner. What differs from
+ball to ball differs over an object, too: a plate as large as three balls is wrong by the mean of what three are.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,9 @@ NEGLIGIBLE: Final = 1e-6
 
 CLOSE_WIDTHS: Final = 0.15
 """Standard deviation, in widths of the field, of the Gaussian by which balls count for a place near them."""
+
+MIN_PLACES: Final = 4
+"""Balls that tell what is common to all, and what is not."""
 
 FAR_SHARE: Final = 0.02
 """What a ball counts at least, however far it is."""
@@ -103,6 +108,36 @@ def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
     own = np.array(gains)
     _, size, together = np.linalg.svd(own / np.sqrt(len(own)), full_matrices=False)
     return np.asarray((size[:, None] * together)[size > NEGLIGIBLE])
+
+
+def shared_and_local(
+    gains: Sequence[Sequence[float]], places: Sequence[tuple[float, float]]
+) -> tuple[Float64Array, Float64Array]:
+    """Curves as of `gain_curves` of what balls have in common, and of what differs from place to place.
+
+    places : of the balls; without them, or with fewer than `MIN_PLACES`, all counts as common
+    """
+    if len(places) != len(gains) or len(gains) < MIN_PLACES:
+        return gain_curves(gains), np.zeros((0, len(gains[0]) if gains else 0))
+    mean = np.array(gains).mean(axis=0)
+    return gain_curves([mean.tolist()]), gain_curves((np.array(gains) - mean).tolist())
+
+
+def local_normals(rng: np.random.Generator, shape: tuple[int, int, int, int]) -> Float32Array:
+    """Random numbers of mean 0 and variance 1 that are alike at places close by: float32 array of `shape`, samples,
+    curves, rows and columns of a reduced field.
+
+    At every place their mean square over the samples is 1.
+    """
+    samples, curves, rows, columns = shape
+    sigma = CLOSE_WIDTHS * columns
+    margin = int(np.ceil(2.0 * sigma))
+    inner = (slice(margin, margin + rows), slice(margin, margin + columns))
+    white = rng.standard_normal((samples, curves, rows + 2 * margin, columns + 2 * margin), dtype=np.float32)
+    found = np.empty(shape, np.float32)
+    for smooth, noise in zip(found.reshape(-1, rows, columns), white.reshape(-1, *white.shape[2:]), strict=True):
+        smooth[:] = cv2.GaussianBlur(noise, (0, 0), sigma)[inner]
+    return np.asarray(found / np.sqrt(np.square(found).mean(axis=0)), np.float32)
 
 
 def gains_by_place(

@@ -7,6 +7,7 @@ number that is later taken from the height map (a roughness, a step) has an unce
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +19,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_heights_um
-from host_sync.uncertainty.ball_gains import gain_at, gain_curves, gains_by_place
+from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, local_normals, shared_and_local
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
@@ -45,7 +46,8 @@ HALF: Final = 0.5
 """A pixel of the reduced field is untouched skin where more than this share of it is."""
 
 PLACES: Final = 48
-"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly."""
+"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly; and along
+its columns at which gains of slopes are drawn."""
 
 SlopePair = tuple[Float32Array, Float32Array]
 
@@ -153,22 +155,29 @@ def height_uncertainty(
     higher = error.elevation.steeper(z_small / np.float32(height.pitch_um), square)
     cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
     here = gains_by_place(error.ball_gains, error.ball_places, size)
-    gains = [higher, *(here * gain_at(curve, cosine, error.tilt_deg) for curve in gain_curves(error.ball_gains))]
+    shared, local = (
+        [here * gain_at(curve, cosine, error.tilt_deg) for curve in curves]
+        for curves in shared_and_local(error.ball_gains, error.ball_places)
+    )
     flat = [np.asarray(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR), np.float32) for slope in resting]
     known = [flat, shadow, None if calibration is None else (calibration.p, calibration.q)]
     common = [
-        np.concatenate([[gain * slope for gain in gains], *(_fields(pair[axis]) for pair in known if pair is not None)])
+        np.concatenate(
+            [[gain * slope for gain in (higher, *shared)], *(_fields(pair[axis]) for pair in known if pair is not None)]
+        )
         for axis, slope in enumerate(seen)
     ]
     skin = _shrunk(datum.skin, size)
     zero = skin / max(float(skin.sum()), 1e-6)
     rng = np.random.default_rng(seed)
     normal = _normals(rng, len(common[0]) + 2)
+    places = local_normals(rng, (SAMPLES, len(local), PLACES * size[1] // size[0] + 1, PLACES))
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
-    for sample_um, own in zip(samples_um, normal, strict=True):
+    for sample_um, own, at_places in zip(samples_um, normal, places, strict=True):
+        steeper = _local_gain(local, at_places, size)
         p, q = (
-            _slope_draw(rng, spread, error.patch_px / reduction) + np.tensordot(own[2:], part, axes=1)
-            for part in common
+            _slope_draw(rng, spread, error.patch_px / reduction) + np.tensordot(own[2:], part, axes=1) + steeper * slope
+            for part, slope in zip(common, seen, strict=True)
         )
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         sample_um -= np.float32((sample_um * zero).sum())
@@ -177,6 +186,18 @@ def height_uncertainty(
     sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     samples_um += np.float32(scale_share) * shared[:, 1] * z_small
     return HeightUncertainty(with_scale(sigma, scale_share, height.z_um, gradients.valid), samples_um)
+
+
+def _local_gain(gains: Sequence[Float32Array], at_places: Float32Array, size: tuple[int, int]) -> Float32Array:
+    """One draw of the gain that differs from place to place, on a field of `size` (w, h).
+
+    gains : standard uncertainties, arrays of that size
+    at_places : a random number for each at every place of a smaller field, shape (K, n, m)
+    """
+    total = np.zeros(size[::-1], np.float32)
+    for gain, at in zip(gains, at_places, strict=True):
+        total += gain * cv2.resize(at, size, interpolation=cv2.INTER_LINEAR)
+    return total
 
 
 def _fields(values: Float32Array) -> Float32Array:

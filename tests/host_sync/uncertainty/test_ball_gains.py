@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, sphere_slopes
-from host_sync.uncertainty.ball_gains import believed_gains, gain_at, gain_curves, gains_by_place, gains_of_ball
+from host_sync.uncertainty.ball_gains import (
+    CLOSE_WIDTHS,
+    believed_gains,
+    gain_at,
+    gain_curves,
+    gains_by_place,
+    gains_of_ball,
+    local_normals,
+    shared_and_local,
+)
 from host_sync.uncertainty.height_error import SAMPLES, _normals
 
 BANDS = ((0.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0))
@@ -111,3 +120,26 @@ def test_gains_of_balls_close_by_count_most() -> None:
 def test_gains_without_places_count_alike_everywhere() -> None:
     for gains, places in (([(0.01,), (0.04,)], ()), ((), ()), ([(0.0,)], [(0.5, 0.5)])):
         np.testing.assert_array_equal(gains_by_place(gains, places, (5, 4)), np.ones((4, 5)))
+
+
+def test_what_all_balls_have_is_shared_and_the_rest_is_local() -> None:
+    gains = 0.02 + 0.01 * np.random.default_rng(0).standard_normal((12, 5))
+    places = [(0.1 * number, 0.5) for number in range(12)]
+    shared, local = shared_and_local(gains.tolist(), places)
+    np.testing.assert_allclose(shared.T @ shared + local.T @ local, gains.T @ gains / 12, atol=1e-12)
+    np.testing.assert_allclose(np.abs(shared[0]), gains.mean(axis=0), atol=1e-12)
+    alone, nothing = shared_and_local(gains.tolist(), ())
+    assert len(alone) == 5
+    assert len(nothing) == 0
+
+
+def test_local_draws_have_variance_one_everywhere_and_are_alike_close_by() -> None:
+    drawn = local_normals(np.random.default_rng(0), (SAMPLES, 40, 36, 48))
+    np.testing.assert_allclose(np.square(drawn).mean(axis=0), 1.0, atol=1e-4)
+    for apart, alike in ((round(0.3 * CLOSE_WIDTHS * 48), 0.97), (24, 0.1)):
+        share = (drawn[..., :-apart] * drawn[..., apart:]).mean()
+        assert share == pytest.approx(alike, abs=0.1)
+
+
+def test_without_local_curves_nothing_is_drawn() -> None:
+    assert local_normals(np.random.default_rng(0), (SAMPLES, 0, 4, 5)).shape == (SAMPLES, 0, 4, 5)
