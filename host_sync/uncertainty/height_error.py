@@ -155,7 +155,7 @@ def height_uncertainty(
     higher = error.elevation.steeper(z_small / np.float32(height.pitch_um), square)
     cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
     here = gains_by_place(error.ball_gains, error.ball_places, size)
-    shared, local = (
+    everywhere, local = (
         [here * gain_at(curve, cosine, error.tilt_deg) for curve in curves]
         for curves in shared_and_local(error.ball_gains, error.ball_places)
     )
@@ -163,7 +163,10 @@ def height_uncertainty(
     known = [flat, shadow, None if calibration is None else (calibration.p, calibration.q)]
     common = [
         np.concatenate(
-            [[gain * slope for gain in (higher, *shared)], *(_fields(pair[axis]) for pair in known if pair is not None)]
+            [
+                [gain * slope for gain in (higher, *everywhere)],
+                *(_fields(pair[axis]) for pair in known if pair is not None),
+            ]
         )
         for axis, slope in enumerate(seen)
     ]
