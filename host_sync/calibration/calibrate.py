@@ -254,7 +254,8 @@ def calibrate(
     left = elevation_left(kept, training, inverse, elevated, followed)
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     response = followed.response if followed else None
-    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric)
+    levels = PressLevels.of([image for image, _ in kept], inverse.map) if reference else None
+    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels)
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -277,7 +278,7 @@ def calibrate(
         lamps=lamps,
         fitted_lamps=fitted_lamps,
         quadric=quadric,
-        press_levels=PressLevels.of([image for image, _ in kept], inverse.map) if reference else None,
+        press_levels=levels,
     )
 
 
@@ -376,6 +377,7 @@ def _digest(
     elevation: ElevationResponse | None = None,
     lamps: FittedLamps | None = None,
     quadric: FittedQuadric | None = None,
+    levels: PressLevels | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -391,4 +393,6 @@ def _digest(
             digest.update(np.asarray(getattr(model, field.name), np.float64).tobytes())
     for one in (quadric.model, *quadric.folds) if quadric else ():
         digest.update(one.coefficients.tobytes() + bytes([one.degree, one.light is not None]))
+    if levels is not None:
+        digest.update(np.array([*levels.mean, levels.sigma]).tobytes())
     return digest.hexdigest()[:12]

@@ -26,6 +26,9 @@ ACROSS: Final = 192
 SAMPLES_ALONG: Final = 1024
 """Cells of the reduced field, and the columns of which they are the mean, about."""
 
+MIN_CELLS: Final = 8
+"""Cells along the shorter side of a field that tells anything."""
+
 ALL: Final = 0.999
 """Share of a cell's pixels that are faithful in a cell that counts."""
 
@@ -50,6 +53,9 @@ TILT_SHARE: Final = 0.15
 """Of a drift, that two slopes of the whole field must leave; three lamps that drift each as they like leave less in one
 of seven cases, which are then read as tilted."""
 
+MAX_DRIFT: Final = 0.15
+"""Share by which a lamp may have changed for its drift to be taken out."""
+
 DOUBTED: Final = 9.0
 """Mean square of a drift, in standard uncertainties, up to which it is none."""
 
@@ -58,11 +64,12 @@ class PressLevels(msgspec.Struct, frozen=True):
     """Logarithms of each channel's light in the calibration's presses over the reference's.
 
     mean : three
-    covariance : by which presses differ, three rows of three
+    sigma : by which one more frame differs, standard deviation of either channel. One for all three: a dozen presses
+        tell no covariance well enough
     """
 
     mean: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
+    sigma: float
 
     @classmethod
     def of(cls, presses: Iterable[NormalizedImage], inverse_map: InverseMap) -> PressLevels | None:
@@ -71,26 +78,30 @@ class PressLevels(msgspec.Struct, frozen=True):
         if len(told) < MIN_PRESSES:
             return None
         levels = np.array(told)
-        covariance = np.cov(levels.T) * (1.0 + 1.0 / len(levels))
-        return cls(
-            tuple(float(one) for one in levels.mean(axis=0)), tuple(tuple(float(x) for x in row) for row in covariance)
-        )
+        variance = float(levels.var(axis=0, ddof=1).mean()) * (1.0 + 1.0 / len(levels))
+        return cls(tuple(float(one) for one in levels.mean(axis=0)), float(np.sqrt(variance)))
 
 
 def take_drift_out(
     image: NormalizedImage, inverse_map: InverseMap, presses: PressLevels | None, response: SlopeResponse | None
-) -> None:
+) -> float:
     """Write the intensity under lamps that shine as in the calibration over an image's own.
 
-    presses, response : of the calibration; None where its balls do not tell them, and nothing is written
+    Returns the largest change of a lamp, as a share; 0 where nothing was written. A lamp that changed by more than
+    `MAX_DRIFT` is left as it is, for others to refuse.
+
+    presses, response : of the calibration; None where its balls do not tell them
     """
     found = None if presses is None or response is None else untouched_level(image, inverse_map)
     if presses is None or response is None or found is None:
-        return
+        return 0.0
     drift = found[0] - np.array(presses.mean)
-    drift *= believed_share(drift, found[1] + np.array(presses.covariance))
-    if drift.any() and not _is_tilt(drift, response):
-        np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
+    drift *= believed_share(drift, found[1] + presses.sigma**2 * np.eye(3))
+    largest = float(np.expm1(np.abs(drift).max()))
+    if not 0.0 < largest <= MAX_DRIFT or _is_tilt(drift, response):
+        return 0.0
+    np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
+    return largest
 
 
 def _is_tilt(drift: Float64Array, response: SlopeResponse) -> bool:
@@ -104,8 +115,12 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Fl
     """Logarithm of untouched skin's light over the reference's, float64 array of shape (3,), and its covariance; None
     where too little skin is untouched.
     """
-    values, known, step = _cells(image)
-    row, column = ((np.arange(size) + 0.5) * step - 0.5 for size in values.shape[:2])
+    values, known = _cells(image)
+    if min(known.shape) < MIN_CELLS:
+        return None
+    row, column = (
+        (np.arange(size) + 0.5) * (full / size) - 0.5 for size, full in zip(known.shape, image.shape, strict=True)
+    )
     logs = np.log(np.maximum(values, np.float32(DARK_FLOOR))).astype(np.float32)
     sights = untouched_levels(cell_logs(image))
     level = sights[0].levels if sights else np.zeros(3)
@@ -124,18 +139,17 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Fl
     return level, np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
 
 
-def _cells(image: NormalizedImage) -> tuple[Float32Array, MaskArray, float]:
-    """Mean intensity (h, w, 3) of cells, which of them are faithful, and pixels along a cell."""
+def _cells(image: NormalizedImage) -> tuple[Float32Array, MaskArray]:
+    """Mean intensity (h, w, 3) of cells, and which of them are faithful."""
     rows, columns = image.shape
     across = min(ACROSS, columns)
-    step = columns / across
-    size = across, max(int(rows / step), 1)
+    size = across, max(round(rows * across / columns), 1)
     stride = max(1, columns // SAMPLES_ALONG)
     some = slice(stride // 2, None, stride)
     values = np.ascontiguousarray(np.nan_to_num(image.values[some, some]))
     faithful = image.faithful_at((some, some)).astype(np.float32)
     share = cv2.resize(faithful, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32), share > ALL, step
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32), share > ALL
 
 
 def _of_blocks(logs: Float32Array, datum: Datum) -> Float64Array:

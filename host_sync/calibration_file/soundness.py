@@ -233,9 +233,8 @@ def _check_levels(levels: PressLevels | None) -> None:
     """Refuse levels that are not of three channels, or beyond measure."""
     if levels is None:
         return
-    rows = (levels.mean, *levels.covariance)
-    values = np.array([value for row in rows for value in row])
-    if [len(row) for row in rows] != [3] * 4 or not np.abs(values).max() < LARGEST_LEVEL:
+    largest = float(np.abs([*levels.mean, levels.sigma]).max())
+    if len(levels.mean) != 3 or not largest < LARGEST_LEVEL or levels.sigma < 0.0:
         raise Unsound("levels of light that are not those of three lamps")
 
 

@@ -1,7 +1,8 @@
 """Whether skin that is flat on the mean is a surface: texture that fills a field, or skin that nothing touches.
 
 Errors of slopes belong to no surface: integration keeps half of their power and removes the other half. Slopes of a
-surface it keeps. So where waves of some ten cells are kept twice as strongly as they are removed, an object shows.
+surface it keeps. So where waves of some ten cells are kept with clearly more amplitude than is removed of them, an
+object shows.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.datum import cell_sums
@@ -25,6 +27,9 @@ STEEP: Final = 0.1
 AWAY_CELLS: Final = 18
 """Slope of an object's flanks, and cells from them within which the Gaussians bring their relief along."""
 
+HOLE_CELLS: Final = 3
+"""Cells from a hole within which slopes are those of its border."""
+
 MAX_KEPT: Final = 1.5
 """Amplitude that integration keeps of slopes over what it removes, above which they are a surface.
 
@@ -37,6 +42,8 @@ MIN_KEPT: Final = 0.004
 
 QUIETEST: Final = 0.1
 MIN_CELLS: Final = 100
+MIN_SIDE: Final = 4
+"""Cells that tell, and along the shorter side of a field that has any."""
 
 
 def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> bool:
@@ -47,23 +54,31 @@ def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> b
     """
     cell = max(1, round(skin.shape[1] / ACROSS))
     known = gradients.valid & np.isfinite(height.z_um)
-    z_sum, number, count = cell_sums(height.z_um, skin.astype(np.float32), known, cell)
+    rest_um = np.float32(np.median(height.z_um[skin & known])) if (skin & known).any() else np.float32(0.0)
+    z_sum, number, count = cell_sums(height.z_um - rest_um, skin.astype(np.float32), known, cell)
     p_sum, q_sum, _ = cell_sums(gradients.p, gradients.q, known, cell)
-    share = np.maximum(count, np.float32(1.0))
-    z, p, q = (cv2.GaussianBlur(part / share, (0, 0), FINEST_CELLS) for part in (z_sum, p_sum, q_sum))
-    steep = (np.hypot(p, q) > STEEP).astype(np.uint8)
-    beside = cv2.dilate(steep, np.ones((2 * AWAY_CELLS + 1,) * 2, np.uint8)).astype(np.bool_)
+    if min(count.shape) < MIN_SIDE:
+        return False
+    whole = np.maximum(cv2.GaussianBlur(count, (0, 0), FINEST_CELLS), np.float32(1e-6))
+    z, p, q = (cv2.GaussianBlur(part, (0, 0), FINEST_CELLS) / whole for part in (z_sum, p_sum, q_sum))
+    beside = _around(np.hypot(p, q) > STEEP, AWAY_CELLS) | _around(count < 1.0, HOLE_CELLS)
     inner = (number >= 0.5 * cell * cell) & ~beside
     if int(inner.sum()) < MIN_CELLS:
         return False
     by_p, by_q = (np.gradient(z, cell * height.pitch_um, axis=axis) for axis in (1, 0))
-    kept, removed = _power(by_p, by_q), _power(p - by_p, q - by_q)
+    kept, removed = _power(np.stack([by_p, by_q])), _power(np.stack([p - by_p, q - by_q]))
     ratio = np.sqrt(kept[inner] / np.maximum(removed[inner], np.float32(1e-12)))
     return bool(np.quantile(ratio, QUIETEST) > MAX_KEPT and np.quantile(kept[inner], QUIETEST) > MIN_KEPT**2)
 
 
-def _power(p: Float32Array, q: Float32Array) -> Float32Array:
-    """Mean square of slopes nearby without their long waves."""
-    fine_p, fine_q = (part - cv2.GaussianBlur(part, (0, 0), LONGEST_CELLS) for part in (p, q))
-    square = np.asarray(fine_p * fine_p + fine_q * fine_q, np.float32)
+def _around(mask: MaskArray, cells: int) -> MaskArray:
+    """Cells that are no farther from a mask."""
+    square = np.ones((2 * cells + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), square).astype(np.bool_))
+
+
+def _power(slopes: NDArray[np.floating]) -> Float32Array:
+    """Mean square nearby of slopes (2, h, w) without their long waves."""
+    fine = [part - cv2.GaussianBlur(part, (0, 0), LONGEST_CELLS) for part in slopes.astype(np.float32)]
+    square = np.asarray(fine[0] * fine[0] + fine[1] * fine[1], np.float32)
     return np.asarray(cv2.GaussianBlur(square, (0, 0), LONGEST_CELLS), np.float32)

@@ -121,11 +121,14 @@ def elevation_over_datum_px(gradients: GradientField, step_px: float) -> Float32
     return find_datum(height, gradients).level(height).z_um
 
 
-def find_datum(height: HeightMap, gradients: GradientField) -> Datum:
-    """The datum of a height map that has these slopes."""
+def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool = False) -> Datum:
+    """The datum of a height map that has these slopes.
+
+    are_its_own : whether slopes were taken from the height map: then they cannot show what belongs to no surface
+    """
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
-    if far is None or is_relief(height, gradients, far):
+    if far is None or (not are_its_own and is_relief(height, gradients, far)):
         return no_datum(height, gradients)
     blocks_um = block_heights_um(height.z_um, far)
     zero_um = _trimmed_mean(blocks_um) if blocks_um.size else height_of_rest_um(height, far)

@@ -161,7 +161,7 @@ def untouched_skin(surface: ResultSurface) -> MaskArray:
     p, q = surface_slopes(height)
     valid = np.isfinite(p) & np.isfinite(q)
     p, q = (np.nan_to_num(part).astype(np.float32) for part in (p, q))
-    datum = find_datum(height, GradientField(p, q, valid, valid.astype(np.float32)))
+    datum = find_datum(height, GradientField(p, q, valid, valid.astype(np.float32)), are_its_own=True)
     if datum.is_relative:
         raise MeasurementError('level: no skin is untouched: draw regions_um, or level on "points", "line" or "plane"')
     return datum.skin

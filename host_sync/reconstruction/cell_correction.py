@@ -35,7 +35,7 @@ class CellCorrection:
         all at once; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
-    is_raised : whether an object lifts all skin of the field, as the light tells: none is untouched
+    has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light tells
     """
 
     p: Float32Array
@@ -47,7 +47,7 @@ class CellCorrection:
     weight: float
     unsure: SlopePair | None = None
     left_alone: Float32Array | None = None
-    is_raised: bool = False
+    has_rest: bool = True
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""
@@ -84,11 +84,23 @@ def unsure_cells(
     change : of their intensity with slopes, shape (N, 3, 2)
     less : for every fold by how much less than all folds together it shows there, shape (N, 3)
     """
+    p, q = (jackknifed(part) for part in moved_cells(here, size, change, less))
+    return p, q
+
+
+def moved_cells(
+    here: np.ndarray, size: tuple[int, int], change: Float64Array, missing: Sequence[Float64Array]
+) -> SlopePair:
+    """Slopes p and q that explain intensities which are missing, each of them at once: float32 arrays (K, h, w).
+
+    here, size, change : as of `unsure_cells`
+    missing : K arrays of shape (N, 3)
+    """
     weight, level = np.full((len(here), 3), INTENSITY_SIGMA**-2), np.zeros((len(here), 2))
-    moves = np.zeros((len(less), size[0] * size[1], 2), np.float32)
-    for move, own in zip(moves, less, strict=True):
+    moves = np.zeros((len(missing), size[0] * size[1], 2), np.float32)
+    for move, own in zip(moves, missing, strict=True):
         move[here] = gauss_newton_step(change, weight, own, level, SURFACE_SIGMA)
-    p, q = (jackknifed(moves[..., axis]).reshape(-1, *size) for axis in (0, 1))
+    p, q = (moves[..., axis].reshape(-1, *size) for axis in (0, 1))
     return p, q
 
 

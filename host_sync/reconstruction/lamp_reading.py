@@ -31,7 +31,14 @@ from host_sync.lights.lamp_slopes import (
 )
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cast_shadow import RELATIVE_SIGMA
-from host_sync.reconstruction.cell_correction import LEVEL, CellCorrection, SlopePair, steepness, unsure_cells
+from host_sync.reconstruction.cell_correction import (
+    LEVEL,
+    CellCorrection,
+    SlopePair,
+    moved_cells,
+    steepness,
+    unsure_cells,
+)
 from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
 from host_sync.reconstruction.light_elevation import DRIFT_ROUNDS, DRIFT_SHARE, Rise, RiseSearch, rise_told_by_light
@@ -77,7 +84,7 @@ def read_under_lamps(
     lamps: FittedLamps,
     alone: Float32Array | None = None,
 ) -> CellCorrection | None:
-    """What the slopes of an image (H, W), read as if every light arrived, gain; None where all skin is level.
+    """What the slopes of an image (H, W), read as if every light arrived, gain; None where all is level and at rest.
 
     lamps : that explain the calibration's balls
     alone : what each channel shows under its own light alone, over the same of untouched skin, shape (H, W, 3); None
@@ -102,8 +109,8 @@ def read_under_lamps(
     unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
     left_alone = (~cells.faithful).astype(np.float32)
-    raised = rise is not None
-    return CellCorrection(p_change, q_change, *sigma, found.shadow, cell, SHADOW_WEIGHT, unsure, left_alone, raised)
+    rest = rise is None
+    return CellCorrection(p_change, q_change, *sigma, found.shadow, cell, SHADOW_WEIGHT, unsure, left_alone, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,7 +284,7 @@ class _Cells:
         squares add to a variance.
         """
         z = z_px.ravel().astype(np.float64)
-        here = np.flatnonzero(np.linalg.norm(slope, axis=-1) > LEVEL[0])
+        here = np.flatnonzero((np.linalg.norm(slope, axis=-1) > LEVEL[0]) | (rise is not None))
         skin, there = self.skin.select(here), slope.reshape(-1, 2)[here]
         shown, change = skin.shown_and_changes(there, z[here])
         less = [shown - skin.shown(there, z[here], other) for other in others]
@@ -285,12 +292,12 @@ class _Cells:
         by_fold = unsure_cells(here, size, change, less)
         if rise is None:
             return by_fold
-        # Two that differ by √2 times a deviation have it as the root of their own deviations' squares.
-        parts = [by_fold]
-        for z_px_apart, *levels in np.sqrt(2.0) * rise.deviations():
-            apart = skin.shown(there, z[here] + z_px_apart) - shown + shown * np.array(levels)
-            parts.append(unsure_cells(here, size, change, [np.zeros_like(shown), -apart]))
-        p, q = (np.concatenate(one) for one in zip(*parts, strict=True))
+        missing = [
+            skin.shown(there, z[here] + z_px_apart) - shown + shown * np.array(levels)
+            for z_px_apart, *levels in rise.deviations()
+        ]
+        by_rise = moved_cells(here, size, change, missing)
+        p, q = (np.concatenate(parts) for parts in zip(by_fold, by_rise, strict=True))
         return p, q
 
     def _may_be_hidden(self, z_px: Float32Array) -> tuple[MaskArray, Float64Array]:

@@ -26,6 +26,7 @@ OUTLIER: Final = 3.0
 """Cells are left out that differ by more than so many times the median of what is left."""
 
 MIN_CELLS: Final = 200
+MIN_BLOCKS: Final = 8
 
 MAX_ROUNDS: Final = 8
 CLOSE_PX: Final = 0.05
@@ -66,7 +67,7 @@ class Rise:
         return self.levels * believed_share(self.levels, self._covariance[1:, 1:] + LEAST_SIGMA**2 * np.eye(3))
 
     def deviations(self) -> Float64Array:
-        """Deviations of both whose squares add to their variance where the search for them ends: shape (5, 4)."""
+        """Deviations of elevation and levels whose squares add to their variance at the search's end: shape (5, 4)."""
         size, along = np.linalg.eigh(self._covariance)
         left = np.array([self.z_px, *self.drift])
         return np.vstack([left, (along * np.sqrt(np.maximum(size, 0.0))).T])
@@ -127,6 +128,8 @@ def rise_told_by_light(skin: LampSkin, intensity: Float64Array, slope: Float64Ar
         left = np.abs(missing - design @ _solved(design, missing, block, None))
         near = left <= OUTLIER * np.median(left) / 0.6745
         design, missing, block = design[near], missing[near], block[near]
+    if len(np.unique(block)) < MIN_BLOCKS:
+        return None
     whole = _solved(design, missing, block, None)
     parts = np.array([_solved(design, missing, block, one) for one in np.unique(block)])
     return Rise(float(whole[0]), whole[1:], parts)

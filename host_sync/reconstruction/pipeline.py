@@ -119,9 +119,9 @@ def reconstruct(
     noise = calibration.slope_noise
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    found = no_datum(height, gradients) if reading.is_raised else find_datum(height, gradients)
+    found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
-    unlit = check_datum(intensity, datum.skin)
+    unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
     checks = (*reading.first.checks, *told)

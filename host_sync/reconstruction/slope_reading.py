@@ -10,7 +10,7 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_c
 from device.surface.fields import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.calibration.lamp_drift import take_drift_out
+from host_sync.calibration.lamp_drift import MAX_DRIFT, take_drift_out
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.flat_field_kernel import raw_intensity
@@ -71,9 +71,9 @@ class SlopeReading:
         return joined([group.gradients for group in self.groups], self.left_out)
 
     @property
-    def is_raised(self) -> bool:
-        """Whether no skin is untouched, as the light tells."""
-        return any(group.correction is not None and group.correction.is_raised for group in self.groups)
+    def has_rest(self) -> bool:
+        """Whether some skin may be untouched; False where the light says that none is."""
+        return all(group.correction is None or group.correction.has_rest for group in self.groups)
 
     def raw_gradients(self) -> GradientField:
         """The same with the frame's noise in them, to be asked for once; the same arrays where nothing was shrunk."""
@@ -139,7 +139,9 @@ def _read_channels(
     check_exposure(intensity, calibration.flat_field, name)
     checks = calibration.frame_model.check(intensity, calibration.flat_field)
     response = calibration.frame_model.levels.response
-    take_drift_out(intensity, calibration.inverse.map, calibration.press_levels, response)
+    drift = take_drift_out(intensity, calibration.inverse.map, calibration.press_levels, response)
+    if drift:
+        checks = (*checks, FrameCheck("lamp drift", "passed", drift, MAX_DRIFT, "relative"))
     raw, shrinkage = intensity, calibration.shrinkage
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)

@@ -120,7 +120,8 @@ class FrameSolver:
         gradients = self._gradients(intensity)
         height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
         datum = find_datum(height, gradients)
-        raise_on_warnings(check_datum(intensity, datum.skin), frame.name, force=self.force)
+        unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
+        raise_on_warnings(unlit, frame.name, force=self.force)
         peak_um, known = _shift_to_zero(height.z_um, np.float32(datum.zero_um), out)
         return FrameStatistics(
             contact_fraction=shaded_fraction(_subsample(intensity)),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.imaging.flat_field import NormalizedImage
-from host_sync.calibration.lamp_drift import PressLevels, take_drift_out, untouched_level
+from host_sync.calibration.lamp_drift import PressLevels, believed_share, take_drift_out, untouched_level
 from host_sync.frame_checks.light_levels import SlopeResponse
 
 SHAPE = (240, 320)
@@ -78,6 +78,38 @@ def test_what_the_calibrations_own_presses_show_is_no_drift() -> None:
         image = frame(drift)
         take_drift_out(image, MAP, levels, RESPONSE)
         np.testing.assert_array_equal(image.values, frame(drift).values)
+
+
+def test_few_presses_that_differ_do_not_make_a_drift_of_one_more() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        levels = 0.01 * rng.standard_normal((7, 3))
+        presses = PressLevels(
+            tuple(levels[:6].mean(axis=0)), float(np.sqrt(levels[:6].var(axis=0, ddof=1).mean() * 7 / 6))
+        )
+        off = levels[6] - presses.mean
+        assert np.abs(off * believed_share(off, presses.sigma**2 * np.eye(3))).max() < 0.02
+
+
+def test_what_is_taken_out_is_reported_and_a_broken_lamp_is_left_to_be_refused() -> None:
+    assert take_drift_out(frame(DRIFT), MAP, CALM, RESPONSE) == pytest.approx(np.expm1(0.02), abs=1e-3)
+    assert take_drift_out(frame(np.zeros(3), 40), MAP, CALM, RESPONSE) == 0.0
+    assert take_drift_out(frame(np.array([-0.3, 0.0, 0.0])), MAP, CALM, RESPONSE) == 0.0
+
+
+def test_the_uncertainty_of_a_level_is_its_scatter() -> None:
+    found = [untouched_level(frame(np.zeros(3), seed), MAP) for seed in range(60, 80)]
+    levels, covariances = (np.array(part) for part in zip(*(one for one in found if one is not None), strict=True))
+    sigma = np.sqrt(np.mean([np.diag(one) for one in covariances]))
+    assert levels.std() < 1.5 * sigma
+    assert levels.std() > 0.15 * sigma
+
+
+@pytest.mark.parametrize("shape", [(4, 960), (960, 4), (8, 8), (2, 2)])
+def test_a_field_of_a_few_rows_tells_nothing(shape: tuple[int, int]) -> None:
+    everywhere = np.ones(shape, np.bool_)
+    image = NormalizedImage(np.ones((*shape, 3), np.float32), everywhere, ~everywhere)
+    assert take_drift_out(image, MAP, CALM, RESPONSE) == 0.0
 
 
 def test_where_presses_or_frame_show_no_untouched_skin_nothing_is_done() -> None:

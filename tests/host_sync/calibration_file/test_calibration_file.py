@@ -347,10 +347,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric of one fold": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
-    "levels of two lamps": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0), ((0.0,) * 3,) * 3)),
-    "a level that is not finite": lambda one: replace(
-        one, press_levels=PressLevels((0.0, 0.0, float("nan")), ((0.0,) * 3,) * 3)
-    ),
+    "levels of two lamps": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0), 0.0)),
+    "a level that is not finite": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, float("nan")), 0.0)),
     "fewer places than balls with a gain": lambda one: with_ball_places(one, (0.5, 0.5)),
     "a ball at no place": lambda one: with_ball_places(one, *((float("nan"), 0.5),) * len(one.slope_error.ball_gains)),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),

@@ -52,6 +52,39 @@ def test_skin_near_a_steep_object_is_not_judged_by_it() -> None:
     assert not is_relief(*field(hill), with_hole(70))
 
 
+def test_waves_of_an_objects_foot_are_no_texture() -> None:
+    quiet = texture(0.003)
+    rng = np.random.default_rng(1)
+    q, p = (np.asarray(part + 0.0005 * rng.standard_normal(SHAPE), np.float32) for part in np.gradient(quiet))
+    gradients = GradientField(p, q, EVERYWHERE, np.ones(SHAPE, np.float32))
+    assert not is_relief(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients, EVERYWHERE)
+
+
+def test_texture_on_less_than_nine_tenths_of_the_skin_is_an_object_beside_untouched_skin() -> None:
+    row, _ = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    assert not is_relief(*field(texture(0.03) / (1.0 + np.exp((row - 150) / 4.0))), EVERYWHERE)
+
+
+@pytest.mark.parametrize("off_px", [0.0, 30.0])
+def test_holes_and_the_zero_of_the_map_do_not_matter(off_px: float) -> None:
+    holes = np.zeros(SHAPE, np.bool_)
+    for row, column in np.random.default_rng(2).integers(0, (230, 310), (12, 2)):
+        holes[row : row + 8, column : column + 8] = True
+    for z, answer in ((texture(0.03), True), (np.zeros(SHAPE), False)):
+        height, gradients = field(z)
+        z_px = np.where(holes, np.float32(np.nan), height.z_um + np.float32(off_px))
+        p, q = (np.where(holes, np.float32(0.0), part) for part in (gradients.p, gradients.q))
+        known = GradientField(p, q, ~holes, (~holes).astype(np.float32))
+        assert is_relief(HeightMap(z_px, 1.0), known, ~holes) == answer
+
+
+@pytest.mark.parametrize("shape", [(4, 960), (960, 4), (8, 8), (3, 3)])
+def test_a_field_of_a_few_rows_tells_nothing(shape: tuple[int, int]) -> None:
+    flat, everywhere = np.zeros(shape, np.float32), np.ones(shape, np.bool_)
+    gradients = GradientField(flat, flat, everywhere, np.ones(shape, np.float32))
+    assert not is_relief(HeightMap(flat, 1.0), gradients, everywhere)
+
+
 def test_too_little_skin_tells_nothing() -> None:
     few = np.zeros(SHAPE, np.bool_)
     few[:9, :9] = True
@@ -59,5 +92,9 @@ def test_too_little_skin_tells_nothing() -> None:
 
 
 def test_texture_over_the_whole_field_has_no_zero_though_it_is_flat_on_the_mean() -> None:
-    assert find_datum(*field(texture(0.02))).is_relative
+    height, gradients = field(texture(0.02))
+    assert find_datum(height, gradients).is_relative
+    q, p = (np.asarray(part, np.float32) for part in np.gradient(height.z_um))
+    own = GradientField(p, q, EVERYWHERE, gradients.weight)
+    assert not find_datum(height, own, are_its_own=True).is_relative
     assert not find_datum(*field(np.zeros(SHAPE))).is_relative

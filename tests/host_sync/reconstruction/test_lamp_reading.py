@@ -14,7 +14,8 @@ from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.lamp_slopes import KnownBefore, LampSkin, move_towards
-from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
+from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, _Cells, read_under_lamps
+from host_sync.reconstruction.light_elevation import Rise
 
 SHAPE = (240, 320)
 HEIGHT_PX = 16.0
@@ -205,9 +206,11 @@ def test_a_plate_under_the_whole_field_is_no_untouched_skin(tilt: float) -> None
     image = replace(image, values=np.asarray(image.values + noise, np.float32))
     read = as_if_untouched(image)
     off_px = (integrate(read, 1.0)[0].z_um - z).std()
-    found = read_under_lamps(read, image, LAMPS)
+    found = read_under_lamps(read, image, FittedLamps(MODEL, (MODEL, MODEL)))
     assert found is not None
-    assert found.is_raised
+    assert not found.has_rest
+    assert found.unsure is not None
+    assert (np.abs(found.unsure[0]).max(axis=0) > 0.0).mean() > 0.95
     found.apply(read)
     assert (integrate(read, 1.0)[0].z_um - z).std() < 0.3 * off_px
 
@@ -218,4 +221,24 @@ def test_untouched_skin_is_no_plate() -> None:
     noise = 0.003 * np.random.default_rng(1).standard_normal(image.values.shape)
     image = replace(image, values=np.asarray(image.values + noise, np.float32))
     found = read_under_lamps(as_if_untouched(image), image, LAMPS)
-    assert found is None or not found.is_raised
+    assert found is None or found.has_rest
+
+
+def test_slopes_are_as_unsure_as_the_elevation_that_the_light_tells() -> None:
+    z, p, q = texture()
+    image = image_of(z, p, q)
+    cells = _Cells.of(image, MODEL, (120, 160), 2, None)
+    slope = np.stack([p, q], axis=-1).reshape(120, 2, 160, 2, 2).mean(axis=(1, 3))
+    z_px = z.reshape(120, 2, 160, 2).mean(axis=(1, 3)).astype(np.float32)
+    parts = np.zeros((4, 4))
+    parts[:, 0] = [-1.0, 1.0, -1.0, 1.0]
+    rise = Rise(0.0, np.zeros(3), parts)
+    by_p, by_q = cells.unsure(slope, z_px, (MODEL, MODEL), rise)
+    sigma = np.sqrt((by_p**2).sum(axis=0) + (by_q**2).sum(axis=0))
+    there, seen = slope.reshape(-1, 2), cells.skin.shown(slope.reshape(-1, 2), z_px.ravel().astype(float))
+    higher = z_px.ravel() + rise.sigma_px
+    found = there
+    for _ in range(3):
+        found = move_towards(cells.skin, seen, found, higher.astype(float), KnownBefore(found, 1.0))
+    moved = np.linalg.norm(found - there, axis=1).reshape(sigma.shape)
+    assert np.median(sigma / moved) == pytest.approx(1.0, abs=0.1)
