@@ -2,8 +2,8 @@
 
 A lamp that is a per cent weaker tilts all slopes by a hundredth, which a field of a thousand pixels adds up to ten
 pixels of height. Untouched skin far from what was touched, whose slopes are zero, tells the factors to some 0.01 %.
-What is no more than their uncertainty, or than the calibration's own presses differ by, is taken for none: on some
-sensors a press changes the light of all skin.
+What is no more than their uncertainty, or than the calibration's own presses differ by, counts as no
+drift: on some sensors a press changes the light of all skin.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
-from host_sync.integration.zero_level import Datum, block_heights_um, find_datum
+from host_sync.integration.zero_level import Datum, block_heights_um, find_datum, trimmed_mean
+from host_sync.lights.surroundings import ALL
 
 ACROSS: Final = 192
 SAMPLES_ALONG: Final = 1024
@@ -29,20 +30,16 @@ SAMPLES_ALONG: Final = 1024
 MIN_CELLS: Final = 8
 """Cells along the shorter side of a field that tells anything."""
 
-ALL: Final = 0.999
-"""Share of a cell's pixels that are faithful in a cell that counts."""
-
 ROUNDS: Final = 3
 SETTLED: Final = 0.002
 """Slopes of the next round are free of what the last one found, until that changes by no more than this."""
 
-TRIMMED: Final = 0.2
 MIN_BLOCKS: Final = 6
 MIN_PRESSES: Final = 4
 ALIKE_BLOCKS: Final = 2.0
 """Blocks that err together."""
 
-LEAST_SIGMA: Final = 1e-4
+MIN_SIGMA: Final = 1e-4
 """Standard uncertainty of a log level, at least, where all of the field is untouched; where less of it is, skin still
 sinks towards rest, and the uncertainty is larger by one over that share."""
 
@@ -57,7 +54,7 @@ MAX_DRIFT: Final = 0.15
 """Share by which a lamp may have changed for its drift to be taken out."""
 
 DOUBTED: Final = 9.0
-"""Mean square of a drift, in standard uncertainties, up to which it is none."""
+"""Mean square of a drift, in standard uncertainties, up to which it counts as no drift."""
 
 
 class PressLevels(msgspec.Struct, frozen=True):
@@ -132,10 +129,10 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Fl
         blocks = _of_blocks(logs, datum)
         if len(blocks) < MIN_BLOCKS or datum.share < MIN_SHARE:
             return None
-        before, level = level, _trimmed_mean(blocks)
+        before, level = level, trimmed_mean(blocks)
         if np.abs(level - before).max() < SETTLED:
             break
-    sinking = (LEAST_SIGMA / datum.share) ** 2 * np.eye(3)
+    sinking = (MIN_SIGMA / datum.share) ** 2 * np.eye(3)
     return level, np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
 
 
@@ -159,12 +156,6 @@ def _of_blocks(logs: Float32Array, datum: Datum) -> Float64Array:
     return np.stack(
         [block_heights_um(np.ascontiguousarray(logs[..., channel]), datum.skin) for channel in range(3)], axis=-1
     )
-
-
-def _trimmed_mean(blocks: Float64Array) -> Float64Array:
-    """Mean of each column without the share `TRIMMED` at either end."""
-    cut = int(TRIMMED * len(blocks))
-    return np.asarray(np.sort(blocks, axis=0)[cut : len(blocks) - cut].mean(axis=0))
 
 
 def believed_share(level: Float64Array, covariance: Float64Array) -> float:

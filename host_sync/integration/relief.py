@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
-from host_sync.integration.datum import cell_sums
+from host_sync.integration.datum import cell_sums, height_of_rest_um
 
 ACROSS: Final = 240
 """Cells along the reduced field's columns."""
@@ -54,8 +54,8 @@ def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> b
     """
     cell = max(1, round(skin.shape[1] / ACROSS))
     known = gradients.valid & np.isfinite(height.z_um)
-    rest_um = np.float32(np.median(height.z_um[skin & known])) if (skin & known).any() else np.float32(0.0)
-    z_sum, number, count = cell_sums(height.z_um - rest_um, skin.astype(np.float32), known, cell)
+    z_sum, number, count = cell_sums(height.z_um, skin.astype(np.float32), known, cell)
+    z_sum -= np.float32(height_of_rest_um(height, skin)) * count
     p_sum, q_sum, _ = cell_sums(gradients.p, gradients.q, known, cell)
     if min(count.shape) < MIN_SIDE:
         return False

@@ -131,7 +131,7 @@ def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool
     if far is None or (not are_its_own and is_relief(height, gradients, far)):
         return no_datum(height, gradients)
     blocks_um = block_heights_um(height.z_um, far)
-    zero_um = _trimmed_mean(blocks_um) if blocks_um.size else height_of_rest_um(height, far)
+    zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, far)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
     return Datum(far, zero_um, spread_um, float(far.mean()), blocks_um.size)
 
@@ -197,9 +197,9 @@ def block_heights_um(z_um: Float32Array, skin: MaskArray) -> Float64Array:
     return np.array([float(np.median(group)) for group in groups if group.size >= MIN_CELLS])
 
 
-def _trimmed_mean(values: Float64Array) -> float:
-    """Mean without the share `TRIMMED` of the values at either end; values of shape (N,), N > 0."""
+def trimmed_mean(values: Float64Array) -> Float64Array:
+    """Mean of N > 0 values, shape (N, ...), along the first axis without the share `TRIMMED` at either end."""
     # Not scipy.stats: loading it takes as long as reconstructing a small frame.
-    cut = int(TRIMMED * values.size)
-    inner = np.partition(values, (cut, values.size - cut - 1))[cut : values.size - cut]
-    return float(inner.mean())
+    cut, count = int(TRIMMED * len(values)), len(values)
+    inner = np.partition(values, (cut, count - cut - 1), axis=0)[cut : count - cut]
+    return np.asarray(inner.mean(axis=0))

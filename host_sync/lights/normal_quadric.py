@@ -36,7 +36,7 @@ DARK_LIGHT: Final = 1e-3
 CONTRAST_SLOPE: Final = 0.35
 """Slope of the skin whose intensity tells a quadric's contrast, 19 degrees: a ball's on the mean."""
 
-LEAST_CONTRAST: Final = 1e-3
+MIN_CONTRAST: Final = 1e-3
 CONTRAST_PLACES: Final = 6
 """Places along each side of the field where it is asked for, and directions of the slope."""
 
@@ -62,7 +62,7 @@ class NormalQuadric:
         even = (np.arange(CONTRAST_PLACES) + 0.5) / CONTRAST_PLACES
         across, down, angle = (part.ravel() for part in np.meshgrid(even * columns, even * rows, 2.0 * np.pi * even))
         slope = CONTRAST_SLOPE * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        return max(float(np.median(np.abs(self.at(across, down).shown(slope) - 1.0))), LEAST_CONTRAST)
+        return max(float(np.median(np.abs(self.at(across, down).shown(slope) - 1.0))), MIN_CONTRAST)
 
     def at(self, column: Float64Array, row: Float64Array) -> QuadricSkin:
         """Skin at pixels of these columns and rows (N,)."""

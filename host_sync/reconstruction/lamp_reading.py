@@ -97,10 +97,12 @@ def read_under_lamps(
     found = reading.begin()
     for steps in STEPS:
         found = reading.improved(found, steps)
-        if found.is_level and not reading.is_plate(found):
-            return None
-    rise = None
-    if not found.has_zero or reading.is_plate(found):
+        if found.is_level:
+            break
+    rise, is_plate = None, reading.is_plate(found)
+    if found.is_level and not is_plate:
+        return None
+    if is_plate or not found.has_zero:
         reading, found, rise = reading.raised(found)
         cells = reading.cells
     change = (found.slope - reading.read).astype(np.float32)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float64Array
-from host_sync.calibration.lamp_drift import LEAST_SIGMA, believed_share
+from host_sync.calibration.lamp_drift import MIN_SIGMA, believed_share
 from host_sync.lights.lamp_slopes import LampSkin
 
 RISE_PX: Final = 1.0
@@ -23,7 +23,7 @@ BLOCKS: Final = 4
 """Parts of the field along each side; how much the elevation differs without one of them is its uncertainty."""
 
 OUTLIER: Final = 3.0
-"""Cells are left out that differ by more than so many times the median of what is left."""
+"""Cells are left out that differ by more than so many standard deviations, as the median tells them."""
 
 MIN_CELLS: Final = 200
 MIN_BLOCKS: Final = 8
@@ -64,7 +64,7 @@ class Rise:
     @property
     def drift(self) -> Float64Array:
         """The lamps' levels, as far as they are more than their uncertainty."""
-        return self.levels * believed_share(self.levels, self._covariance[1:, 1:] + LEAST_SIGMA**2 * np.eye(3))
+        return self.levels * believed_share(self.levels, self._covariance[1:, 1:] + MIN_SIGMA**2 * np.eye(3))
 
     def deviations(self) -> Float64Array:
         """Deviations of elevation and levels whose squares add to their variance at the search's end: shape (5, 4)."""
@@ -126,7 +126,7 @@ def rise_told_by_light(skin: LampSkin, intensity: Float64Array, slope: Float64Ar
     block = _blocks(skin.column) * BLOCKS + _blocks(skin.row)
     for _ in range(2):
         left = np.abs(missing - design @ _solved(design, missing, block, None))
-        near = left <= OUTLIER * np.median(left) / 0.6745
+        near = left <= OUTLIER * 1.4826 * np.median(left)
         design, missing, block = design[near], missing[near], block[near]
     if len(np.unique(block)) < MIN_BLOCKS:
         return None

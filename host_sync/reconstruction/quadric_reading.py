@@ -19,9 +19,8 @@ from host_sync.lights.surroundings import faithful_cells
 from host_sync.reconstruction.cell_correction import CellCorrection, steepness, unsure_cells
 
 EXPLAINED: Final = (0.08, 0.16)
-"""What a quadric leaves of a cell's three channels, as a share of what its slopes show on the mean, root mean squares
-both: up to the first it explains the cell, from the second on it does not: a light is hidden, or something lies on the
-skin."""
+"""Root mean square of what a quadric leaves of a cell's three channels, as a share of its contrast: up to the first it
+explains the cell, from the second on it does not: a light is hidden, or something lies on the skin."""
 
 
 def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: FittedQuadric) -> CellCorrection:

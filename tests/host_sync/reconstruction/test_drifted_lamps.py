@@ -1,0 +1,46 @@
+"""A scan whose lamps drifted since the calibration, from frame to height map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from near_lamps import RADIUS_PX, SHAPE, balls, press_px
+
+from device.imaging.flat_field import LinearFrame
+from host_sync.calibration.balls import PressFrame
+from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from tests.apparatus.light_ring import lit_by_ring
+
+DRIFT = np.array([0.97, 1.0, 1.01], np.float32)
+BALL = replace(balls()[5][0], column=170.0, row=120.0)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    presses = [
+        PressFrame(f"press-{number:02d}", lit_by_ring(press_px(*ball), 3, number), RADIUS_PX)
+        for number, ball in enumerate(balls())
+    ]
+    return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), 20.0)
+
+
+def scan(calibration: Calibration, drift: np.ndarray) -> Reconstruction:
+    frame = lit_by_ring(press_px(BALL, 15.0), 3, 200)
+    return reconstruct(LinearFrame(np.asarray(frame.rgb * drift, np.float32), frame.clipped), calibration, "scan")
+
+
+def drift_checks(found: Reconstruction) -> list[float | None]:
+    return [check.value for check in found.frame_checks if check.name == "lamp drift"]
+
+
+def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) -> None:
+    steady, drifted = scan(calibration, np.ones(3)), scan(calibration, DRIFT)
+    without = scan(replace(calibration, press_levels=None), DRIFT)
+    moved_um = np.abs(without.height.z_um - steady.height.z_um).mean()
+    assert np.abs(drifted.height.z_um - steady.height.z_um).mean() < 0.15 * moved_um
+    assert drift_checks(drifted) == [pytest.approx(1.0 / 0.97 - 1.0, abs=2e-3)]
+    assert not drift_checks(steady)
+    assert not drift_checks(without)
