@@ -9,6 +9,7 @@ drift: on some sensors a press changes the light of all skin.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -47,14 +48,28 @@ MIN_SHARE: Final = 0.05
 """Share of the field that is untouched, below which it tells nothing: there may be none between objects."""
 
 TILT_SHARE: Final = 0.15
-"""Of a drift, that two slopes of the whole field must leave; three lamps that drift each as they like leave less in one
-of seven cases, which are then read as tilted."""
+"""Of a drift, that two slopes of every place must leave; three lamps that drift each as they like leave less in one of
+seven cases, which are then read as sloping skin."""
 
 MAX_DRIFT: Final = 0.15
 """Share by which a lamp may have changed for its drift to be taken out."""
 
 DOUBTED: Final = 9.0
 """Mean square of a drift, in standard uncertainties, up to which it counts as no drift."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UntouchedLevel:
+    """Light of untouched skin over the reference's.
+
+    logs : logarithms by channel, float64 array of shape (3,)
+    covariance : of them, shape (3, 3)
+    skin : bool array of shape (h, w), cells of the field that show it
+    """
+
+    logs: Float64Array
+    covariance: Float64Array
+    skin: MaskArray
 
 
 class PressLevels(msgspec.Struct, frozen=True):
@@ -71,7 +86,7 @@ class PressLevels(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, presses: Iterable[NormalizedImage], inverse_map: InverseMap) -> PressLevels | None:
         """What presses show; None where fewer than `MIN_PRESSES` show untouched skin."""
-        told = [found[0] for press in presses if (found := untouched_level(press, inverse_map)) is not None]
+        told = [found.logs for press in presses if (found := untouched_level(press, inverse_map)) is not None]
         if len(told) < MIN_PRESSES:
             return None
         levels = np.array(told)
@@ -92,26 +107,27 @@ def take_drift_out(
     found = None if presses is None or response is None else untouched_level(image, inverse_map)
     if presses is None or response is None or found is None:
         return 0.0
-    drift = found[0] - np.array(presses.mean)
-    drift *= believed_share(drift, found[1] + presses.sigma**2 * np.eye(3))
+    drift = found.logs - np.array(presses.mean)
+    drift *= believed_share(drift, found.covariance + presses.sigma**2 * np.eye(3))
     largest = float(np.expm1(np.abs(drift).max()))
-    if not 0.0 < largest <= MAX_DRIFT or _is_tilt(drift, response):
+    if not 0.0 < largest <= MAX_DRIFT or is_tilt(drift, response, found.skin):
         return 0.0
     np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
     return largest
 
 
-def _is_tilt(drift: Float64Array, response: SlopeResponse) -> bool:
-    """Whether a plate that lies tilted under the whole field explains the levels as well: then two slopes do."""
-    along = response.terms[0].T
-    slopes = np.linalg.lstsq(along, drift, rcond=None)[0]
-    return bool(np.linalg.norm(drift - along @ slopes) < TILT_SHARE * np.linalg.norm(drift))
-
-
-def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Float64Array, Float64Array] | None:
-    """Logarithm of untouched skin's light over the reference's, float64 array of shape (3,), and its covariance; None
-    where too little skin is untouched.
+def is_tilt(drift: Float64Array, response: SlopeResponse, skin: MaskArray) -> bool:
+    """Whether skin that is no untouched skin but slopes explains the levels as well: two slopes of each place do, but
+    for what no slope shows there.
     """
+    along = response.at(skin.shape)[skin.ravel()]
+    beside = np.cross(along[:, 0], along[:, 1])
+    left = beside @ drift / np.maximum(np.linalg.norm(beside, axis=1), 1e-12)
+    return bool(np.sqrt((left**2).mean()) < TILT_SHARE * np.linalg.norm(drift))
+
+
+def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> UntouchedLevel | None:
+    """The level of a frame's untouched skin; None where too little of it is untouched."""
     values, known = _cells(image)
     if min(known.shape) < MIN_CELLS:
         return None
@@ -133,7 +149,8 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> tuple[Fl
         if np.abs(level - before).max() < SETTLED:
             break
     sinking = (MIN_SIGMA / datum.share) ** 2 * np.eye(3)
-    return level, np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
+    covariance = np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
+    return UntouchedLevel(level, covariance, datum.skin)
 
 
 def _cells(image: NormalizedImage) -> tuple[Float32Array, MaskArray]:

@@ -4,8 +4,8 @@ Flat skin that reaches the border is untouched or lies on an object that reaches
 skin towards the camera, so that of flat parts the lowest ones are untouched. Around an object skin sinks towards rest
 over a long way, so gently that it passes for flat: only what lies far from everything else counts. Its heights differ
 from place to place by what errors of slopes add up to: the zero's uncertainty is a share of that spread. Where no skin
-is untouched, as where an object's fine texture fills the field, a height map has no zero: its heights are relative to
-each other.
+is untouched, as where an object's fine texture fills the field, or clearly lies under other skin, a height map has no
+zero: its heights are relative to each other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from host_sync.integration.precise_distance import distance_px
 from host_sync.integration.relief import is_relief
 from host_sync.integration.sinking_skin import height_left_um
 
-NO_ZERO: Final = "no zero: heights are relative, because no skin is untouched"
+NO_ZERO: Final = "no zero: heights are relative, because no untouched skin was found"
 """The warning where nothing was taken for zero."""
 
 FAR_SHARE: Final = 0.2
@@ -38,6 +38,14 @@ ALIKE_SHARE: Final = 0.1
 
 HEIGHT_PERCENT: Final = (1.0, 99.0)
 """Percentiles between which a map's heights lie."""
+
+MAX_UNDER: Final = 0.01
+"""Share of the field that may lie clearly under skin that nothing touches: objects press skin towards the camera only."""
+
+UNDER_SHARE: Final = 0.15
+UNDER_FIELD: Final = 0.0016
+"""How far under counts as clear: shares of the map's height and of the field's width. Incompressible gel rises beside an
+object by a few per cent of its height; errors of slopes add up to a thousandth of the field, if they are large."""
 
 SPREAD_SHARE: Final = 0.7
 """Standard uncertainty of the mean of blocks' heights, as a share of their spread: slope errors add up over the field,
@@ -128,7 +136,7 @@ def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool
     """
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
-    if far is None or (not are_its_own and is_relief(height, gradients, far)):
+    if far is None or (not are_its_own and (_is_over_others(height, far) or is_relief(height, gradients, far))):
         return no_datum(height, gradients)
     blocks_um = block_heights_um(height.z_um, far)
     zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, far)
@@ -141,6 +149,17 @@ def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
     known = height.z_um[gradients.valid]
     spread_um = float(np.nanstd(known)) if known.size else 0.0
     return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
+
+
+def _is_over_others(height: HeightMap, skin: MaskArray) -> bool:
+    """Whether more of the field than nothing explains lies clearly under this skin, so that it is no untouched skin."""
+    step = max(1, height.z_um.shape[1] // WIDEST_CELLS)
+    known_um = height.z_um[::step, ::step]
+    known_um = known_um[np.isfinite(known_um)]
+    low_um, high_um = np.percentile(known_um, HEIGHT_PERCENT)
+    field_um = height.z_um.shape[1] * height.pitch_um
+    under_um = max(UNDER_SHARE * float(high_um - low_um), UNDER_FIELD * field_um)
+    return bool((known_um < height_of_rest_um(height, skin) - under_um).mean() > MAX_UNDER)
 
 
 def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskArray | None:

@@ -33,8 +33,12 @@ FALL_OFF: Final = (1.0, 3.0)
 """Powers of the distance with which light of lamps falls off."""
 
 SAMPLES: Final = 3000
-HEIGHT: Final = 0.5
-"""Of the lamps over the skin, in widths of the field, from which the search begins; 0.35 and 0.7 end at the same."""
+STARTS: Final = ((0.5, 0.2), (0.35, 0.45))
+"""The lamps' height over the skin and their length, in widths of the field, from which searches begin."""
+
+FOUND: Final = 0.01
+"""Residual above which a second search begins elsewhere: of lamps close to the field one may end at lamps far too long,
+0.020 instead of 0.008."""
 
 GENTLE: Final = 0.35
 """Slopes up to which samples tell where the lamps stand, to begin with."""
@@ -119,8 +123,9 @@ def fit_lamps(
     apexes_px : elevation of each ball's apex over untouched skin, pixels
     """
     search = _Search.of(samples, close, balls, apexes_px, shape)
-    matt = np.concatenate([search.first_places(), _START])
-    best = first = search.solved(matt, np.zeros((len(balls), 2)), fixed=_OF_GLOSS)
+    best = first = search.matt(*STARTS[0])
+    if first.residual > FOUND:
+        best = first = min(first, search.matt(*STARTS[1]), key=lambda found: found.residual)
     for width in GLOSS_WIDTHS:
         begin = first.numbers.copy()
         begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
@@ -232,8 +237,14 @@ class _Search:
             camera=camera,
         )
 
-    def first_places(self) -> Float64Array:
-        """Where the lamps stand by the slants of gentle skin, at the height from which the search begins: (9,)."""
+    def matt(self, height: float, strip: float) -> _Solution:
+        """The best fit of a coat that does not shine near lamps of this height and length."""
+        begin = np.concatenate([self.first_places(height), _START])
+        begin[_PLACES] = strip
+        return self.solved(begin, np.zeros((self.count, 2)), fixed=_OF_GLOSS)
+
+    def first_places(self, height: float) -> Float64Array:
+        """Where the lamps stand by the slants of gentle skin if they stand so high: (9,)."""
         p, q, _ = self._sphere(np.zeros((self.count, 2)))
         gentle = np.hypot(p, q) < GENTLE
         p, q = p[gentle], q[gentle]
@@ -244,7 +255,7 @@ class _Search:
         terms = np.stack([p, q, x * p, y * p, x * q, y * q], axis=-1)
         lit = self.intensity[gentle] * np.sqrt(1.0 + p * p + q * q)[:, None] - 1.0
         slants = np.linalg.lstsq(terms, lit, rcond=None)[0][:2]
-        return np.concatenate([-HEIGHT * slants.T.ravel(), np.full(3, np.log(HEIGHT))])
+        return np.concatenate([-height * slants.T.ravel(), np.full(3, np.log(height))])
 
     def without_darkening(self, found: _Solution) -> _Solution:
         """The best fit near another one in which no skin takes light from skin beside it."""

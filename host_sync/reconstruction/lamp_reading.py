@@ -24,6 +24,7 @@ from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cell
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import (
+    INTENSITY_SIGMA,
     SURFACE_SIGMA,
     KnownBefore,
     LampSkin,
@@ -41,10 +42,17 @@ from host_sync.reconstruction.cell_correction import (
 )
 from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
-from host_sync.reconstruction.light_elevation import DRIFT_ROUNDS, DRIFT_SHARE, Rise, RiseSearch, rise_told_by_light
+from host_sync.reconstruction.light_elevation import CLOSE_PX, DRIFT_ROUNDS, DRIFT_SHARE, Rise, RiseSearch, rise_told_by_light
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""
+
+BEGIN_STEPS: Final = 6
+"""Steps from the map's slopes, and from none, where all of the field stands high."""
+
+SETTLING_ROUNDS: Final = 5
+SETTLED_SHARE: Final = 0.05
+"""Rounds at one elevation, at most, and the share of what the light tells within which the next round ends them."""
 
 HIDDEN_STEPS: Final = 8
 FREE_STEPS: Final = 3
@@ -169,10 +177,9 @@ class _Reading:
         None where it tells none.
         """
         highest_px = HIGHEST_SHARE * self.cells.skin.model.shape[1] * float(self.cells.skin.model.position[:, 2].min())
-        search, there, reading = RiseSearch(highest_px), found, self
+        search, there, reading = RiseSearch(highest_px), self._begin_again(), self
         while True:
-            there = self.improved(there, STEPS[0], search.z_px)
-            rise = self.cells.rise(there.slope, there.z_px)
+            there, rise = self._settled(there, search.z_px)
             if rise is None:
                 return self, found, None
             if not search.goes_on(rise.z_px):
@@ -184,6 +191,35 @@ class _Reading:
             there = reading.improved(there, STEPS[0], risen_px)
             rise = reading.cells.rise(there.slope, there.z_px) or rise
         return reading, there, rise
+
+    def _settled(self, found: _Found, risen_px: float) -> tuple[_Found, Rise | None]:
+        """What is found at an elevation, and what the light tells then, once shape and slopes agree with each other:
+        until then the light tells of the elevation before.
+        """
+        before_px = np.inf
+        for _ in range(SETTLING_ROUNDS):
+            found = self.improved(found, STEPS[0], risen_px)
+            rise = self.cells.rise(found.slope, found.z_px)
+            if rise is None or abs(rise.z_px - before_px) < CLOSE_PX + SETTLED_SHARE * abs(rise.z_px):
+                break
+            before_px = rise.z_px
+        return found, rise
+
+    def _begin_again(self) -> _Found:
+        """Slopes of a level field from the map's or from none, whichever explain it; the gentler ones where both do.
+
+        What the map reads of skin that stands high near a lamp may be far from what it was taught.
+        """
+        nothing = np.zeros(self.known.shape, np.float32)
+        starts = self.read, np.zeros_like(self.read)
+        found = [
+            self.cells.slopes(self.read, start, self.known, nothing, BEGIN_STEPS, everywhere=True) for start in starts
+        ]
+        slopes = [start if told is None else told[0] for start, told in zip(starts, found, strict=True)]
+        from_map, from_none = (self.cells.missed(slope, nothing) for slope in slopes)
+        gentler = np.linalg.norm(slopes[1], axis=-1) < np.linalg.norm(slopes[0], axis=-1)
+        gentler &= from_none < from_map + INTENSITY_SIGMA
+        return _Found(np.where(gentler[..., None], slopes[1], slopes[0]), nothing, nothing)
 
     def _elevation_px(self, found: _Found, risen_px: float | None) -> tuple[Float32Array, bool]:
         """Elevation of cells over untouched skin, float32 array of shape (h, w), and whether some skin is untouched.
@@ -271,6 +307,11 @@ class _Cells:
     def darker(self, levels: Float64Array) -> _Cells:
         """The same under lamps whose levels' logarithms (3,) are lower by so much."""
         return replace(self, intensity=self.intensity * np.exp(-levels))
+
+    def missed(self, slope: Float64Array, z_px: Float32Array) -> Float64Array:
+        """By how much slopes (h, w, 2) at elevations (h, w) miss the intensity, root of the channels' squares' sum."""
+        shown = self.skin.shown(slope.reshape(-1, 2), z_px.ravel().astype(np.float64))
+        return np.asarray(np.linalg.norm(self.intensity - shown, axis=1).reshape(z_px.shape))
 
     def rise(self, slope: Float64Array, z_px: Float32Array) -> Rise | None:
         """By how much all skin stands higher than it was taken to, as the light tells; None where it tells nothing."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.imaging.flat_field import NormalizedImage
-from host_sync.calibration.lamp_drift import PressLevels, believed_share, take_drift_out, untouched_level
+from host_sync.calibration.lamp_drift import PressLevels, believed_share, is_tilt, take_drift_out, untouched_level
 from host_sync.frame_checks.light_levels import SlopeResponse
 
 SHAPE = (240, 320)
@@ -51,9 +51,8 @@ def test_untouched_skin_tells_levels_to_a_few_parts_in_ten_thousand() -> None:
     for drift in (np.zeros(3), DRIFT, 2.0 * DRIFT):
         found = untouched_level(frame(drift), MAP)
         assert found is not None
-        level, covariance = found
-        np.testing.assert_allclose(level, drift, atol=5e-4)
-        assert np.sqrt(np.diag(covariance)).max() < 1e-3
+        np.testing.assert_allclose(found.logs, drift, atol=5e-4)
+        assert np.sqrt(np.diag(found.covariance)).max() < 1e-3
 
 
 @pytest.mark.parametrize("dome", [0.0, 1.0])
@@ -99,8 +98,8 @@ def test_what_is_taken_out_is_reported_and_a_broken_lamp_is_left_to_be_refused()
 
 def test_the_uncertainty_of_a_level_is_its_scatter() -> None:
     found = [untouched_level(frame(np.zeros(3), seed), MAP) for seed in range(60, 80)]
-    levels, covariances = (np.array(part) for part in zip(*(one for one in found if one is not None), strict=True))
-    sigma = np.sqrt(np.mean([np.diag(one) for one in covariances]))
+    levels = np.array([one.logs for one in found if one is not None])
+    sigma = np.sqrt(np.mean([np.diag(one.covariance) for one in found if one is not None]))
     assert levels.std() < 1.5 * sigma
     assert levels.std() > 0.15 * sigma
 
@@ -131,3 +130,14 @@ def test_a_plate_that_lies_tilted_under_the_whole_field_is_no_drift() -> None:
         image = frame(levels, dome=0.0)
         take_drift_out(image, MAP, CALM, RESPONSE)
         assert np.array_equal(image.values, frame(levels, dome=0.0).values) == kept
+
+
+def test_whether_skin_is_tilted_is_asked_where_it_is() -> None:
+    """The light answers to slope otherwise on the right, where alone the skin seems untouched."""
+    across = np.array([[0.6, 0.5, 0.3], [-0.2, 0.3, 0.5]])
+    response = SlopeResponse(np.stack([ANSWER, across, 0.0 * ANSWER]), 0.01, 0.05)
+    right = np.zeros((12, 16), np.bool_)
+    right[:, -1] = True
+    sloping = np.array([0.02, -0.03]) @ (ANSWER + across)
+    assert is_tilt(sloping, response, right)
+    assert not is_tilt(sloping, response, np.fliplr(right))
