@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import gather_samples
-from device.calibration.fit import BegunFit, InverseFit, begin_fit
+from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
@@ -18,17 +18,15 @@ from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from device.surface.fields import Float32Array
 from host_sync.calibration.assessment import Assessment, assess
+from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
 from host_sync.calibration.balls import (
     PressFrame,
     UsedPress,
-    add_detections,
     apply_fit,
     check_distinct,
     check_sizes,
-    cut_to_core,
     drop_clipped,
     locate,
-    relocate_labels,
 )
 from host_sync.calibration.calibration_verdict import check_count
 from host_sync.calibration.consistency import check_agreement, check_reference
@@ -45,6 +43,7 @@ from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.lamp_elevation import as_read
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.press_drift import drift_note, fit_without_drift, without_drift
 from host_sync.calibration.quadric_fit import quadric_that_reads_better
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.training_press import TrainingPress, training_presses
@@ -61,19 +60,7 @@ from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
-Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
 METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
-FITTED_SAMPLES: Final = 40_000
-WORTH_MORE_BALLS: Final = 1.1
-"""Balls that no label has are tried when there are so many times as many with them."""
-
-MORE_BALLS_GAIN: Final = 0.95
-"""Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
-
-CORE_KEPT: Final = 0.9
-"""So many of the balls that train without a cut must train with it: an error that is small because balls are left out
-says nothing."""
-
 OPEN_CHOICE_DEG: Final = 2.0
 """From this held-out error of the default on, the paper's method is tried beside it without being asked for. It is
 worse on every set of `docs/paper.md`, real or simulated."""
@@ -212,20 +199,23 @@ def calibrate(
     tell("finding balls")
     located, pitch = _locate_all(presses, flat_field, pitch_um, reference is not None)
     pitch_um = pitch.pitch_um if pitch else pitch_um
-    frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in located])
     tell("measuring the frames' noise")
     shrinkage = _learn_shrinkage(located, reference, flat_field)
-    located = _without_noise(located, shrinkage)
+    seen, located = located, _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
     light = IlluminationMap.of(flat_field) if reference else None
-    begun, located, centres = _fit(presses, located, light)
+    begun, located, centres = fit_to_best_balls(presses, located, light)
+    begun, drifts = fit_without_drift(located, begun, light) if light else (begun, None)
+    if drifts is not None:
+        seen, located = without_drift(seen, drifts), without_drift(located, drifts)
+    frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in seen])
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
     followed = followed_balls(located, begun.fit, elevated) if elevated else None
     if followed:
         tell("fitting it again with every ball at the elevation of untouched skin")
         located = lowered_presses(located, followed)
-        begun = _fit_to(located, light, begun)
+        begun = fit_to(located, light, begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     if reference:
@@ -237,6 +227,8 @@ def calibrate(
     kept = [(press.intensity, press.balls) for press in used]
     training = gather_samples(kept)
     assessment = assess(presses, used, training, inverse, pitch)
+    if drifts is not None:
+        assessment = replace(assessment, notes=(*assessment.notes, drift_note(drifts)))
     held_out: dict[Method, float] = {
         "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan")
     }
@@ -308,65 +300,6 @@ def _locate_all(
     located = [drop_clipped(used) for used in located]
     check_count(located)
     return located, pitch
-
-
-def _fit(
-    presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
-) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
-    """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
-
-    Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
-    to their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
-
-    light : of untouched skin, None where no reference shows it
-    """
-    by_hand = [press.labelled_by_hand for press in presses]
-    best = _fit_to(located, light)
-    if not any(by_hand):
-        return best, located, "found"
-    chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
-    choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
-        ("found at labels", relocate_labels),
-        ("found at labels and beyond", add_detections),
-    )
-    for name, move in choices:
-        moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
-        more = name == "found at labels and beyond"
-        if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
-            continue
-        begun = _fit_to(moved, light)
-        gain = MORE_BALLS_GAIN if more else 1.0
-        if gain * _label_error_deg(begun.fit, moved, located) < _label_error_deg(best.fit, chosen[0], located):
-            best, chosen = begun, (moved, name)
-    if chosen[1] != "found at labels and beyond":
-        cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
-        begun = _fit_to(cut, light)
-        core, whole = begun.fit, best.fit
-        if core.held_out_deg is None or whole.core_deg is None or core.kept.sum() < CORE_KEPT * whole.kept.sum():
-            return best, *chosen
-        if core.held_out_deg < whole.core_deg:
-            return begun, cut, chosen[1]
-    return best, *chosen
-
-
-def _count(presses: Sequence[UsedPress]) -> int:
-    return sum(len(press.balls) for press in presses)
-
-
-def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
-    """Median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
-    common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
-    return float(np.median(fit.ball_error_deg[np.array(common)]))
-
-
-def _fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
-    samples = gather_samples([(press.intensity, press.balls) for press in presses], to_teach=True)
-    balls = [ball for press in presses for ball in press.balls]
-    alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
-    shape = presses[0].intensity.shape
-    return begin_fit(
-        samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like, alone=alone
-    )
 
 
 def _digest(

@@ -40,12 +40,15 @@ HEIGHT_PERCENT: Final = (1.0, 99.0)
 """Percentiles between which a map's heights lie."""
 
 MAX_UNDER: Final = 0.01
-"""Share of the field that may lie clearly under skin that nothing touches: objects press skin towards the camera only."""
+"""Share of the field that may lie clearly under untouched skin: objects press skin towards the camera only."""
 
 UNDER_SHARE: Final = 0.15
 UNDER_FIELD: Final = 0.0016
-"""How far under counts as clear: shares of the map's height and of the field's width. Incompressible gel rises beside an
-object by a few per cent of its height; errors of slopes add up to a thousandth of the field, if they are large."""
+"""How far under counts as clear: shares of the map's height and of the field's width.
+
+Incompressible gel rises beside an object by a few per cent of its height; errors of slopes add up to a thousandth of
+the field, if they are large.
+"""
 
 SPREAD_SHARE: Final = 0.7
 """Standard uncertainty of the mean of blocks' heights, as a share of their spread: slope errors add up over the field,

@@ -42,7 +42,14 @@ from host_sync.reconstruction.cell_correction import (
 )
 from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
-from host_sync.reconstruction.light_elevation import CLOSE_PX, DRIFT_ROUNDS, DRIFT_SHARE, Rise, RiseSearch, rise_told_by_light
+from host_sync.reconstruction.light_elevation import (
+    CLOSE_PX,
+    DRIFT_ROUNDS,
+    DRIFT_SHARE,
+    Rise,
+    RiseSearch,
+    rise_told_by_light,
+)
 
 STEPS: Final = (2, 1, 1)
 """Steps of each round of the search, which begins where the last one ended; between them heights are found again."""

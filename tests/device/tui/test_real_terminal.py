@@ -80,7 +80,7 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     terminal.keys("3")
     shown = terminal.wait_for(r">\s+3 ")
     assert re.search(r"\s2 (good|doubtful)", shown)
-    assert "µm" in shown
+    terminal.wait_for("µm")
     terminal.keys("g")
     terminal.wait_for(r">\s+3 \w+\s+good")
     terminal.keys("v")

@@ -15,6 +15,7 @@ from device.inverse_map.model import InverseMap
 from host_sync.calibration.elevated_balls import ElevatedBalls
 from host_sync.calibration.elevation_response import ElevationResponse, measure_elevation_response
 from host_sync.calibration.lamp_elevation import as_read, find_lamps, response_under
+from host_sync.lights import lamp_fit
 from host_sync.lights.lamp_fit import FOLDS, LampFit, fit_lamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.surroundings import Surroundings
@@ -199,3 +200,17 @@ def test_what_a_map_reads_of_raised_skin_is_taken_from_that_map() -> None:
     assert abs(seen[0] - p) > 0.01, "raised skin is read too steep"
     unknown = replace(known, lamps=None)
     assert as_read(unknown, inverse) is unknown
+
+
+def test_lamps_are_found_from_another_start_where_the_first_search_ends_far_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A search may end at lamps much too long: it is made to begin there."""
+    far_off = (0.5, 6.0)
+    monkeypatch.setattr(lamp_fit, "STARTS", (far_off, far_off))
+    monkeypatch.setattr(lamp_fit, "FOUND", 2.0 * FIT.residual)
+    assert fitted(IMAGES).residual > lamp_fit.FOUND
+    monkeypatch.setattr(lamp_fit, "STARTS", (far_off, (0.35, 0.45)))
+    again = fitted(IMAGES)
+    assert again.residual == pytest.approx(FIT.residual, rel=0.05)
+    np.testing.assert_allclose(again.lamps.model.position, FIT.lamps.model.position, rtol=0.02, atol=0.005)

@@ -66,3 +66,12 @@ def test_where_no_skin_lies_at_rest_heights_are_relative(kind: str) -> None:
     assert found.zero_sigma_um == found.spread_um
     assert found.spread_um == pytest.approx(surface.std(), rel=0.05)
     assert found.level(HeightMap(surface.astype(np.float32), PITCH_UM)).z_um.mean() == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("deepest_um", "is_zero"), [(60.0, False), (2.0, True)])
+def test_skin_that_lies_over_other_skin_is_no_zero(deepest_um: float, is_zero: bool) -> None:
+    """Objects press skin towards the camera: a valley shows that its flat surroundings are touched."""
+    valley = -deepest_um * np.exp(-((ROW - 120.0) ** 2 + (COLUMN - 160.0) ** 2) / (2.0 * 30.0**2))
+    assert datum_of(valley).is_relative != is_zero
+    height = HeightMap(valley.astype(np.float32), PITCH_UM)
+    assert not find_datum(height, gradients_of(valley), are_its_own=True).is_relative

@@ -1,7 +1,8 @@
-"""A scan whose lamps drifted since the calibration, from frame to height map."""
+"""Lamps that drift between presses and from calibration to scan, from frames to height map."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,18 +19,26 @@ DRIFT = np.array([0.97, 1.0, 1.01], np.float32)
 BALL = replace(balls()[5][0], column=170.0, row=120.0)
 
 
+PRESSES = (1.0 + 0.015 * np.random.default_rng(4).standard_normal((len(balls()), 3))).astype(np.float32)
+"""Brightness of each lamp in each press: they drift, too."""
+
+
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     presses = [
-        PressFrame(f"press-{number:02d}", lit_by_ring(press_px(*ball), 3, number), RADIUS_PX)
-        for number, ball in enumerate(balls())
+        PressFrame(f"press-{number:02d}", under(factors, lit_by_ring(press_px(*ball), 3, number)), RADIUS_PX)
+        for number, (ball, factors) in enumerate(zip(balls(), PRESSES, strict=True))
     ]
     return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), 20.0)
 
 
+def under(factors: np.ndarray, frame: LinearFrame) -> LinearFrame:
+    return LinearFrame(np.asarray(frame.rgb * factors, np.float32), frame.clipped)
+
+
 def scan(calibration: Calibration, drift: np.ndarray) -> Reconstruction:
     frame = lit_by_ring(press_px(BALL, 15.0), 3, 200)
-    return reconstruct(LinearFrame(np.asarray(frame.rgb * drift, np.float32), frame.clipped), calibration, "scan")
+    return reconstruct(under(drift, frame), calibration, "scan")
 
 
 def drift_checks(found: Reconstruction) -> list[float | None]:
@@ -44,3 +53,13 @@ def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) ->
     assert drift_checks(drifted) == [pytest.approx(1.0 / 0.97 - 1.0, abs=2e-3)]
     assert not drift_checks(steady)
     assert not drift_checks(without)
+
+
+def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> None:
+    assert calibration.press_levels is not None
+    assert np.abs(calibration.press_levels.mean).max() < 1e-3
+    assert calibration.press_levels.sigma < 1e-3
+    largest = np.expm1(np.abs(np.log(PRESSES)).max())
+    (stated,) = (re.search(r"up to ([\d.]+)%", note) for note in calibration.assessment.notes if "lamps shone" in note)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(100.0 * largest, abs=0.2)
