@@ -46,6 +46,7 @@ from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.press_drift import drift_note, fit_without_drift, without_drift
 from host_sync.calibration.quadric_fit import quadric_that_reads_better
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
+from host_sync.calibration.stray_light import with_stray_light
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
 from host_sync.denoising.slope_noise import measure_slope_noise
@@ -246,7 +247,10 @@ def calibrate(
     left = elevation_left(kept, training, inverse, elevated, followed)
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     response = followed.response if followed else None
-    levels = PressLevels.of([image for image, _ in kept], inverse.map) if reference else None
+    levels = None
+    if reference:
+        images = [image for image, _ in kept]
+        levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
     digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels)
     return Calibration(
         calibration_id=digest,
@@ -327,5 +331,5 @@ def _digest(
     for one in (quadric.model, *quadric.folds) if quadric else ():
         digest.update(one.coefficients.tobytes() + bytes([one.degree, one.light is not None]))
     if levels is not None:
-        digest.update(np.array([*levels.mean, levels.sigma]).tobytes())
+        digest.update(np.array([*levels.mean, levels.sigma, levels.stray_sigma or 0.0]).tobytes())
     return digest.hexdigest()[:12]

@@ -78,10 +78,13 @@ class PressLevels(msgspec.Struct, frozen=True):
     mean : three
     sigma : by which one more frame differs, standard deviation of either channel. One for all three: a dozen presses
         tell no covariance well enough
+    stray_sigma : stray light that presses seem to show, root mean square, share of full scale; None where they tell
+        none
     """
 
     mean: tuple[float, ...]
     sigma: float
+    stray_sigma: float | None = None
 
     @classmethod
     def of(cls, presses: Iterable[NormalizedImage], inverse_map: InverseMap) -> PressLevels | None:
@@ -119,30 +122,26 @@ def take_drift_out(
 def is_tilt(drift: Float64Array, response: SlopeResponse, skin: MaskArray) -> bool:
     """Whether skin that is no untouched skin but slopes explains the levels as well: two slopes of each place do, but
     for what no slope shows there.
+
+    drift : log levels of shape (3,), or (N, 3), of each place of the skin
     """
     along = response.at(skin.shape)[skin.ravel()]
     beside = np.cross(along[:, 0], along[:, 1])
-    left = beside @ drift / np.maximum(np.linalg.norm(beside, axis=1), 1e-12)
-    return bool(np.sqrt((left**2).mean()) < TILT_SHARE * np.linalg.norm(drift))
+    left = (beside * drift).sum(axis=1) / np.maximum(np.linalg.norm(beside, axis=1), 1e-12)
+    size = np.sqrt((np.atleast_2d(drift) ** 2).sum(axis=1).mean())
+    return bool(np.sqrt((left**2).mean()) < TILT_SHARE * size)
 
 
 def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> UntouchedLevel | None:
     """The level of a frame's untouched skin; None where too little of it is untouched."""
-    values, known = _cells(image)
-    if min(known.shape) < MIN_CELLS:
+    cells = FieldCells.of(image)
+    if cells is None:
         return None
-    row, column = (
-        (np.arange(size) + 0.5) * (full / size) - 0.5 for size, full in zip(known.shape, image.shape, strict=True)
-    )
-    logs = np.log(np.maximum(values, np.float32(DARK_FLOOR))).astype(np.float32)
-    sights = untouched_levels(cell_logs(image))
-    level = sights[0].levels if sights else np.zeros(3)
+    logs = np.log(np.maximum(cells.values, np.float32(DARK_FLOOR))).astype(np.float32)
+    level = largest_patch(image)
     for _ in range(ROUNDS):
-        read = inverse_map.on_grid(values * np.exp(-level).astype(np.float32), column, row)
-        p, q = (np.where(known, read[..., axis], np.float32(0.0)) for axis in (0, 1))
-        gradients = GradientField(p, q, known, known.astype(np.float32))
-        datum = find_datum(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients)
-        blocks = _of_blocks(logs, datum)
+        datum = cells.datum(cells.values * np.exp(-level).astype(np.float32), inverse_map)
+        blocks = by_block(logs, datum.skin)
         if len(blocks) < MIN_BLOCKS or datum.share < MIN_SHARE:
             return None
         before, level = level, trimmed_mean(blocks)
@@ -153,25 +152,62 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> Untouche
     return UntouchedLevel(level, covariance, datum.skin)
 
 
-def _cells(image: NormalizedImage) -> tuple[Float32Array, MaskArray]:
-    """Mean intensity (h, w, 3) of cells, and which of them are faithful."""
-    rows, columns = image.shape
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldCells:
+    """A frame in cells.
+
+    values : mean intensity, float32 array of shape (h, w, 3)
+    known : bool array of shape (h, w), True for faithful cells
+    shape : (H, W) of the frame
+    """
+
+    values: Float32Array
+    known: MaskArray
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, image: NormalizedImage) -> FieldCells | None:
+        """The cells of a frame; None where they are too few to tell anything."""
+        values = in_cells(np.nan_to_num(image.values[samples_of(image.shape)]), image.shape)
+        known = in_cells(image.faithful_at(samples_of(image.shape)).astype(np.float32), image.shape) > ALL
+        return cls(values, known, image.shape) if min(known.shape) >= MIN_CELLS else None
+
+    def datum(self, values: Float32Array, inverse_map: InverseMap) -> Datum:
+        """Untouched skin where the cells have these values (h, w, 3)."""
+        row, column = (
+            (np.arange(size) + 0.5) * (full / size) - 0.5 for size, full in zip(values.shape, self.shape, strict=False)
+        )
+        read = inverse_map.on_grid(values, column, row)
+        p, q = (np.where(self.known, read[..., axis], np.float32(0.0)) for axis in (0, 1))
+        gradients = GradientField(p, q, self.known, self.known.astype(np.float32))
+        return find_datum(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients)
+
+
+def in_cells(samples: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """Means over cells of every so many-th pixel of an array (H, W, ...), as `samples_of` takes them."""
+    rows, columns = shape
     across = min(ACROSS, columns)
     size = across, max(round(rows * across / columns), 1)
-    stride = max(1, columns // SAMPLES_ALONG)
+    return np.asarray(cv2.resize(np.ascontiguousarray(samples), size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def samples_of(shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Index of the pixels of a frame (H, W) that its cells are the means of."""
+    stride = max(1, shape[1] // SAMPLES_ALONG)
     some = slice(stride // 2, None, stride)
-    values = np.ascontiguousarray(np.nan_to_num(image.values[some, some]))
-    faithful = image.faithful_at((some, some)).astype(np.float32)
-    share = cv2.resize(faithful, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32), share > ALL
+    return some, some
 
 
-def _of_blocks(logs: Float32Array, datum: Datum) -> Float64Array:
-    """Median log intensity (N, 3) of the blocks of the field that show untouched skin."""
-    if datum.is_relative:
-        return np.zeros((0, 3))
+def largest_patch(image: NormalizedImage) -> Float64Array:
+    """Log level (3,) on which the largest part of the field agrees; zero where none does."""
+    sights = untouched_levels(cell_logs(image))
+    return sights[0].levels if sights else np.zeros(3)
+
+
+def by_block(cells: Float32Array, skin: MaskArray) -> Float64Array:
+    """Median (N, 3) of cells (h, w, 3) over each block of the field that shows enough of this skin."""
     return np.stack(
-        [block_heights_um(np.ascontiguousarray(logs[..., channel]), datum.skin) for channel in range(3)], axis=-1
+        [block_heights_um(np.ascontiguousarray(cells[..., channel]), skin) for channel in range(3)], axis=-1
     )
 
 

@@ -18,8 +18,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float64Array
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import UsedPress
-from host_sync.calibration.lamp_drift import MAX_DRIFT, MIN_PRESSES, believed_share, untouched_level
-from host_sync.frame_checks.light_levels import cell_logs, untouched_levels
+from host_sync.calibration.lamp_drift import MAX_DRIFT, MIN_PRESSES, believed_share, largest_patch, untouched_level
 
 ROUNDS: Final = 2
 """A press in which the first map sees no untouched skin may show it to the next."""
@@ -77,7 +76,7 @@ def _first_drifts(presses: Sequence[UsedPress], inverse_map: InverseMap) -> Floa
     believed = iter(seen)
     return np.stack(
         [
-            _largest_patch(press) if level is None else next(believed)
+            _within_bounds(largest_patch(press.intensity)) if level is None else next(believed)
             for press, level in zip(presses, levels, strict=True)
         ]
     )
@@ -86,12 +85,6 @@ def _first_drifts(presses: Sequence[UsedPress], inverse_map: InverseMap) -> Floa
 def _seen(press: UsedPress, inverse_map: InverseMap) -> Float64Array:
     level = untouched_level(press.intensity, inverse_map)
     return np.zeros(3) if level is None else _believed(level.logs, level.covariance)
-
-
-def _largest_patch(press: UsedPress) -> Float64Array:
-    """The drift on which most of the field agrees."""
-    sights = untouched_levels(cell_logs(press.intensity))
-    return _within_bounds(sights[0].levels) if sights else np.zeros(3)
 
 
 def _believed(logs: Float64Array, covariance: Float64Array) -> Float64Array:

@@ -233,8 +233,9 @@ def _check_levels(levels: PressLevels | None) -> None:
     """Refuse levels that are not of three channels, or beyond measure."""
     if levels is None:
         return
-    largest = float(np.abs([*levels.mean, levels.sigma]).max())
-    if len(levels.mean) != 3 or not largest < LARGEST_LEVEL or levels.sigma < 0.0:
+    sigmas = [levels.sigma, levels.stray_sigma or 0.0]
+    largest = float(np.abs([*levels.mean, *sigmas]).max())
+    if len(levels.mean) != 3 or not largest < LARGEST_LEVEL or min(sigmas) < 0.0:
         raise Unsound("levels of light that are not those of three lamps")
 
 

@@ -347,6 +347,7 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric of one fold": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
+    "a stray light below none": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, 0.0), 0.0, -1.0)),
     "levels of two lamps": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0), 0.0)),
     "a level that is not finite": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, float("nan")), 0.0)),
     "fewer places than balls with a gain": lambda one: with_ball_places(one, (0.5, 0.5)),
