@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from device.surface.fields import Float64Array
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import UsedPress
 from host_sync.calibration.lamp_drift import MAX_DRIFT, MIN_PRESSES, believed_share, largest_patch, untouched_level
-
-ROUNDS: Final = 2
-"""A press in which the first map sees no untouched skin may show it to the next."""
 
 
 def fit_without_drift(
@@ -38,12 +34,12 @@ def fit_without_drift(
     drifts = _first_drifts(presses, begun.fit.map)
     if drifts is None:
         return begun, None
-    for _ in range(ROUNDS):
-        begun = fit_to(without_drift(presses, drifts), light, begun)
-        left = np.stack([_seen(press, begun.fit.map) for press in without_drift(presses, drifts)])
-        if not left.any():
-            break
+    begun = fit_to(without_drift(presses, drifts), light, begun)
+    # A press in which the first map sees no untouched skin may show it to the second.
+    left = np.stack([_seen(press, begun.fit.map) for press in without_drift(presses, drifts)])
+    if left.any():
         drifts = drifts + left
+        begun = fit_to(without_drift(presses, drifts), light, begun)
     return begun, drifts
 
 
@@ -83,6 +79,7 @@ def _first_drifts(presses: Sequence[UsedPress], inverse_map: InverseMap) -> Floa
 
 
 def _seen(press: UsedPress, inverse_map: InverseMap) -> Float64Array:
+    """The drift of a press under a map that tells it well; zero where no untouched skin is seen."""
     level = untouched_level(press.intensity, inverse_map)
     return np.zeros(3) if level is None else _believed(level.logs, level.covariance)
 

@@ -49,6 +49,9 @@ FIT_ROUNDS: Final = 6
 CAUCHY: Final = 2.0
 """Deviations of a block, in standard deviations, at which its weight has fallen to a half."""
 
+UNKNOWN: Final = 1.0
+"""Standard uncertainty, share of full scale, where untouched skin is lit evenly and tells no stray light."""
+
 DARKEST: Final = 1e-3
 """Light of the reference, share of full scale, that darker skin counts as."""
 
@@ -126,7 +129,7 @@ def take_stray_light_out(
     if found is None:
         return 0.0
     light = found.believed(presses.stray_sigma)
-    if light.min() <= 0.0 or np.abs(found.change).max() > MAX_DRIFT or is_tilt(found.change, response, found.skin):
+    if not light.min() > 0.0 or np.abs(found.change).max() > MAX_DRIFT or is_tilt(found.change, response, found.skin):
         return 0.0
     np.subtract(image.values, light.astype(np.float32) / np.maximum(flat_field, np.float32(DARKEST)), out=image.values)
     return float(np.abs(light).max())
@@ -155,6 +158,9 @@ def _lines(each: Float64Array, brightness: Float64Array) -> tuple[Float64Array, 
 def _line(x: Float64Array, y: Float64Array) -> tuple[float, float, float]:
     """Value at zero and slope of a line through N points, which outliers do not bend, and the slope's sigma."""
     middle = float(x.mean())
+    along = float(((x - middle) ** 2).sum())
+    if along <= 0.0:
+        return float(np.median(y)), 0.0, UNKNOWN
     design = np.stack([np.ones_like(x), x - middle], axis=-1)
     weight = np.ones_like(x)
     for _ in range(FIT_ROUNDS):
@@ -163,6 +169,5 @@ def _line(x: Float64Array, y: Float64Array) -> tuple[float, float, float]:
         left = y - design @ found
         scale = 1.4826 * float(np.median(np.abs(left))) + 1e-7
         weight = 1.0 / (1.0 + (left / (CAUCHY * scale)) ** 2)
-    along = float(((x - middle) ** 2).sum())
-    sigma = np.sqrt(ALIKE_BLOCKS * float(left.var()) / along) if along > 0.0 else np.inf
-    return float(found[0] - found[1] * middle), float(found[1]), float(sigma)
+    sigma = float(np.sqrt(ALIKE_BLOCKS * float(left.var()) / along))
+    return float(found[0] - found[1] * middle), float(found[1]), min(sigma, UNKNOWN)

@@ -60,10 +60,13 @@ def test_other_frames_are_left_as_they_are(image: NormalizedImage) -> None:
     np.testing.assert_array_equal(image.values, before)
 
 
-def test_even_skin_tells_no_stray_light() -> None:
-    image = hazy(STRAY)
-    even = np.full((*SHAPE, 3), 0.4, np.float32)
-    assert take_stray_light_out(image, even, MAP, CALM, RESPONSE) == 0.0
+@pytest.mark.parametrize("light", [0.5, 0.4])
+def test_even_skin_tells_no_stray_light(light: float) -> None:
+    even = np.full((*SHAPE, 3), light, np.float32)
+    for image in (hazy(STRAY), frame(STEADY, dome=0.0)):
+        found = find_stray_light(image, even, MAP)
+        assert found is None or np.isfinite(found.believed(1e-4)).all()
+        assert take_stray_light_out(image, even, MAP, CALM, RESPONSE) == 0.0
 
 
 def test_what_a_slope_shows_as_well_is_no_stray_light() -> None:
