@@ -200,16 +200,16 @@ def calibrate(
     tell("finding balls")
     located, pitch = _locate_all(presses, flat_field, pitch_um, reference is not None)
     pitch_um = pitch.pitch_um if pitch else pitch_um
+    frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in located])
     tell("measuring the frames' noise")
     shrinkage = _learn_shrinkage(located, reference, flat_field)
-    seen, located = located, _without_noise(located, shrinkage)
+    located = _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
     light = IlluminationMap.of(flat_field) if reference else None
     begun, located, centres = fit_to_best_balls(presses, located, light)
     begun, drifts = fit_without_drift(located, begun, light) if light else (begun, None)
     if drifts is not None:
-        seen, located = without_drift(seen, drifts), without_drift(located, drifts)
-    frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in seen])
+        located = without_drift(located, drifts)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
     followed = followed_balls(located, begun.fit, elevated) if elevated else None
@@ -331,5 +331,6 @@ def _digest(
     for one in (quadric.model, *quadric.folds) if quadric else ():
         digest.update(one.coefficients.tobytes() + bytes([one.degree, one.light is not None]))
     if levels is not None:
-        digest.update(np.array([*levels.mean, levels.sigma, levels.stray_sigma or 0.0]).tobytes())
+        told = [*levels.mean, levels.sigma, *([] if levels.stray_sigma is None else [levels.stray_sigma])]
+        digest.update(np.array(told).tobytes())
     return digest.hexdigest()[:12]

@@ -2,8 +2,8 @@
 
 A lamp that is a per cent weaker tilts all slopes by a hundredth, which a field of a thousand pixels adds up to ten
 pixels of height. Untouched skin far from what was touched, whose slopes are zero, tells the factors to some 0.01 %.
-What is no more than their uncertainty, or than the calibration's own presses differ by, counts as no
-drift: on some sensors a press changes the light of all skin.
+What is no more than their uncertainty, or than the calibration's own presses differ by once
+their own drift is out (`press_drift`), counts as no drift.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
-from host_sync.integration.zero_level import Datum, block_heights_um, find_datum, trimmed_mean
+from host_sync.integration.zero_level import Datum, block_medians, find_datum, trimmed_mean
 from host_sync.lights.surroundings import ALL
 
 ACROSS: Final = 192
@@ -64,11 +64,13 @@ class UntouchedLevel:
 
     logs : logarithms by channel, float64 array of shape (3,)
     covariance : of them, shape (3, 3)
+    blocks : logarithms of each of N blocks of the field, shape (N, 3)
     skin : bool array of shape (h, w), cells of the field that show it
     """
 
     logs: Float64Array
     covariance: Float64Array
+    blocks: Float64Array
     skin: MaskArray
 
 
@@ -113,23 +115,22 @@ def take_drift_out(
     drift = found.logs - np.array(presses.mean)
     drift *= believed_share(drift, found.covariance + presses.sigma**2 * np.eye(3))
     largest = float(np.expm1(np.abs(drift).max()))
-    if not 0.0 < largest <= MAX_DRIFT or is_tilt(drift, response, found.skin):
+    if not 0.0 < largest <= MAX_DRIFT or is_tilt(found.blocks - np.array(presses.mean), response, found.skin):
         return 0.0
     np.multiply(image.values, np.exp(-drift).astype(np.float32), out=image.values)
     return largest
 
 
-def is_tilt(drift: Float64Array, response: SlopeResponse, skin: MaskArray) -> bool:
-    """Whether skin that is no untouched skin but slopes explains the levels as well: two slopes of each place do, but
-    for what no slope shows there.
+def is_tilt(levels: Float64Array, response: SlopeResponse, skin: MaskArray) -> bool:
+    """Whether sloping skin explains the levels as well: any two slopes are allowed at each place.
 
-    drift : log levels of shape (3,), or (N, 3), of each place of the skin
+    levels : log levels of shape (N, 3) of the blocks of the field that show this skin
     """
-    along = response.at(skin.shape)[skin.ravel()]
+    answers = response.at(skin.shape).reshape(*skin.shape, 6).astype(np.float32)
+    along = by_block(answers, skin).reshape(-1, 2, 3)
     beside = np.cross(along[:, 0], along[:, 1])
-    left = (beside * drift).sum(axis=1) / np.maximum(np.linalg.norm(beside, axis=1), 1e-12)
-    size = np.sqrt((np.atleast_2d(drift) ** 2).sum(axis=1).mean())
-    return bool(np.sqrt((left**2).mean()) < TILT_SHARE * size)
+    left = (beside * levels).sum(axis=1) / np.maximum(np.linalg.norm(beside, axis=1), 1e-12)
+    return bool(np.sqrt((left**2).mean()) < TILT_SHARE * np.sqrt((levels**2).sum(axis=1).mean()))
 
 
 def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> UntouchedLevel | None:
@@ -138,7 +139,8 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> Untouche
     if cells is None:
         return None
     logs = np.log(np.maximum(cells.values, np.float32(DARK_FLOOR))).astype(np.float32)
-    level = largest_patch(image)
+    sights = untouched_levels(cell_logs(image))
+    level = sights[0].levels if sights else np.zeros(3)
     for _ in range(ROUNDS):
         datum = cells.datum(cells.values * np.exp(-level).astype(np.float32), inverse_map)
         blocks = by_block(logs, datum.skin)
@@ -149,7 +151,7 @@ def untouched_level(image: NormalizedImage, inverse_map: InverseMap) -> Untouche
             break
     sinking = (MIN_SIGMA / datum.share) ** 2 * np.eye(3)
     covariance = np.cov(blocks.T) * (ALIKE_BLOCKS / len(blocks)) + sinking
-    return UntouchedLevel(level, covariance, datum.skin)
+    return UntouchedLevel(level, covariance, blocks, datum.skin)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +177,8 @@ class FieldCells:
     def datum(self, values: Float32Array, inverse_map: InverseMap) -> Datum:
         """Untouched skin where the cells have these values (h, w, 3)."""
         row, column = (
-            (np.arange(size) + 0.5) * (full / size) - 0.5 for size, full in zip(values.shape, self.shape, strict=False)
+            (np.arange(size) + 0.5) * (full / size) - 0.5
+            for size, full in zip(values.shape[:2], self.shape, strict=True)
         )
         read = inverse_map.on_grid(values, column, row)
         p, q = (np.where(self.known, read[..., axis], np.float32(0.0)) for axis in (0, 1))
@@ -198,17 +201,10 @@ def samples_of(shape: tuple[int, int]) -> tuple[slice, slice]:
     return some, some
 
 
-def largest_patch(image: NormalizedImage) -> Float64Array:
-    """Log level (3,) on which the largest part of the field agrees; zero where none does."""
-    sights = untouched_levels(cell_logs(image))
-    return sights[0].levels if sights else np.zeros(3)
-
-
 def by_block(cells: Float32Array, skin: MaskArray) -> Float64Array:
-    """Median (N, 3) of cells (h, w, 3) over each block of the field that shows enough of this skin."""
-    return np.stack(
-        [block_heights_um(np.ascontiguousarray(cells[..., channel]), skin) for channel in range(3)], axis=-1
-    )
+    """Median (N, K) of cells (h, w, K) over each block of the field that shows enough of this skin."""
+    layers = range(cells.shape[-1])
+    return np.stack([block_medians(np.ascontiguousarray(cells[..., layer]), skin) for layer in layers], axis=-1)
 
 
 def believed_share(level: Float64Array, covariance: Float64Array) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +18,11 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float64Array
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import UsedPress
-from host_sync.calibration.lamp_drift import MAX_DRIFT, MIN_PRESSES, believed_share, largest_patch, untouched_level
+from host_sync.calibration.lamp_drift import MAX_DRIFT, MIN_PRESSES, believed_share, untouched_level
+from host_sync.frame_checks.light_levels import cell_logs, untouched_levels
+
+PATCH_SIGMA: Final = 0.001
+"""Standard uncertainty of the level of the largest patch that agrees on one."""
 
 
 def fit_without_drift(
@@ -34,7 +39,7 @@ def fit_without_drift(
     drifts = _first_drifts(presses, begun.fit.map)
     if drifts is None:
         return begun, None
-    begun = fit_to(without_drift(presses, drifts), light, begun)
+    begun = fit_to(without_drift(presses, drifts), light)
     # A press in which the first map sees no untouched skin may show it to the second.
     left = np.stack([_seen(press, begun.fit.map) for press in without_drift(presses, drifts)])
     if left.any():
@@ -55,9 +60,10 @@ def without_drift(presses: Sequence[UsedPress], drifts: Float64Array) -> list[Us
 
 def drift_note(drifts: Float64Array) -> str:
     """What a person should know of them, a sentence."""
+    largest = np.expm1(np.abs(drifts).max())
     return (
-        f"lamps shone up to {np.expm1(np.abs(drifts).max()):.1%} otherwise in the presses than in the reference, which "
-        "was taken out: let them warm up"
+        f"lamps differed by up to {largest:.1%} between the presses and the reference, which was taken out: let them "
+        "warm up before you calibrate"
     )
 
 
@@ -72,10 +78,16 @@ def _first_drifts(presses: Sequence[UsedPress], inverse_map: InverseMap) -> Floa
     believed = iter(seen)
     return np.stack(
         [
-            _within_bounds(largest_patch(press.intensity)) if level is None else next(believed)
+            _largest_patch(press) if level is None else next(believed)
             for press, level in zip(presses, levels, strict=True)
         ]
     )
+
+
+def _largest_patch(press: UsedPress) -> Float64Array:
+    """The drift on which most of the field agrees."""
+    sights = untouched_levels(cell_logs(press.intensity))
+    return _believed(sights[0].levels, sights[0].covariance + PATCH_SIGMA**2 * np.eye(3)) if sights else np.zeros(3)
 
 
 def _seen(press: UsedPress, inverse_map: InverseMap) -> Float64Array:
@@ -86,8 +98,5 @@ def _seen(press: UsedPress, inverse_map: InverseMap) -> Float64Array:
 
 def _believed(logs: Float64Array, covariance: Float64Array) -> Float64Array:
     """The part of log levels that is a drift."""
-    return _within_bounds(logs * believed_share(logs, covariance))
-
-
-def _within_bounds(drift: Float64Array) -> Float64Array:
+    drift = logs * believed_share(logs, covariance)
     return drift if np.expm1(np.abs(drift).max()) <= MAX_DRIFT else np.zeros(3)

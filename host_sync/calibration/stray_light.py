@@ -36,6 +36,9 @@ from host_sync.calibration.lamp_drift import (
 )
 from host_sync.frame_checks.light_levels import SlopeResponse
 
+MAX_STRAY: Final = 0.05
+"""Share of full scale up to which stray light is taken out."""
+
 ROUNDS: Final = 8
 SETTLED: Final = 1e-4
 """Untouched skin is sought again without the stray light that was found, until that changes by no more."""
@@ -65,13 +68,15 @@ class StrayLight:
 
     light : share of full scale by channel, float64 array of shape (3,)
     sigma : its standard uncertainty, shape (3,)
-    change : logarithm of the light of untouched skin over the reference's, of each of its cells, shape (N, 3)
-    skin : bool array of shape (h, w), the N cells of the field that show it
+    level : logarithm of the lamps' light over the reference's, shape (3,)
+    blocks : the same with stray light, of each of N blocks of the field, shape (N, 3)
+    skin : bool array of shape (h, w), cells of the field that show untouched skin
     """
 
     light: Float64Array
     sigma: Float64Array
-    change: Float64Array
+    level: Float64Array
+    blocks: Float64Array
     skin: MaskArray
 
     def believed(self, known_to: float) -> Float64Array:
@@ -101,8 +106,8 @@ def find_stray_light(
             return None
         before = light
         level, light, sigma = _lines(by_block(each, datum.skin), brightness)
-        change = np.log(np.maximum(np.exp(level) + light * each[datum.skin], DARKEST_SKIN))
-        found = StrayLight(light, np.hypot(sigma, MIN_STRAY_SIGMA / datum.share), change, datum.skin)
+        blocks = np.log(np.maximum(brightness, DARKEST_SKIN))
+        found = StrayLight(light, np.hypot(sigma, MIN_STRAY_SIGMA / datum.share), level, blocks, datum.skin)
         if not found.believed(0.0).any() or np.abs(light - before).max() < SETTLED:
             break
     return found
@@ -118,8 +123,8 @@ def take_stray_light_out(
     """Write the intensity without stray light over an image's own.
 
     Returns the largest share of full scale that was taken out; 0 where nothing was written: no more is found than its
-    uncertainty or than presses show, a channel is darker, a tilted plate shows as much, or the light of untouched skin
-    has changed by more than `MAX_DRIFT`.
+    uncertainty or than presses show, a channel is darker, a tilted plate shows as much, it is more than `MAX_STRAY`, or
+    the lamps have changed by more than `MAX_DRIFT`.
 
     presses, response : of the calibration; None where its balls do not tell them
     """
@@ -129,7 +134,9 @@ def take_stray_light_out(
     if found is None:
         return 0.0
     light = found.believed(presses.stray_sigma)
-    if not light.min() > 0.0 or np.abs(found.change).max() > MAX_DRIFT or is_tilt(found.change, response, found.skin):
+    if not 0.0 < light.min() <= light.max() <= MAX_STRAY or np.expm1(np.abs(found.level).max()) > MAX_DRIFT:
+        return 0.0
+    if is_tilt(found.blocks - np.array(presses.mean), response, found.skin):
         return 0.0
     np.subtract(image.values, light.astype(np.float32) / np.maximum(flat_field, np.float32(DARKEST)), out=image.values)
     return float(np.abs(light).max())

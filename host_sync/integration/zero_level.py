@@ -46,8 +46,8 @@ UNDER_SHARE: Final = 0.15
 UNDER_FIELD: Final = 0.0016
 """How far under counts as clear: shares of the map's height and of the field's width.
 
-Incompressible gel rises beside an object by a few per cent of its height; errors of slopes add up to a thousandth of
-the field, if they are large.
+Incompressible gel bulges away from the camera beside an object, by a few per cent of its height; errors of slopes add
+up to a thousandth of the field, if they are large.
 """
 
 SPREAD_SHARE: Final = 0.7
@@ -139,9 +139,11 @@ def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool
     """
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
-    if far is None or (not are_its_own and (_is_over_others(height, far) or is_relief(height, gradients, far))):
+    if far is None or (
+        not are_its_own and (_is_over_others(height, gradients.valid, far) or is_relief(height, gradients, far))
+    ):
         return no_datum(height, gradients)
-    blocks_um = block_heights_um(height.z_um, far)
+    blocks_um = block_medians(height.z_um, far)
     zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, far)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
     return Datum(far, zero_um, spread_um, float(far.mean()), blocks_um.size)
@@ -154,11 +156,13 @@ def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
     return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
 
 
-def _is_over_others(height: HeightMap, skin: MaskArray) -> bool:
-    """Whether more of the field than nothing explains lies clearly under this skin, so that it is no untouched skin."""
+def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> bool:
+    """Whether more than `MAX_UNDER` of the valid field lies clearly under this skin, so that it is touched."""
     step = max(1, height.z_um.shape[1] // WIDEST_CELLS)
     known_um = height.z_um[::step, ::step]
-    known_um = known_um[np.isfinite(known_um)]
+    known_um = known_um[valid[::step, ::step] & np.isfinite(known_um)]
+    if not known_um.size:
+        return False
     low_um, high_um = np.percentile(known_um, HEIGHT_PERCENT)
     field_um = height.z_um.shape[1] * height.pitch_um
     under_um = max(UNDER_SHARE * float(high_um - low_um), UNDER_FIELD * field_um)
@@ -206,8 +210,8 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array) -> MaskArray:
     return np.isin(labels, [number for number, level in levels.items() if level <= limit])
 
 
-def block_heights_um(z_um: Float32Array, skin: MaskArray) -> Float64Array:
-    """Median height of each block of the field that shows enough of this skin, µm; float64 array of shape (blocks,)."""
+def block_medians(z_um: Float32Array, skin: MaskArray) -> Float64Array:
+    """Median of a map (H, W) over each block of the field that shows enough of this skin, float64 array (blocks,)."""
     step = max(1, skin.shape[1] // WIDEST_CELLS)
     z, here = z_um[::step, ::step], skin[::step, ::step]
     here = here & np.isfinite(z)

@@ -59,7 +59,7 @@ BEGIN_STEPS: Final = 6
 
 SETTLING_ROUNDS: Final = 5
 SETTLED_SHARE: Final = 0.05
-"""Rounds at one elevation, at most, and the share of what the light tells within which the next round ends them."""
+"""Rounds at one elevation, at most; they end when what the light tells of it changes by no more than this share."""
 
 HIDDEN_STEPS: Final = 8
 FREE_STEPS: Final = 3
@@ -213,7 +213,7 @@ class _Reading:
         return found, rise
 
     def _begin_again(self) -> _Found:
-        """Slopes of a level field from the map's or from none, whichever explain it; the gentler ones where both do.
+        """Slopes of a level field from the map's, or from none where that ends gentler and explains a cell as well.
 
         What the map reads of skin that stands high near a lamp may be far from what it was taught.
         """

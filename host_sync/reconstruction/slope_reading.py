@@ -11,7 +11,7 @@ from device.surface.fields import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.lamp_drift import MAX_DRIFT, take_drift_out
-from host_sync.calibration.stray_light import take_stray_light_out
+from host_sync.calibration.stray_light import MAX_STRAY, take_stray_light_out
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.flat_field_kernel import raw_intensity
@@ -143,7 +143,7 @@ def _read_channels(
     told_by = calibration.inverse.map, calibration.press_levels, response
     stray = take_stray_light_out(intensity, calibration.flat_field, *told_by)
     if stray:
-        checks = (*checks, FrameCheck("stray light", "passed", stray, None, "of full scale"))
+        checks = (*checks, FrameCheck("stray light", "passed", stray, MAX_STRAY, "of full scale"))
     drift = take_drift_out(intensity, *told_by)
     if drift:
         checks = (*checks, FrameCheck("lamp drift", "passed", drift, MAX_DRIFT, "relative"))

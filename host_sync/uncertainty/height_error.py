@@ -18,7 +18,7 @@ from device.calibration.candidates import NOISE_KEPT
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
-from host_sync.integration.zero_level import Datum, block_heights_um
+from host_sync.integration.zero_level import Datum, block_medians
 from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, local_normals, shared_and_local
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
@@ -230,7 +230,7 @@ def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Ar
     """
     if datum.is_relative:
         return datum.zero_sigma_um
-    drawn_um = np.concatenate([block_heights_um(sample_um, skin > HALF) for sample_um in samples_um])
+    drawn_um = np.concatenate([block_medians(sample_um, skin > HALF) for sample_um in samples_um])
     return datum.zero_sigma_beside_um(float(np.sqrt(np.square(drawn_um).mean())) if drawn_um.size else 0.0)
 
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from device.imaging.flat_field import NormalizedImage
-from host_sync.calibration.lamp_drift import PressLevels, believed_share, is_tilt, take_drift_out, untouched_level
+from host_sync.calibration.lamp_drift import (
+    PressLevels,
+    believed_share,
+    by_block,
+    is_tilt,
+    take_drift_out,
+    untouched_level,
+)
 from host_sync.frame_checks.light_levels import SlopeResponse
 from tests.apparatus.drifting_lamps import ANSWER, DRIFT, MAP, frame
 
@@ -105,12 +112,14 @@ def test_a_plate_that_lies_tilted_under_the_whole_field_is_no_drift() -> None:
         assert np.array_equal(image.values, frame(levels, dome=0.0).values) == kept
 
 
-def test_whether_skin_is_tilted_is_asked_where_it_is() -> None:
-    """The light answers to slope otherwise on the right, where alone the skin seems untouched."""
-    across = np.array([[0.6, 0.5, 0.3], [-0.2, 0.3, 0.5]])
-    response = SlopeResponse(np.stack([ANSWER, across, 0.0 * ANSWER]), 0.01, 0.05)
-    right = np.zeros((12, 16), np.bool_)
-    right[:, -1] = True
-    sloping = np.array([0.02, -0.03]) @ (ANSWER + across)
-    assert is_tilt(sloping, response, right)
-    assert not is_tilt(sloping, response, np.fliplr(right))
+@pytest.mark.parametrize("where", ["everywhere", "right"])
+def test_a_tilted_plate_is_told_where_light_answers_to_slope_otherwise_at_each_place(where: str) -> None:
+    rng = np.random.default_rng(8)
+    skin = np.ones((96, 128), np.bool_)
+    skin[:, : 0 if where == "everywhere" else -16] = False
+    uneven = SlopeResponse(np.stack([ANSWER, *(0.4 * rng.standard_normal((2, 2, 3)))]), 0.01, 0.05)
+    answers = by_block(uneven.at(skin.shape).reshape(*skin.shape, 6).astype(np.float32), skin).reshape(-1, 2, 3)
+    for _ in range(20):
+        tilt = 0.02 * rng.standard_normal(2)
+        assert is_tilt(tilt @ answers, uneven, skin)
+    assert not is_tilt(np.repeat(DRIFT[None], len(answers), axis=0), uneven, skin)

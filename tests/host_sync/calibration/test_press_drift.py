@@ -18,7 +18,7 @@ SHARES = (-1.0, 0.5, 0.0, 1.5, 0.8)
 
 @pytest.fixture
 def one_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(press_drift, "fit_to", lambda _presses, _light, begun: begun)
+    monkeypatch.setattr(press_drift, "fit_to", lambda *_: BEGUN)
 
 
 def presses_of(*drifts: np.ndarray, clipped: int = -1) -> list[UsedPress]:

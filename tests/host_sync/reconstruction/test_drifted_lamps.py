@@ -60,6 +60,8 @@ def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> No
     assert np.abs(calibration.press_levels.mean).max() < 1e-3
     assert calibration.press_levels.sigma < 1e-3
     largest = np.expm1(np.abs(np.log(PRESSES)).max())
-    (stated,) = (re.search(r"up to ([\d.]+)%", note) for note in calibration.assessment.notes if "lamps shone" in note)
+    (stated,) = (
+        re.search(r"up to ([\d.]+)%", note) for note in calibration.assessment.notes if "lamps differed" in note
+    )
     assert stated is not None
     assert float(stated[1]) == pytest.approx(100.0 * largest, abs=0.2)

@@ -7,7 +7,7 @@ import pytest
 from device.surface.fields import GradientField, HeightMap, surface_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 from host_sync.integration.integrate import integrate
-from host_sync.integration.zero_level import Datum, block_heights_um
+from host_sync.integration.zero_level import Datum, block_medians
 from host_sync.uncertainty.elevation import ElevationCorrection
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
@@ -144,7 +144,7 @@ def test_the_zero_is_not_known_better_than_resting_skin_is_flat() -> None:
     uneven_um = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, -3.0, 3.0).astype(np.float32)
     height = HeightMap(np.broadcast_to(uneven_um, SHAPE), PITCH_UM)
     flat = np.zeros(SHAPE, np.float32)
-    datum = Datum(at_rest, 0.0, float(np.abs(block_heights_um(height.z_um, at_rest)).mean()), 0.1)
+    datum = Datum(at_rest, 0.0, float(np.abs(block_medians(height.z_um, at_rest)).mean()), 0.1)
     known = height_uncertainty(height, gradients, flat, error_of(0.0, 0.0, 8.0), LEVEL, datum)
     assert 2.0 < known.sigma_um.min() <= known.sigma_um.max() < 4.0
 
@@ -158,7 +158,7 @@ def test_uneven_skin_that_errors_of_slopes_account_for_counts_once() -> None:
         return height_uncertainty(height, gradients, flat, error, LEVEL, datum).sigma_um
 
     drawn = height_uncertainty(height, gradients, flat, error, LEVEL, Datum(at_rest, 0.0, 0.0, 0.5)).samples_um
-    drawn_um = float(np.sqrt(np.mean([np.square(block_heights_um(sample, at_rest)).mean() for sample in drawn])))
+    drawn_um = float(np.sqrt(np.mean([np.square(block_medians(sample, at_rest)).mean() for sample in drawn])))
     assert drawn_um > 0.1
     np.testing.assert_allclose(sigma(0.95 * drawn_um), sigma(0.0), rtol=1e-6)
     assert sigma(3.0 * drawn_um).min() > 2.0 * sigma(0.0).min()
