@@ -28,7 +28,7 @@ PATCH_SIGMA: Final = 0.001
 def fit_without_drift(
     presses: Sequence[UsedPress], begun: BegunFit, light: IlluminationMap
 ) -> tuple[BegunFit, Float64Array | None]:
-    """The inverse map fitted again to the presses without drift, and the drift, None where there is none.
+    """The inverse map fitted again to the presses without drift, and that drift; None where they do not drift.
 
     The drift is the logarithm of each channel's light in each press over the reference's, float64 array of shape
     (N, 3): zero where it is no more than its uncertainty, or more than `MAX_DRIFT`.
