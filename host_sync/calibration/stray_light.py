@@ -17,7 +17,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.imaging.flat_field import NormalizedImage
+from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.calibration.lamp_drift import (
@@ -55,9 +55,6 @@ CAUCHY: Final = 2.0
 UNKNOWN: Final = 1.0
 """Standard uncertainty, share of full scale, where untouched skin is lit evenly and tells no stray light."""
 
-DARKEST: Final = 1e-3
-"""Light of the reference, share of full scale, that darker skin counts as."""
-
 DARKEST_SKIN: Final = 0.5
 """Intensity of untouched skin, at least."""
 
@@ -94,7 +91,7 @@ def find_stray_light(
     cells = FieldCells.of(image)
     if cells is None or len(by_block(cells.values, cells.known)) < MIN_BLOCKS:
         return None
-    light_at_rest = np.maximum(flat_field[samples_of(image.shape)], np.float32(DARKEST))
+    light_at_rest = np.maximum(flat_field[samples_of(image.shape)], np.float32(DARK_FLOOR))
     each = in_cells(np.reciprocal(light_at_rest), image.shape)
     level, light, _ = _lines(by_block(each, cells.known), by_block(cells.values, cells.known))
     found = None
@@ -138,7 +135,9 @@ def take_stray_light_out(
         return 0.0
     if is_tilt(found.blocks - np.array(presses.mean), response, found.skin):
         return 0.0
-    np.subtract(image.values, light.astype(np.float32) / np.maximum(flat_field, np.float32(DARKEST)), out=image.values)
+    np.subtract(
+        image.values, light.astype(np.float32) / np.maximum(flat_field, np.float32(DARK_FLOOR)), out=image.values
+    )
     return float(np.abs(light).max())
 
 

@@ -123,3 +123,14 @@ def test_a_tilted_plate_is_told_where_light_answers_to_slope_otherwise_at_each_p
         tilt = 0.02 * rng.standard_normal(2)
         assert is_tilt(tilt @ answers, uneven, skin)
     assert not is_tilt(np.repeat(DRIFT[None], len(answers), axis=0), uneven, skin)
+
+
+def test_whether_skin_is_tilted_is_asked_where_it_is() -> None:
+    """The light answers to slope otherwise on the right, where alone the skin seems untouched."""
+    across = np.array([[0.6, 0.5, 0.3], [-0.2, 0.3, 0.5]])
+    response = SlopeResponse(np.stack([ANSWER, across, 0.0 * ANSWER]), 0.01, 0.05)
+    right = np.zeros((96, 128), np.bool_)
+    right[:, -16:] = True
+    sloping = np.repeat([np.array([0.02, -0.03]) @ (ANSWER + across)], 6, axis=0)
+    assert is_tilt(sloping, response, right)
+    assert not is_tilt(sloping, response, np.fliplr(right))
