@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from host_sync.calibration.shading_model import GLITTERING, fit_shading_model
 from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_slopes import LampReader
+from host_sync.lights.lit_skin import is_lit_by_all
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.light_height import nearness_per_px
 from host_sync.uncertainty.slope_error import OverCells
@@ -68,7 +70,12 @@ def lamps_that_read_better(
         errors_deg.append(angle_between_deg(found, np.stack([shown.p, shown.q], axis=-1)))
     if float(np.concatenate(errors_deg).mean()) >= inverse.held_out_deg:
         return None
-    return OverCells(LampReader(inverse.map, lamps.model), without, cell_px(inverse.map.shape))
+    return OverCells(
+        LampReader(inverse.map, lamps.model),
+        without,
+        cell_px(inverse.map.shape),
+        partial(is_lit_by_all, lamps.model),
+    )
 
 
 def elevation_left(

@@ -77,13 +77,14 @@ class SlopeError(msgspec.Struct, frozen=True):
 @dataclass(frozen=True, slots=True, eq=False)
 class _BallError:
     """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there,
-    and its centre's column and row in widths of the field."""
+    its centre's column and row in widths of the field, and the window's first row and column."""
 
     slope: Float64Array
     inside: MaskArray
     truth: Float64Array
     ball: Ball
     place: tuple[float, float]
+    corner: tuple[int, int]
 
 
 def measure_slope_error(
@@ -104,15 +105,18 @@ def measure_slope_error(
     known = bool(fit.replicas) or over_cells is not None
     errors = list(_ball_errors(presses, lambda _, __: fit.map))
     bands = _by_band(errors)
+    lit: Sequence[_BallError] = errors
     if over_cells is not None:
         means = over_cells.means_of(presses)
         errors = list(_ball_errors(means, over_cells.of_all))
-        bands = _with_patches_of(bands, _by_band(list(_ball_errors(means, over_cells.of_others))))
+        lit = _on_lit_skin(errors, over_cells.is_lit)
+        others = list(_ball_errors(means, over_cells.of_others))
+        bands = _with_patches_of(bands, _by_band(_on_lit_skin(others, over_cells.is_lit)))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     more = 1.0 if known else inflation.throughout(noise_deg)
-    gains, places = _gains(errors, [tilt for tilt, _, _ in bands])
+    gains, places = _gains(lit, [tilt for tilt, _, _ in bands])
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
@@ -140,6 +144,10 @@ class ReadsFrames(Protocol):
         ...
 
 
+IsLit = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], MaskArray]
+"""Where all lamps reach skin of slopes p and q at columns and rows (pixels); all arrays have one shape."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OverCells:
     """What reads slopes of means over cells.
@@ -147,11 +155,13 @@ class OverCells:
     reads : fitted to all balls
     without : fitted without a ball, by ball in the order of the presses
     size_px : of a cell
+    is_lit : where all light arrives that this counts on; None where that is everywhere
     """
 
     reads: ReadsFrames
     without: Sequence[ReadsFrames]
     size_px: int
+    is_lit: IsLit | None = None
 
     def of_all(self, image: NormalizedImage, _ball: int) -> ReadsSlopes:
         """What reads an image's slopes, fitted to all balls."""
@@ -273,6 +283,21 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
 
 
+def _on_lit_skin(errors: Sequence[_BallError], is_lit: IsLit | None) -> Sequence[_BallError]:
+    """The errors where all lamps reach the balls, for elsewhere a scan counts on the other lamps alone; all errors
+    where that leaves fewer than half of the balls.
+    """
+    if is_lit is None:
+        return errors
+    found = []
+    for error in errors:
+        row, column = np.indices(error.inside.shape) + np.reshape(error.corner, (2, 1, 1)).astype(np.float64)
+        lit = error.inside & is_lit(error.truth[0], error.truth[1], column, row)
+        if lit.sum() >= MIN_PIXELS:
+            found.append(replace(error, slope=error.slope * lit, inside=lit))
+    return found if 2 * len(found) >= len(errors) else errors
+
+
 def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes]) -> Iterator[_BallError]:
     """The slope error of each ball that shows enough faithful pixels.
 
@@ -297,7 +322,7 @@ def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], Read
                 ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
             )
             place = float(ball.column / image.shape[1]), float(ball.row / image.shape[1])
-            yield _BallError(slope, inside, truth, here, place)
+            yield _BallError(slope, inside, truth, here, place, (window[0].start, window[1].start))
 
 
 def _centred(ball: Ball, read: Float64Array, column: Float32Array, row: Float32Array) -> Ball:

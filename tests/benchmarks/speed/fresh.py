@@ -3,29 +3,49 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
 
 THREAD_SETTINGS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+AS_A_COMMAND: Final = MappingProxyType({"OPENBLAS_NUM_THREADS": "1"})
+"""Of a process that is to run as `retrosync` does."""
+
 Result = TypeVar("Result")
 
 
-def fresh(function: Callable[..., Result], *arguments: Any, threads: int | None = None) -> Result:
-    """Result of the function, computed in a new process with this many threads (None: the default)."""
-    with thread_settings(threads), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+def fresh(
+    function: Callable[..., Result],
+    *arguments: Any,
+    threads: int | None = None,
+    settings: Mapping[str, str] = MappingProxyType({}),
+) -> Result:
+    """Result of the function, computed in a new process with this many threads (None: the default).
+
+    settings : environment variables of it
+    """
+    with (
+        thread_settings(threads),
+        environment(settings),
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+    ):
         return pool.submit(function, *arguments).result()
 
 
-@contextmanager
-def thread_settings(threads: int | None) -> Iterator[None]:
+def thread_settings(threads: int | None) -> AbstractContextManager[None]:
     """Processes started inside use this many threads."""
-    before = {name: os.environ.get(name) for name in THREAD_SETTINGS}
-    if threads is not None:
-        os.environ.update(dict.fromkeys(THREAD_SETTINGS, str(threads)))
+    return environment({} if threads is None else dict.fromkeys(THREAD_SETTINGS, str(threads)))
+
+
+@contextmanager
+def environment(settings: Mapping[str, str]) -> Iterator[None]:
+    """Processes started inside have these environment variables."""
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
     try:
         yield
     finally:

@@ -25,7 +25,7 @@ from host_sync.reconstruction import pipeline as stages
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.uncertainty.height_error import HeightUncertainty
-from tests.benchmarks.speed.fresh import forget_peak, fresh, peak_mb
+from tests.benchmarks.speed.fresh import AS_A_COMMAND, forget_peak, fresh, peak_mb
 from tests.benchmarks.speed.height_error import error_share
 from tests.benchmarks.speed.plan import Plan, Shape, named
 from tests.benchmarks.speed.specimen import resampled
@@ -75,7 +75,9 @@ def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[
     figures = {}
     for shape in plan.scans:
         tell(f"whole pipeline, {named(shape)}")
-        figures[named(shape)] = fresh(run_pipeline, calibration, folder, shape, 1 if plan.quick else RUNS)
+        figures[named(shape)] = fresh(
+            run_pipeline, calibration, folder, shape, 1 if plan.quick else RUNS, settings=AS_A_COMMAND
+        )
     return figures
 
 

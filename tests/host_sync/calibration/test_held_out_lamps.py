@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,7 +11,7 @@ import numpy as np
 from near_lamps import LAMPS_OUT_PX, SHAPE, NearLamps, balls, press_px
 from point_lamps import point_lamps
 
-from device.balls.sphere import Ball, gather_samples
+from device.balls.sphere import Ball, gather_samples, sphere_slopes
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration.elevated_balls import ElevatedBalls
@@ -18,8 +19,9 @@ from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.elevation_steps import lamps_that_read_better
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import LampReader
+from host_sync.lights.lit_skin import is_lit_by_all
 from host_sync.uncertainty.elevation import ElevationCorrection
-from host_sync.uncertainty.slope_error import OverCells, SlopeError, measure_slope_error
+from host_sync.uncertainty.slope_error import IsLit, OverCells, SlopeError, measure_slope_error
 
 HEIGHT_PX = 220.0
 LAMPS = NearLamps(HEIGHT_PX)
@@ -41,6 +43,7 @@ LEVEL = ElevationResponse(
     share=1.0,
     share_sigma=0.1,
 )
+NO_ELEVATION = ElevationCorrection(apex_px=0.0, radius_px=100.0, nearness_per_px=0.0)
 
 
 def followed(*folds: object) -> ElevatedBalls:
@@ -86,8 +89,9 @@ def test_patches_are_those_of_lamps_without_the_ball_and_gains_those_of_all_ball
 
     def error_with(model: LampModel, *folds: LampModel) -> SlopeError:
         without = [LampReader(fit.map, folds[number % len(folds)]) for number in range(len(TRUE))]
-        left = ElevationCorrection(apex_px=0.0, radius_px=100.0, nearness_per_px=0.0)
-        return measure_slope_error(PRESSES, samples, fit, left, OverCells(LampReader(fit.map, model), without, 2))
+        return measure_slope_error(
+            PRESSES, samples, fit, NO_ELEVATION, OverCells(LampReader(fit.map, model), without, 2)
+        )
 
     def patch_deg(*folds: LampModel) -> float:
         error = error_with(MODEL, *folds)
@@ -97,3 +101,42 @@ def test_patches_are_those_of_lamps_without_the_ball_and_gains_those_of_all_ball
     assert right < 0.5 * half < wrong
     own, lower = (np.abs(error_with(model, MODEL).ball_gains).mean() for model in (MODEL, LOWER))
     assert own < 0.3 * lower
+
+
+def dark_where_hidden() -> list[tuple[NormalizedImage, list[Ball]]]:
+    """The presses, half as bright where the skin hides a lamp."""
+    found = []
+    for image, own in PRESSES:
+        row, column = np.indices(SHAPE).astype(np.float32)
+        values = image.values.copy()
+        values[~is_lit_by_all(MODEL, *sphere_slopes(own[0], column, row), column, row)] *= 0.5
+        found.append((replace(image, values=values), own))
+    return found
+
+
+def test_skin_that_a_lamp_does_not_reach_is_held_against_no_lamps() -> None:
+    """There a scan counts on two lamps, with an uncertainty of its own."""
+    dark, fit = dark_where_hidden(), inverse(None)
+    samples = gather_samples(dark)
+
+    def error(is_lit: IsLit | None) -> SlopeError:
+        over = OverCells(LampReader(fit.map, MODEL), [LampReader(fit.map, MODEL)] * len(TRUE), 1, is_lit)
+        return measure_slope_error(dark, samples, fit, NO_ELEVATION, over)
+
+    everywhere, lit = error(None), error(partial(is_lit_by_all, MODEL))
+    assert np.abs(lit.ball_gains).max() < 0.3 * np.abs(everywhere.ball_gains).max()
+    assert lit.patch_deg[-1] < 0.5 * everywhere.patch_deg[-1]
+    assert lit.patch_px == everywhere.patch_px
+
+
+def test_where_no_ball_is_lit_all_skin_counts() -> None:
+    fit = inverse(None)
+    samples = gather_samples(PRESSES)
+
+    def error(is_lit: IsLit | None) -> SlopeError:
+        over = OverCells(LampReader(fit.map, LOWER), [LampReader(fit.map, LOWER)] * len(TRUE), 2, is_lit)
+        return measure_slope_error(PRESSES, samples, fit, NO_ELEVATION, over)
+
+    nowhere = error(lambda p, *_: np.zeros(p.shape, np.bool_))
+    assert nowhere == error(None)
+    assert min(nowhere.patch_deg) > 0.0
