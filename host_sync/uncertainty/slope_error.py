@@ -285,7 +285,7 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
 
 def _on_lit_skin(errors: Sequence[_BallError], is_lit: IsLit | None) -> Sequence[_BallError]:
     """The errors where all lamps reach the balls, for elsewhere a scan counts on the other lamps alone; all errors
-    where that leaves fewer than half of the balls.
+    where that leaves fewer than half of the balls, or too few pixels to fill a band.
     """
     if is_lit is None:
         return errors
@@ -295,7 +295,8 @@ def _on_lit_skin(errors: Sequence[_BallError], is_lit: IsLit | None) -> Sequence
         lit = error.inside & is_lit(error.truth[0], error.truth[1], column, row)
         if lit.sum() >= MIN_PIXELS:
             found.append(replace(error, slope=error.slope * lit, inside=lit))
-    return found if 2 * len(found) >= len(errors) else errors
+    pixels = sum(int(error.inside.sum()) for error in found)
+    return found if 2 * len(found) >= len(errors) and pixels >= MIN_PIXELS * len(TILT_EDGES_DEG) else errors
 
 
 def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes]) -> Iterator[_BallError]:

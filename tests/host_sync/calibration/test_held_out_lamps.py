@@ -129,7 +129,7 @@ def test_skin_that_a_lamp_does_not_reach_is_held_against_no_lamps() -> None:
     assert lit.patch_px == everywhere.patch_px
 
 
-def test_where_no_ball_is_lit_all_skin_counts() -> None:
+def test_where_hardly_a_ball_is_lit_all_skin_counts() -> None:
     fit = inverse(None)
     samples = gather_samples(PRESSES)
 
@@ -137,6 +137,7 @@ def test_where_no_ball_is_lit_all_skin_counts() -> None:
         over = OverCells(LampReader(fit.map, LOWER), [LampReader(fit.map, LOWER)] * len(TRUE), 2, is_lit)
         return measure_slope_error(PRESSES, samples, fit, NO_ELEVATION, over)
 
-    nowhere = error(lambda p, *_: np.zeros(p.shape, np.bool_))
-    assert nowhere == error(None)
-    assert min(nowhere.patch_deg) > 0.0
+    everywhere = error(None)
+    assert error(lambda p, *_: np.zeros(p.shape, np.bool_)) == everywhere
+    assert error(lambda p, q, column, _: (column < 100.0) & (np.hypot(p, q) > 0.4)) == everywhere
+    assert min(everywhere.patch_deg) > 0.0
