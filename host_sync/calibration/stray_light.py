@@ -52,6 +52,14 @@ FIT_ROUNDS: Final = 6
 CAUCHY: Final = 2.0
 """Deviations of a block, in standard deviations, at which its weight has fallen to a half."""
 
+ALIKE_SHARE: Final = 0.4
+"""Share of the blocks that the line of another search comes closest to: skin that is untouched shows one line, skin on
+objects shows its slopes and its elevation, too, and a line through all blocks may lead astray.
+"""
+
+CLEAR_SHARE: Final = 0.15
+"""Share of the field that one search finds untouched, from which on there is no other."""
+
 UNKNOWN: Final = 1.0
 """Standard uncertainty, share of full scale, where untouched skin is lit evenly and tells no stray light."""
 
@@ -93,14 +101,36 @@ def find_stray_light(
         return None
     light_at_rest = np.maximum(flat_field[samples_of(image.shape)], np.float32(DARK_FLOOR))
     each = in_cells(np.reciprocal(light_at_rest), image.shape)
-    level, light, _ = _lines(by_block(each, cells.known), by_block(cells.values, cells.known))
+    blocks = by_block(each, cells.known), by_block(cells.values, cells.known)
+    if not thorough:
+        return _search(cells, each, inverse_map, *_lines(*blocks)[:2], 1)
+    found = _search(cells, each, inverse_map, *_lines(*blocks)[:2], ROUNDS)
+    if found is not None and found.skin.mean() >= CLEAR_SHARE:
+        return found
+    other = _search(cells, each, inverse_map, *_lines_of_most_alike(*blocks)[:2], ROUNDS)
+    return max(filter(None, (found, other)), key=lambda one: float(one.skin.mean()), default=None)
+
+
+def _search(
+    cells: FieldCells,
+    each: Float32Array,
+    inverse_map: InverseMap,
+    level: Float64Array,
+    light: Float64Array,
+    rounds: int,
+) -> StrayLight | None:
+    """The stray light near that of a start; None where it leads to too little untouched skin.
+
+    each : one over the reference's light in cells, shape (h, w, 3)
+    level, light : of the start, as of `StrayLight`
+    """
     found = None
-    for _ in range(ROUNDS if thorough else 1):
+    for _ in range(rounds):
         as_lit = (cells.values - light.astype(np.float32) * each) * np.exp(-level).astype(np.float32)
         datum = cells.datum(as_lit, inverse_map)
         brightness = by_block(cells.values, datum.skin)
         if len(brightness) < MIN_BLOCKS or datum.share < MIN_SHARE:
-            return None
+            break
         before = light
         level, light, sigma = _lines(by_block(each, datum.skin), brightness)
         blocks = np.log(np.maximum(brightness, DARKEST_SKIN))
@@ -152,6 +182,25 @@ def with_stray_light(
     if len(seen) < MIN_PRESSES:
         return levels
     return msgspec.structs.replace(levels, stray_sigma=float(np.sqrt((np.array(seen) ** 2).mean())))
+
+
+def _lines_of_most_alike(
+    each: Float64Array, brightness: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """As `_lines`, of the share of the blocks that agree best with each other, in all channels: it begins at the line
+    through two blocks that this share comes closest to.
+    """
+    one, other = np.triu_indices(len(each), 1)
+    apart = each[other] - each[one]
+    light = np.divide(brightness[other] - brightness[one], apart, out=np.zeros_like(apart), where=apart != 0.0)
+    off = np.abs(brightness - brightness[one][:, None] - light[:, None] * (each - each[one][:, None])).max(axis=-1)
+    count = max(int(ALIKE_SHARE * len(each)), 2)
+    alike = off[np.partition(off, count - 1, axis=1)[:, count - 1].argmin()].argsort()[:count]
+    for _ in range(FIT_ROUNDS):
+        found = _lines(each[alike], brightness[alike])
+        left = np.abs(brightness - np.exp(found[0]) - found[1] * each).max(axis=-1)
+        alike = left.argsort()[:count]
+    return found
 
 
 def _lines(each: Float64Array, brightness: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:

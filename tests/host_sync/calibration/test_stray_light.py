@@ -10,7 +10,13 @@ import pytest
 
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration.lamp_drift import PressLevels
-from host_sync.calibration.stray_light import find_stray_light, take_stray_light_out, with_stray_light
+from host_sync.calibration.stray_light import (
+    _lines,
+    _lines_of_most_alike,
+    find_stray_light,
+    take_stray_light_out,
+    with_stray_light,
+)
 from host_sync.frame_checks.light_levels import SlopeResponse
 from tests.apparatus.drifting_lamps import ANSWER, COLUMN, DRIFT, MAP, SHAPE, frame
 
@@ -78,6 +84,18 @@ def test_what_a_slope_shows_as_well_is_no_stray_light() -> None:
     as_tilt = SlopeResponse(np.stack([like_slopes, 0.0 * ANSWER, 0.0 * ANSWER]), 0.01, 0.05)
     assert take_stray_light_out(image, alike, MAP, CALM, as_tilt) == 0.0
     assert take_stray_light_out(image, alike, MAP, CALM, RESPONSE) > 0.0
+
+
+def test_blocks_that_agree_tell_more_than_all_blocks() -> None:
+    """Half of the field lies on an object that stands nearer to the lamps, most so where they give much light."""
+    random = np.random.default_rng(0)
+    each = random.uniform(1.5, 12.0, (60, 3))
+    brightness = 1.0 + STRAY * each + 5e-4 * random.standard_normal((60, 3))
+    brightness[:30] += random.uniform(0.02, 0.08, (30, 1)) * (2.0 / each[:30])
+    level, light, _ = _lines_of_most_alike(each, brightness)
+    np.testing.assert_allclose(light, STRAY, atol=3e-4)
+    np.testing.assert_allclose(level, 0.0, atol=2e-3)
+    assert np.abs(_lines(each, brightness)[1] - STRAY).max() > 3.0 * np.abs(light - STRAY).max()
 
 
 def test_presses_tell_what_calm_frames_show_and_a_calibration_without_it_takes_nothing_out() -> None:
