@@ -102,10 +102,8 @@ def find_stray_light(
     light_at_rest = np.maximum(flat_field[samples_of(image.shape)], np.float32(DARK_FLOOR))
     each = in_cells(np.reciprocal(light_at_rest), image.shape)
     blocks = by_block(each, cells.known), by_block(cells.values, cells.known)
-    if not thorough:
-        return _search(cells, each, inverse_map, *_lines(*blocks)[:2], 1)
-    found = _search(cells, each, inverse_map, *_lines(*blocks)[:2], ROUNDS)
-    if found is not None and found.skin.mean() >= CLEAR_SHARE:
+    found = _search(cells, each, inverse_map, *_lines(*blocks)[:2], ROUNDS if thorough else 1)
+    if not thorough or (found is not None and found.skin.mean() >= CLEAR_SHARE):
         return found
     other = _search(cells, each, inverse_map, *_lines_of_most_alike(*blocks)[:2], ROUNDS)
     return max(filter(None, (found, other)), key=lambda one: float(one.skin.mean()), default=None)
