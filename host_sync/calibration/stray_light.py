@@ -97,11 +97,14 @@ def find_stray_light(
     thorough : look for untouched skin again without what was found, where it is more than its uncertainty
     """
     cells = FieldCells.of(image)
-    if cells is None or len(by_block(cells.values, cells.known)) < MIN_BLOCKS:
+    if cells is None:
+        return None
+    brightness = by_block(cells.values, cells.known)
+    if len(brightness) < MIN_BLOCKS:
         return None
     light_at_rest = np.maximum(flat_field[samples_of(image.shape)], np.float32(DARK_FLOOR))
     each = in_cells(np.reciprocal(light_at_rest), image.shape)
-    blocks = by_block(each, cells.known), by_block(cells.values, cells.known)
+    blocks = by_block(each, cells.known), brightness
     found = _search(cells, each, inverse_map, *_lines(*blocks)[:2], ROUNDS if thorough else 1)
     if not thorough or (found is not None and found.skin.mean() >= CLEAR_SHARE):
         return found
