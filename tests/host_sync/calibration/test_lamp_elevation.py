@@ -202,15 +202,24 @@ def test_what_a_map_reads_of_raised_skin_is_taken_from_that_map() -> None:
     assert as_read(unknown, inverse) is unknown
 
 
-def test_lamps_are_found_from_another_start_where_the_first_search_ends_far_off(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("begins", [(0, 1), (1, 0)])
+def test_of_two_searches_the_one_counts_that_explains_the_balls_better(
+    begins: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A search may end at lamps much too long: it is made to begin there."""
-    far_off = (0.5, 6.0)
-    monkeypatch.setattr(lamp_fit, "STARTS", (far_off, far_off))
-    monkeypatch.setattr(lamp_fit, "FOUND", 2.0 * FIT.residual)
-    assert fitted(IMAGES).residual > lamp_fit.FOUND
-    monkeypatch.setattr(lamp_fit, "STARTS", (far_off, (0.35, 0.45)))
+    """A search may end at lamps much too long: one of them is made to begin there."""
+    far_off, close = (0.5, 6.0), (0.35, 0.45)
+    monkeypatch.setattr(lamp_fit, "STARTS", (far_off,))
+    assert fitted(IMAGES).residual > 2.0 * FIT.residual
+    monkeypatch.setattr(lamp_fit, "STARTS", tuple((far_off, close)[number] for number in begins))
     again = fitted(IMAGES)
     assert again.residual == pytest.approx(FIT.residual, rel=0.05)
     np.testing.assert_allclose(again.lamps.model.position, FIT.lamps.model.position, rtol=0.02, atol=0.005)
+
+
+def test_the_sign_of_a_strip_from_which_a_search_begins_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for strip in (0.45, -0.45):
+        monkeypatch.setattr(lamp_fit, "STARTS", ((0.35, strip),))
+        found.append(fitted(IMAGES).lamps.model)
+    assert found[0].strip == pytest.approx(-found[1].strip, abs=1e-3)
+    np.testing.assert_allclose(found[0].position, found[1].position, atol=1e-4)
