@@ -14,6 +14,7 @@ from host_sync.calibration.lamp_drift import MAX_DRIFT, take_drift_out
 from host_sync.calibration.stray_light import MAX_STRAY, take_stray_light_out
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frames.light_sequence import LightSequence
+from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
@@ -208,6 +209,7 @@ def estimate(intensity: NormalizedImage, calibration: Calibration, method: Metho
     if method == "paper":
         return estimate_gradients(calibration.paper_model, intensity)
     gradients = evaluate(calibration.inverse.map, intensity)
+    even_confidence(gradients, intensity.clipped)
     if calibration.elevation is not None:
         correct_elevation(gradients, calibration.elevation)
     return gradients

@@ -17,6 +17,7 @@ from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, chec
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import light_of_values
 from host_sync.frames.sequence import StoredFrame
+from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
@@ -151,6 +152,8 @@ class FrameSolver:
     def _gradients(self, intensity: NormalizedImage) -> GradientField:
         if self._slopes is not None:
             found = self._slopes.evaluate(intensity)
+            if self.weighted:
+                even_confidence(found, intensity.clipped)
             if self._calibration.elevation is not None:
                 correct_elevation(found, self._calibration.elevation)
         else:
