@@ -31,7 +31,6 @@ from host_sync.results.record import FrameCheck
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
-    flat_bias,
     height_uncertainty,
     nonintegrable_residual,
     reduced_size,
@@ -192,7 +191,6 @@ def _uncertainty(
         gradients,
         contradiction,
         error,
-        flat_bias(calibration.inverse.map),
         datum,
         known_scale_share(calibration),
         calibration=unsure,

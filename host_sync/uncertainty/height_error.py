@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from device.calibration.candidates import NOISE_KEPT
-from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_medians
@@ -46,17 +45,9 @@ HALF: Final = 0.5
 """A pixel of the reduced field is untouched skin where more than this share of it is."""
 
 PLACES: Final = 48
-"""Places along each side of the field at which the map is asked for untouched skin, where it changes slowly; and along
-its columns at which gains of slopes are drawn."""
+"""Places along the field's columns at which gains of slopes are drawn."""
 
 SlopePair = tuple[Float32Array, Float32Array]
-
-
-def flat_bias(inverse: InverseMap) -> SlopePair:
-    """Slopes that the map reads on untouched skin, which has none: float32 arrays of shape (PLACES, PLACES)."""
-    down, across = ((np.arange(PLACES) + 0.5) * (size / PLACES) - 0.5 for size in inverse.shape)
-    slopes = inverse.on_grid(np.ones((PLACES, PLACES, 3), np.float32), across, down)
-    return slopes[..., 0], slopes[..., 1]
 
 
 def nonintegrable_residual(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
@@ -126,7 +117,6 @@ def height_uncertainty(
     gradients: GradientField,
     contradiction: Float32Array,
     error: SlopeError,
-    resting: SlopePair,
     datum: Datum,
     scale_share: float = 0.0,
     seed: int = 0,
@@ -137,7 +127,6 @@ def height_uncertainty(
 
     height : levelled, zero at untouched skin
     contradiction : as `nonintegrable_residual` returns it
-    resting : as `flat_bias` returns them
     datum : what the height map's zero was taken from
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
@@ -159,8 +148,7 @@ def height_uncertainty(
         [here * gain_at(curve, cosine, error.tilt_deg) for curve in curves]
         for curves in shared_and_local(error.ball_gains, error.ball_places)
     )
-    flat = [np.asarray(cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR), np.float32) for slope in resting]
-    known = [flat, shadow, None if calibration is None else (calibration.p, calibration.q)]
+    known = [shadow, None if calibration is None else (calibration.p, calibration.q)]
     common = [
         np.concatenate(
             [

@@ -51,7 +51,6 @@ STAGES = {
     "level": ("zero_level.find_datum", "zero_level.level", "zero_level.at_rest"),
     "slopes of the surface": ("surface_slope_kernel.surface_slopes",),
     "sigma map": (
-        "height_error.flat_bias",
         "height_error.nonintegrable_residual",
         "calibration_uncertainty.calibration_uncertainty",
         "height_error.height_uncertainty",
@@ -120,7 +119,7 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights known already."""
     sigma = HeightUncertainty(known.sigma_um, known.samples_um)
-    spared = {"flat_bias": None, "nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma}
+    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma}
     with ExitStack() as stack:
         for name, value in spared.items():
             stack.enter_context(patch.object(stages, name, return_value=value))
