@@ -9,7 +9,7 @@ than polynomials do that know nothing of lamps, says nothing: light that is guid
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -43,8 +43,12 @@ GENTLE: Final = 0.35
 """Slopes up to which samples tell where the lamps stand, to begin with."""
 
 NOISE: Final = 0.03
+MIN_NOISE: Final = 0.003
+"""Intensity that a search expects to be left of the balls, and at least where an earlier one says what is: then what is
+expected of lamps and coat beforehand counts as much as it should beside what the balls show."""
+
 OUTLYING: Final = 4.0
-"""Intensities off by so many times `NOISE` count no more than these."""
+"""Intensities off by so many times that count no more than these."""
 
 CENTRE_SIGMA: Final = 0.015
 """Standard deviation of a centre's error, as a share of the ball's radius, that is expected beforehand."""
@@ -131,9 +135,12 @@ def fit_lamps(
         found = search.solved(begin, first.shift_px)
         if found.residual < GLOSS_GAIN * best.residual:
             best = found
-    while any(best.numbers[number] < 0.0 for number in _BOUNCE):
-        best = search.without_darkening(best)
-    folds = best.without_folds() if best.residual < MAX_RESIDUAL else ()
+    best = search.without_darkening(best)
+    folds: list[Float64Array] = []
+    if best.residual < MAX_RESIDUAL:
+        search = replace(search, noise=max(best.residual, MIN_NOISE))
+        best = search.without_darkening(search.solved(best.numbers, best.shift_px, fixed=best.fixed))
+        folds = best.without_folds()
     lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in folds))
     return LampFit(lamps, best.shift_px, best.residual)
 
@@ -156,6 +163,11 @@ class _Solution:
     off: Float64Array
     derivatives: Float64Array
     ball: np.ndarray
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """Which of the numbers were not free."""
+        return tuple(sorted(set(range(len(self.numbers))) - set(self.free.tolist())))
 
     def without_folds(self) -> list[Float64Array]:
         """The numbers, moved by one Gauss-Newton step with every fold of the balls left out in turn."""
@@ -180,6 +192,7 @@ class _Search:
     centre, radius_px, apex_px : of their balls, float64 arrays of shape (N, 2), (N,) and (N,)
     count : of balls
     shape : (H, W)
+    noise : standard deviation of what is expected to be left of intensity
     """
 
     intensity: Float64Array
@@ -192,6 +205,7 @@ class _Search:
     apex_px: Float64Array
     count: int
     shape: tuple[int, int]
+    noise: float = NOISE
 
     @classmethod
     def of(
@@ -258,12 +272,14 @@ class _Search:
 
     def without_darkening(self, found: _Solution) -> _Solution:
         """The best fit near another one in which no skin takes light from skin beside it."""
-        begin, fixed = found.numbers.copy(), set(range(len(found.numbers))) - set(found.free.tolist())
-        for number in _BOUNCE:
-            if begin[number] < 0.0:
-                begin[number] = 0.0
-                fixed.add(number)
-        return self.solved(begin, found.shift_px, fixed=tuple(fixed))
+        while any(found.numbers[number] < 0.0 for number in _BOUNCE):
+            begin, fixed = found.numbers.copy(), set(found.fixed)
+            for number in _BOUNCE:
+                if begin[number] < 0.0:
+                    begin[number] = 0.0
+                    fixed.add(number)
+            found = self.solved(begin, found.shift_px, fixed=tuple(fixed))
+        return found
 
     def solved(self, begin: Float64Array, shift_px: Float64Array, *, fixed: tuple[int, ...] = ()) -> _Solution:
         """The best fit near these numbers and shifts of centres (balls, 2); some of the numbers are fixed."""
@@ -282,7 +298,7 @@ class _Search:
 
         def off(variables: Float64Array) -> Float64Array:
             numbers, shift = parted(variables)
-            left = np.nan_to_num(self._left(numbers, shift) / NOISE, nan=1e3, posinf=1e3, neginf=-1e3)
+            left = np.nan_to_num(self._left(numbers, shift) / self.noise, nan=1e3, posinf=1e3, neginf=-1e3)
             bounded = left / np.sqrt(1.0 + (left / OUTLYING) ** 2)
             beforehand = weight * ((np.where(even, np.abs(numbers), numbers) - expected) / doubt)[free]
             return np.concatenate([bounded.ravel(), beforehand, (shift / sigma_px).ravel()])
@@ -307,8 +323,8 @@ class _Search:
         start = np.concatenate([begin[free], shift_px.ravel()])
         found = least_squares(off, start, derivatives, ftol=TOLERANCE, max_nfev=ROUNDS, x_scale="jac")
         numbers, shift = parted(found.x)
-        bounded = NOISE * found.fun[: 3 * len(self.ball)]
-        residual = float(np.sqrt((bounded**2).mean()))
+        left = self._left(numbers, shift)
+        residual = float(np.sqrt((left**2 / (1.0 + (left / (OUTLYING * NOISE)) ** 2)).mean()))
         ball = np.concatenate([np.repeat(self.ball, 3), np.full(len(free) + 2 * self.count, -1)])
         return _Solution(numbers, free, shift, residual, found.fun, np.asarray(found.jac), ball)
 

@@ -157,8 +157,8 @@ def points() -> LampModel:
 def test_lamps_of_one_height_slant_more_by_one_over_it() -> None:
     response = response_under(points(), residual=0.004)
     assert response.nearness_per_px * HEIGHT_PX == pytest.approx(1.0, abs=0.05)
-    assert response.relative_sigma == pytest.approx(0.04)
-    assert response_under(points(), residual=0.02).relative_sigma == pytest.approx(0.1)
+    assert response.relative_sigma == pytest.approx(0.02)
+    assert response_under(points(), residual=0.03).relative_sigma == pytest.approx(0.1)
     assert response.nearness_sigma_per_px < 0.25 * response.nearness_per_px
 
 
@@ -209,7 +209,7 @@ def test_of_two_searches_the_one_counts_that_explains_the_balls_better(
     """A search may end at lamps much too long: one of them is made to begin there."""
     far_off, close = (0.5, 6.0), (0.35, 0.45)
     monkeypatch.setattr(lamp_fit, "STARTS", (far_off,))
-    assert fitted(IMAGES).residual > 2.0 * FIT.residual
+    assert fitted(IMAGES).residual > 1.5 * FIT.residual
     monkeypatch.setattr(lamp_fit, "STARTS", tuple((far_off, close)[number] for number in begins))
     again = fitted(IMAGES)
     assert again.residual == pytest.approx(FIT.residual, rel=0.05)
@@ -217,9 +217,18 @@ def test_of_two_searches_the_one_counts_that_explains_the_balls_better(
 
 
 def test_the_sign_of_a_strip_from_which_a_search_begins_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lamp_fit, "MAX_RESIDUAL", 0.0)  # the first search alone
     found = []
     for strip in (0.45, -0.45):
         monkeypatch.setattr(lamp_fit, "STARTS", ((0.35, strip),))
         found.append(fitted(IMAGES).lamps.model)
     assert found[0].strip == pytest.approx(-found[1].strip, abs=1e-3)
     np.testing.assert_allclose(found[0].position, found[1].position, atol=1e-4)
+
+
+def test_what_is_expected_of_lamps_beforehand_moves_them_little_beside_quiet_balls() -> None:
+    """Strips are expected 0.2 widths long, these lamps are points: a search that expects 0.03 to be left puts them too
+    low by 0.3 %.
+    """
+    heights = FIT.lamps.model.position[:, 2]
+    assert heights.mean() * SHAPE[1] == pytest.approx(HEIGHT_PX, rel=0.0015)
