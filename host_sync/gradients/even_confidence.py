@@ -20,12 +20,13 @@ from host_sync.kernels.parallel_rows import parallel_rows
 CELL_PX: Final = 4
 """Pixels along a cell: a pixel, and its neighbours that share its noise, count little in the mean."""
 
-MIN_SHARE: Final = np.float32(1e-3)
+MIN_OWN: Final = np.float32(0.02)
+"""Weight up to which a pixel is strange by more than noise: dust, an edge. It stays, and counts for no other pixel."""
 
 
 def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
     """Write the mean over cells around each pixel over the weights of a gradient field (H, W); those of pixels without
-    a slope, or with a saturated channel, stay and count for no other pixel.
+    a slope, with a saturated channel (`clipped`, shape (H, W)) or hardly any weight stay and count for no other pixel.
     """
     rows, columns = gradients.p.shape
     size = -(-rows // CELL_PX), -(-columns // CELL_PX)
@@ -39,7 +40,7 @@ def _sum(weight: Any, valid: Any, clipped: Any, sums: Any, first: int, last: int
     """Add up weights, and count pixels, of rows of cells."""
     for row in range(first * CELL_PX, min(last * CELL_PX, weight.shape[0])):
         for column in range(weight.shape[1]):
-            if valid[row, column] and not clipped[row, column]:
+            if valid[row, column] and not clipped[row, column] and weight[row, column] > MIN_OWN:
                 sums[0, row // CELL_PX, column // CELL_PX] += weight[row, column]
                 sums[1, row // CELL_PX, column // CELL_PX] += np.float32(1.0)
 
@@ -55,6 +56,6 @@ def _spread(sums: Any, valid: Any, clipped: Any, weight: Any, first: int, last: 
             expand_cells(sums, top, CELL_PX, 0, upper, step)
             expanded = top
         for column in range(weight.shape[1]):
-            if valid[row, column] and not clipped[row, column]:
-                count = max(upper[1, column] + share * step[1, column], MIN_SHARE)
+            if valid[row, column] and not clipped[row, column] and weight[row, column] > MIN_OWN:
+                count = upper[1, column] + share * step[1, column]
                 weight[row, column] = (upper[0, column] + share * step[0, column]) / count

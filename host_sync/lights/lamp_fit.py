@@ -43,12 +43,20 @@ GENTLE: Final = 0.35
 """Slopes up to which samples tell where the lamps stand, to begin with."""
 
 NOISE: Final = 0.03
+"""Intensity that the first searches expect to be left of the balls."""
+
 MIN_NOISE: Final = 0.003
-"""Intensity that a search expects to be left of the balls, and at least where an earlier one says what is: then what is
-expected of lamps and coat beforehand counts as much as it should beside what the balls show."""
+"""The last search expects what the first one left, but no less than this: so what is expected of lamps and coat
+beforehand counts as little as it should beside quiet balls."""
+
+MAX_WORSE: Final = 1.1
+"""What the last search may leave, over what the first one did."""
 
 OUTLYING: Final = 4.0
-"""Intensities off by so many times that count no more than these."""
+"""Intensities off by so many times the noise expected count no more than these."""
+
+MISSED: Final = 30.0
+"""By how much intensity is off that a model cannot predict at all."""
 
 CENTRE_SIGMA: Final = 0.015
 """Standard deviation of a centre's error, as a share of the ball's radius, that is expected beforehand."""
@@ -110,8 +118,13 @@ class LampFit:
 
         residual : root mean square intensity that polynomials leave
         """
-        least, most = FALL_OFF
-        return self.residual < min(MAX_RESIDUAL, MAX_SHARE * residual) and least < self.lamps.model.fall_off < most
+        return self.residual < min(MAX_RESIDUAL, MAX_SHARE * residual) and _falls_off(self.lamps.model)
+
+
+def _falls_off(model: LampModel) -> bool:
+    """Whether light falls off as that of lamps does."""
+    least, most = FALL_OFF
+    return least < model.fall_off < most
 
 
 def fit_lamps(
@@ -138,9 +151,13 @@ def fit_lamps(
     best = search.without_darkening(best)
     folds: list[Float64Array] = []
     if best.residual < MAX_RESIDUAL:
-        search = replace(search, noise=max(best.residual, MIN_NOISE))
-        best = search.without_darkening(search.solved(best.numbers, best.shift_px, fixed=best.fixed))
-        folds = best.without_folds()
+        # One step without a fold goes astray where little is expected beforehand: it is taken from the first search.
+        first, steps = best, [one - best.numbers for one in best.without_folds()]
+        search = replace(search, noise=max(first.residual, MIN_NOISE))
+        again = search.without_darkening(search.solved(first.numbers, first.shift_px, fixed=first.fixed))
+        if again.residual < MAX_WORSE * first.residual and _falls_off(search.model(again.numbers)):
+            best = again
+        folds = [best.numbers + step for step in steps]
     lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in folds))
     return LampFit(lamps, best.shift_px, best.residual)
 
@@ -298,7 +315,7 @@ class _Search:
 
         def off(variables: Float64Array) -> Float64Array:
             numbers, shift = parted(variables)
-            left = np.nan_to_num(self._left(numbers, shift) / self.noise, nan=1e3, posinf=1e3, neginf=-1e3)
+            left = np.nan_to_num(self._left(numbers, shift), nan=MISSED, posinf=MISSED, neginf=-MISSED) / self.noise
             bounded = left / np.sqrt(1.0 + (left / OUTLYING) ** 2)
             beforehand = weight * ((np.where(even, np.abs(numbers), numbers) - expected) / doubt)[free]
             return np.concatenate([bounded.ravel(), beforehand, (shift / sigma_px).ravel()])
@@ -323,7 +340,7 @@ class _Search:
         start = np.concatenate([begin[free], shift_px.ravel()])
         found = least_squares(off, start, derivatives, ftol=TOLERANCE, max_nfev=ROUNDS, x_scale="jac")
         numbers, shift = parted(found.x)
-        left = self._left(numbers, shift)
+        left = np.nan_to_num(self._left(numbers, shift), nan=MISSED, posinf=MISSED, neginf=-MISSED)
         residual = float(np.sqrt((left**2 / (1.0 + (left / (OUTLYING * NOISE)) ** 2)).mean()))
         ball = np.concatenate([np.repeat(self.ball, 3), np.full(len(free) + 2 * self.count, -1)])
         return _Solution(numbers, free, shift, residual, found.fun, np.asarray(found.jac), ball)

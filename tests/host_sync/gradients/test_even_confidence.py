@@ -38,14 +38,17 @@ def test_confidence_that_changes_slowly_stays() -> None:
     np.testing.assert_allclose(gradients.weight, down + across, atol=0.003)
 
 
-def test_pixels_without_a_slope_and_saturated_ones_keep_theirs_and_count_for_no_other() -> None:
+def test_pixels_without_a_slope_saturated_and_strange_ones_keep_theirs_and_count_for_no_other() -> None:
     gradients = field(np.zeros(SHAPE), np.full(SHAPE, 0.8))
     clipped = np.zeros(SHAPE, np.bool_)
     lost, bright = np.s_[40 : 40 + 3 * CELL_PX, 60:90], np.s_[200:203, 300:301]
     gradients.valid[lost], gradients.weight[lost] = False, 0.0
     clipped[bright], gradients.weight[bright] = True, 0.1
+    gradients.weight[120, 77] = 0.001  # dust
     even_confidence(gradients, clipped)
     assert (gradients.weight[lost] == 0.0).all()
+    assert gradients.weight[120, 77] == np.float32(0.001)
+    gradients.weight[120, 77] = 0.8
     np.testing.assert_array_equal(gradients.weight[bright], np.float32(0.1))
     np.testing.assert_allclose(gradients.weight[gradients.valid & ~clipped], 0.8, rtol=1e-5)
 
