@@ -35,12 +35,18 @@ def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
     parallel_rows(_spread, (rows, columns), bordered(sums), gradients.valid, clipped, gradients.weight)
 
 
+@njit(cache=True)
+def _counts(valid: Any, clipped: Any, weight: Any) -> Any:
+    """Whether a pixel counts in the mean, and takes it."""
+    return valid and not clipped and weight > MIN_OWN
+
+
 @njit(cache=True, nogil=True)
 def _sum(weight: Any, valid: Any, clipped: Any, sums: Any, first: int, last: int) -> None:
     """Add up weights, and count pixels, of rows of cells."""
     for row in range(first * CELL_PX, min(last * CELL_PX, weight.shape[0])):
         for column in range(weight.shape[1]):
-            if valid[row, column] and not clipped[row, column] and weight[row, column] > MIN_OWN:
+            if _counts(valid[row, column], clipped[row, column], weight[row, column]):
                 sums[0, row // CELL_PX, column // CELL_PX] += weight[row, column]
                 sums[1, row // CELL_PX, column // CELL_PX] += np.float32(1.0)
 
@@ -56,6 +62,6 @@ def _spread(sums: Any, valid: Any, clipped: Any, weight: Any, first: int, last: 
             expand_cells(sums, top, CELL_PX, 0, upper, step)
             expanded = top
         for column in range(weight.shape[1]):
-            if valid[row, column] and not clipped[row, column] and weight[row, column] > MIN_OWN:
+            if _counts(valid[row, column], clipped[row, column], weight[row, column]):
                 count = upper[1, column] + share * step[1, column]
                 weight[row, column] = (upper[0, column] + share * step[0, column]) / count
