@@ -15,7 +15,7 @@ Why a direct inverse: held-out balls prefer it to every inversion of a forward m
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -139,23 +139,36 @@ class InverseMap:
         row = np.arange(rows.start, rows.start + height) * binning + centre
         across = field_position(column, np.zeros_like(column), self.shape)[:, 0].astype(np.float32)
         down = field_position(np.zeros_like(row), row, self.shape)[:, 1].astype(np.float32)
-        # Binned pixels are so much quieter that what noise adds is none of theirs.
-        slope, excess, spread = self._rows(values, across, down, self.noise_bias if binning == 1 else None)
+        # Binned pixels are so much quieter that noise adds nothing to what they read.
+        read_by = self if binning == 1 else self.quiet
+        slope, excess, spread = read_by._rows(values, across, down)
         return slope[..., 0], slope[..., 1], excess, spread
+
+    @property
+    def quiet(self) -> InverseMap:
+        """The map for intensities without noise, as means over pixels are.
+
+        `rest_bump` is then what the curves read of untouched skin, not that which noisy pixels need, and nothing is
+        taken off for noise.
+        """
+        if self.rest_bump is None:
+            return self if self.noise_bias is None else replace(self, noise_bias=None)
+        return replace(self, noise_bias=None, rest_bump=rest_nodes(replace(self, rest_bump=None)))
 
     def on_grid(self, values: Float32Array, column: NDArray[Any], row: NDArray[Any]) -> Float32Array:
         """Slopes (h, w, 2) for intensities (h, w, 3) without noise at full-size columns (w,) and rows (h,)."""
+        quiet = self.quiet
         across = ((2.0 * column + 1.0) / self.shape[1] - 1.0).astype(np.float32)
         down = ((2.0 * row + 1.0) / self.shape[0] - 1.0).astype(np.float32)
         slopes = np.empty((*values.shape[:2], 2), np.float32)
         for rows in _blocks(len(row)):
-            slopes[rows], _, _ = self._rows(values[rows], across, down[rows])
+            slopes[rows], _, _ = quiet._rows(values[rows], across, down[rows])
         return slopes
 
     def _rows(
-        self, values: Float32Array, across: Float32Array, down: Float32Array, bias: Float32Array | None = None
+        self, values: Float32Array, across: Float32Array, down: Float32Array
     ) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Slopes (h, w, 2), excess (h, w) and the curves' variance (h, w) of whole rows, less a bias's nodes.
+        """Slopes (h, w, 2), excess (h, w) and the curves' variance (h, w) of whole rows.
 
         across, down : position variables, (w,) and (h,)
         """
@@ -170,8 +183,8 @@ class InverseMap:
             spread[:] = 0.0
         if self.rest_bump is not None:
             mean -= rest_likeness(values)[..., None] * rows_between_nodes(self.rest_bump, across, down)
-        if bias is not None:
-            mean -= rows_between_nodes(bias, across, down)
+        if self.noise_bias is not None:
+            mean -= rows_between_nodes(self.noise_bias, across, down)
         _, excess = self.curve.colours.variables(values)
         return np.asarray(slope_from_stereographic(mean), np.float32), excess, spread
 

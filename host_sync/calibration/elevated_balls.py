@@ -31,16 +31,16 @@ from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.centre_trend import centres_along_trend
 from host_sync.calibration.elevation_response import MIN_BALLS, ElevationResponse, measure_elevation_response
 from host_sync.calibration.lamp_centres import centres_under_lamps
+from host_sync.gradients.cell_slopes import cell_slopes
 from host_sync.integration.zero_level import elevation_over_datum_px
+from host_sync.kernels.cell_rows import middles_of_cells
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 from host_sync.uncertainty.elevation import ElevationCorrection
 
-GRID_STEP_PX: Final = 4
-"""Every fourth pixel, or fewer, ..."""
-
-PIXELS_ALONG_RADIUS: Final = 25.0
-"""... but so many along a ball's radius, tell where it stands."""
+MAX_CELL_PX: Final = 4
+MIN_CELLS_ALONG_RADIUS: Final = 25.0
+"""Cells of so many pixels at most, so many along a ball's radius at least, tell where it stands."""
 
 ROUNDS: Final = 3
 """Elevations and centres need the response, and the response them; the last round moves them by a per cent."""
@@ -117,7 +117,7 @@ def find_elevated_balls(
     if len(every) < MIN_BALLS:
         return None
     radius_px = float(np.median([ball.radius_px for ball in every]))
-    reliefs = [_Relief.of(image, inverse, _grid_step(radius_px)) for image, _ in presses]
+    reliefs = [_Relief.of(image, inverse, _cell_px(radius_px)) for image, _ in presses]
     reduced = [reduce_intensity(image, radius_px / REFINE_RADIUS_PX) for image, _ in presses]
 
     def own(_skins: Sequence[_Skin], _response: ElevationResponse | None) -> Centred:
@@ -181,24 +181,24 @@ def _elevated(
     return found
 
 
-def _grid_step(radius_px: float) -> int:
-    """Distance of the pixels that tell the relief of a ball of this radius."""
-    return int(np.clip(radius_px / PIXELS_ALONG_RADIUS, 1, GRID_STEP_PX))
+def _cell_px(radius_px: float) -> int:
+    """Pixels along the cells that tell the relief of a ball of this radius."""
+    return int(np.clip(radius_px / MIN_CELLS_ALONG_RADIUS, 1, MAX_CELL_PX))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Skin:
-    """The skin of a press at every `step`-th pixel from `step` // 2 on: slopes and elevation, shape (h, w)."""
+    """The skin of a press in cells of `cell` pixels: slopes and elevation, shape (h, w)."""
 
     p: Float32Array
     q: Float32Array
     z_px: Float32Array
-    step: int
+    cell: int
     shape: tuple[int, int]
 
     def apex_px(self, ball: Ball) -> float:
         """Elevation of a ball's apex, pixels: that over its own contact's rim at least."""
-        row, column = (int(np.rint((at - self.step // 2) / self.step)) for at in (ball.row, ball.column))
+        row, column = (int(np.rint(at)) // self.cell for at in (ball.row, ball.column))
         rows, columns = self.z_px.shape
         here = self.z_px[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
         return max(float(here), ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
@@ -231,7 +231,7 @@ class _Lit:
 
     @classmethod
     def of(cls, response: ElevationResponse, skin: _Skin) -> _Lit:
-        column, row = (np.arange(size) * skin.step + skin.step // 2 for size in skin.z_px.shape[::-1])
+        row, column = middles_of_cells(skin.z_px.shape, skin.cell)
         x, y = (field_position(axis, axis, skin.shape)[:, k].astype(np.float32) for k, axis in enumerate((column, row)))
         nodes = _flat_nodes(response)
         a, b, c = (rows_between_nodes(part, x, y) for part in nodes)
@@ -240,31 +240,26 @@ class _Lit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Relief:
-    """Slopes of a press as a map reads them at every `step`-th pixel, and the elevation that they add up to, (h, w)."""
+    """Slopes of a press as a map reads them in cells of `cell` pixels, and the elevation they add up to, (h, w)."""
 
     gradients: GradientField
     z_px: Float32Array
-    step: int
+    cell: int
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, image: NormalizedImage, inverse: InverseMap, step: int) -> _Relief:
-        row, column = (np.arange(step // 2, size, step) for size in image.shape)
-        here = np.ix_(row, column)
-        valid = np.ascontiguousarray(image.valid[here])
-        slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
-        p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
-        gradients = GradientField(p, q, valid, valid.astype(np.float32))
-        return cls(gradients, elevation_over_datum_px(gradients, float(step)), step, image.shape)
+    def of(cls, image: NormalizedImage, inverse: InverseMap, cell: int) -> _Relief:
+        gradients = cell_slopes(image, inverse, cell)
+        return cls(gradients, elevation_over_datum_px(gradients, float(cell)), cell, image.shape)
 
     def at(self, trained: ElevationCorrection) -> _Skin:
         """The skin, where slopes are read right at the elevation of the training balls."""
         found = self.gradients
         if trained.nearness_per_px == 0.0:
-            return _Skin(found.p, found.q, self.z_px, self.step, self.shape)
+            return _Skin(found.p, found.q, self.z_px, self.cell, self.shape)
         share = trained.steeper(self.z_px, found.p**2 + found.q**2)
         right = replace(found, p=found.p - share * found.p, q=found.q - share * found.q)
-        return _Skin(right.p, right.q, elevation_over_datum_px(right, float(self.step)), self.step, self.shape)
+        return _Skin(right.p, right.q, elevation_over_datum_px(right, float(self.cell)), self.cell, self.shape)
 
 
 def _centred(reduced: ReducedIntensity, skin: _Skin, ball: Ball, lit: _Lit | None) -> Ball:

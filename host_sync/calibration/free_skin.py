@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +19,8 @@ from device.balls.sphere import Ball
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import REST_NODES, InverseMap
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from host_sync.kernels.planes import as_stored
+from host_sync.gradients.cell_slopes import cell_slopes
+from host_sync.kernels.cell_rows import middles_of_cells
 
 FREE_RADII: Final = 4.0
 """Distance from a ball's centre, in contact radii, from which skin is untouched."""
@@ -87,11 +87,9 @@ def _at_nodes(
     """Mean slopes of a press's free skin around each node, float64 array (h, w, 2), NaN where there is too little."""
     rows, columns = image.shape
     step = max(int(np.ceil(np.sqrt(rows * columns / MAX_CELLS))), 1)
-    values = _reduced(image, step)
-    down, across = (np.arange(size) * step + 0.5 * (step - 1) for size in values.shape[:2])
-    slopes = inverse_map.on_grid(values, across, down).astype(np.float64)
-    free = np.hypot(slopes[..., 0], slopes[..., 1]) < MAX_SLOPE
-    free &= _far(balls, across, down)
+    read = cell_slopes(image, inverse_map, step)
+    down, across = middles_of_cells(read.p.shape, step)
+    free = read.valid & (np.hypot(read.p, read.q) < MAX_SLOPE) & _far(balls, across, down)
     node = [
         np.rint(at / max(size - 1, 1) * (count - 1)).astype(np.intp).clip(0, count - 1)
         for at, size, count in zip((down, across), (rows, columns), shape, strict=True)
@@ -99,7 +97,7 @@ def _at_nodes(
     index = (node[0][:, None] * shape[1] + node[1])[free]
     total = shape[0] * shape[1]
     number = np.bincount(index, minlength=total)
-    sums = [np.bincount(index, slopes[..., axis][free], total) for axis in (0, 1)]
+    sums = [np.bincount(index, slopes[free], total) for slopes in (read.p, read.q)]
     mean = np.stack(sums, axis=-1) / np.maximum(number, 1)[:, None]
     mean[number < MIN_CELLS] = np.nan
     return np.asarray(mean.reshape(*shape, 2))
@@ -112,20 +110,6 @@ def _far(balls: Sequence[Ball], across: NDArray[np.floating], down: NDArray[np.f
         distance = np.hypot(across[None] - ball.column, down[:, None] - ball.row)
         far &= distance > FREE_RADII * ball.contact_radius_px
     return far
-
-
-def _reduced(image: NormalizedImage, step: int) -> Float32Array:
-    """Means of cells of `step` x `step` whole pixels: float32 array of shape (h, w, 3)."""
-    stored, by_plane = as_stored(image.values)
-    planes = list(stored) if by_plane else [stored[..., channel] for channel in range(3)]
-    rows, columns = (size // step for size in image.shape)
-    cells = (
-        cv2.resize(
-            np.ascontiguousarray(plane[: rows * step, : columns * step]), (columns, rows), interpolation=cv2.INTER_AREA
-        )
-        for plane in planes
-    )
-    return np.stack(list(cells), axis=-1).astype(np.float32)
 
 
 def _node_shape(inverse_map: InverseMap) -> tuple[int, int]:

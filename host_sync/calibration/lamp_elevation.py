@@ -137,6 +137,7 @@ def as_read(elevated: ElevatedBalls, inverse: InverseMap) -> ElevatedBalls:
     model = elevated.lamps.model
     apex_px = float(np.median([apex_px for of_press in elevated.apexes_px for apex_px in of_press]))
     row, column = _nodes(model.shape)
+    quiet = inverse.quiet
     slopes = [np.zeros(2)]
     for share in STEEPNESSES:
         for number in range(AZIMUTHS):
@@ -146,7 +147,7 @@ def as_read(elevated: ElevatedBalls, inverse: InverseMap) -> ElevatedBalls:
     def read(slope: Float64Array, z_px: float) -> Float64Array:
         p, q = (np.full_like(column, part) for part in slope)
         shown = model.shown(p, q, column, row, np.full_like(column, z_px))
-        return inverse.predict(*(part.astype(np.float32) for part in (shown, column, row)))
+        return quiet.predict(*(part.astype(np.float32) for part in (shown, column, row)))
 
     equations, changes = [], []
     for slope in slopes:

@@ -12,21 +12,21 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from device.balls.sphere import Ball, BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, GradientField, HeightMap
+from device.surface.fields import Float32Array, HeightMap
 from device.surface.poisson_dct import integrate_dct
+from host_sync.gradients.cell_slopes import cell_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 from host_sync.uncertainty.light_height import nearness_per_px
 
 MAX_PRESSES: Final = 3
 """Presses whose apexes are measured."""
 
-GRID_STEP_PX: Final = 4
-"""Every fourth pixel tells an apex well enough."""
+CELL_PX: Final = 4
+"""Cells of so many pixels tell an apex well enough."""
 
 NEAREST_SHARE: Final = 0.2
 """No light is taken to stand lower than five times the balls' apexes."""
@@ -70,28 +70,25 @@ def elevation_correction(
     """The elevation of the balls of a calibration's presses, from their map and its training samples."""
     radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
     shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
-    apex_px = float(np.median([apex for image, balls in shown for apex in _apexes_px(image, balls, inverse)]))
+    apex_px = float(np.median([apex for image, balls in shown for apex in apexes_px(image, balls, inverse)]))
     most = NEAREST_SHARE / max(apex_px, 1.0)
     return ElevationCorrection(apex_px, radius_px, min(nearness_per_px(training, inverse.shape), most))
 
 
-def _apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
+def apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
     """Elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at least."""
-    row, column = (np.arange(GRID_STEP_PX // 2, size, GRID_STEP_PX) for size in image.shape)
-    here = np.ix_(row, column)
-    valid = np.ascontiguousarray(image.valid[here])
-    slopes = np.where(valid[..., None], inverse.on_grid(image.values[here], column, row), np.float32(0.0))
-    p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+    gradients = cell_slopes(image, inverse, CELL_PX)
     # In pixels instead of µm: zero as a scan's height map has it.
-    height = HeightMap(integrate_dct(p, q, float(GRID_STEP_PX)), float(GRID_STEP_PX))
-    at_rest = untouched_mask(GradientField(p, q, valid, valid.astype(np.float32)))
-    z_px = zero_to_datum(height, at_rest).z_um
-    return [max(float(z_px[_nearest(row, ball.row), _nearest(column, ball.column)]), _rise_px(ball)) for ball in balls]
+    height = HeightMap(integrate_dct(gradients.p, gradients.q, float(CELL_PX)), float(CELL_PX))
+    z_px = zero_to_datum(height, untouched_mask(gradients)).z_um
+    return [max(_at(z_px, ball.row, ball.column), _rise_px(ball)) for ball in balls]
 
 
-def _nearest(points: NDArray[np.intp], position: float) -> int:
-    """Number of the point next to a position."""
-    return int(np.abs(points - position).argmin())
+def _at(cells: Float32Array, row: float, column: float) -> float:
+    """The value of the cell that a pixel of these coordinates lies in; the nearest one's beyond the border."""
+    last_row, last_column = (size - 1 for size in cells.shape)
+    down, across = (int(np.rint(at)) // CELL_PX for at in (row, column))
+    return float(cells[min(max(down, 0), last_row), min(max(across, 0), last_column)])
 
 
 def _rise_px(ball: Ball) -> float:

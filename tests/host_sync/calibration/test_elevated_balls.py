@@ -22,6 +22,7 @@ def map_that_reads_presses(offset: float = 0.0) -> InverseMap:
     """What reads the slopes of the press whose first pixel it recognises, all of them too large by an offset."""
 
     def on_grid(values: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        column, row = column.astype(int), row.astype(int)
         (z,) = (
             z
             for image, z in zip(IMAGES, SKINS, strict=True)

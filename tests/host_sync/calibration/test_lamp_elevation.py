@@ -182,7 +182,8 @@ def test_what_a_map_reads_of_raised_skin_is_taken_from_that_map() -> None:
         0,
     )
     apexes = tuple((16.0,) for _ in TRUE)
-    inverse = cast(InverseMap, SimpleNamespace(predict=predict, max_trained_slope=0.6))
+    quiet = SimpleNamespace(predict=predict)
+    inverse = cast(InverseMap, SimpleNamespace(quiet=quiet, max_trained_slope=0.6))
     known = ElevatedBalls(level, tuple((ball,) for ball, _ in TRUE), apexes, FittedLamps(model, ()))
     terms = as_read(known, inverse).response.as_slopes
     assert terms.shape == (33, 33, 9)

@@ -1,0 +1,28 @@
+"""Slopes that a map reads of mean intensity over cells, whose noise is as many times less as a cell has pixels.
+
+A single pixel's noise passes through a curved map and adds to its mean slope; over a contact that sums up to height.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.model import InverseMap
+from device.surface.fields import GradientField
+from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
+from host_sync.lights.surroundings import ALL
+
+
+def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
+    """Slopes of cells of `cell` x `cell` pixels, those at the far borders of fewer, shape (h, w).
+
+    A cell with an invalid pixel is invalid: its slope and weight are 0.
+    """
+    size = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
+    valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
+    row, column = middles_of_cells(size, cell)
+    means = np.nan_to_num(means_of_cells(image.values, size, cell), nan=1.0).astype(np.float32)
+    slopes = np.where(valid[..., None], inverse_map.on_grid(means, column, row), np.float32(0.0))
+    p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+    return GradientField(p, q, valid, valid.astype(np.float32))
