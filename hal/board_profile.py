@@ -58,10 +58,15 @@ class SensorConfig(Table, frozen=True):
 
 
 class CameraConfig(Table, frozen=True):
-    """Exposure (µs) and analogue gain of scans on this board."""
+    """Exposure (µs) and analogue gain of scans on this board, and where its camera stands.
+
+    pupil_height_mm : height of the entrance pupil over the untouched skin, as rays inside the gel see it; follows from
+        [lens] where there is one
+    """
 
     exposure_us: Exposure
     analogue_gain: Gain
+    pupil_height_mm: Positive | None = None
 
     @property
     def settings(self) -> CameraSettings:
@@ -210,6 +215,14 @@ class BoardProfile(Table, frozen=True):
     def currents_ma(self) -> dict[str, float]:
         """Current (mA) of each light by name, as `Lights.switch_on` takes them."""
         return {light.name: light.current_ma for light in self.lights}
+
+    @property
+    def pupil_height_mm(self) -> float | None:
+        """Height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it; None where
+        neither [camera] nor [lens] tells it."""
+        if self.camera.pupil_height_mm is not None or self.lens is None:
+            return self.camera.pupil_height_mm
+        return self.lens.pupil_height_mm(self.sensor.pixel_pitch_um)
 
     @property
     def frame_period_us(self) -> float | None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 
 from hal.profile_values import NotNegative, Positive, Table
+
+GEL_INDEX: Final = 1.41
+"""Refractive index of silicone; acrylic's is 1.49."""
 
 
 class LensConfig(Table, frozen=True):
@@ -22,6 +25,12 @@ class LensConfig(Table, frozen=True):
     f_number: Annotated[float, msgspec.Meta(ge=0.7, le=64)]
     pixel_um: Positive
     focus_mm: Annotated[float, msgspec.Meta(ge=-20, le=20)] = 0.0
+
+    def pupil_height_mm(self, pitch_um: float) -> float:
+        """Height of the entrance pupil over the untouched skin, whose pixels are `pitch_um` apart, as rays inside the
+        gel see it: the block's flat face bends them, so that it seems farther by the refractive index.
+        """
+        return GEL_INDEX * self.focal_mm * (1.0 + pitch_um / self.pixel_um)
 
 
 class BeamConfig(Table, frozen=True):

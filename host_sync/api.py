@@ -139,11 +139,12 @@ def calibrate(
     pixel_pitch_um: float,
     encoding: Encoding = "linear",
     paper: bool = False,
+    pupil_height_mm: float | None = None,
 ) -> KeptCalibration:
     """The calibration that presses of balls carry; `write(path)` keeps it, `load_calibration` reads it.
 
     reference : the skin at rest; without it a stand-in is fitted to the presses
-    pixel_pitch_um : distance of neighbouring pixels on the skin
+    pixel_pitch_um, pupil_height_mm : of pixels on the skin, and of the camera over it (`docs/frame-set.md`)
     encoding : how pixel values encode light
     paper : also fit the paper's model, for `reconstruct(..., method="paper")`
 
@@ -160,7 +161,7 @@ def calibrate(
     'calibration passed (6 balls, held-out error ... degrees, ± of the height scale unknown ...)'
     >>> calibration.write("own.calibration")
     """
-    from host_sync.api_arguments import check_choice, linear_frame, press_frames
+    from host_sync.api_arguments import check_choice, height_of, linear_frame, press_frames
     from host_sync.calibration.frames import CalibrationFrames
     from host_sync.calibration_file.kept_calibration import facts_of, make_calibration
 
@@ -170,6 +171,7 @@ def calibrate(
         linear_frame(reference, encoding) if reference is not None else None,
         pixel_pitch_um,
         paper=paper,
+        pupil_height_mm=height_of(pupil_height_mm),
     )
     with one_blas_thread():
         return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))

@@ -104,6 +104,11 @@ def pitch_of(given: object) -> float:
     return positive("pitch_um", given, IntegrationError)
 
 
+def height_of(given: object) -> float | None:
+    """The height of the camera's pupil, mm; FrameSetError when it is given and not a number above 0."""
+    return None if given is None else positive("pupil_height_mm", given, FrameSetError)
+
+
 def gradient_field(p: object, q: object, weights: object) -> GradientField:
     """The slopes and their weights as integration takes them, a hole wherever one of them is none.
 

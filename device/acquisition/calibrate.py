@@ -160,6 +160,7 @@ def publish(
         shape=reference.shape,
         fingerprint=Fingerprint.of(profile, reference.granted, plan.currents_ma),
         asked=SettingsRecord.of(plan.settings),
+        pupil_height_mm=profile.pupil_height_mm,
         reference_file=REFERENCE_FILE,
         presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
         model_files=(MODEL_FILE,),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.balls.quiet_intensity import quiet_intensity
+from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array
@@ -24,12 +25,16 @@ class Ball:
     column, row : centre
     contact_radius_px : the skin is trusted to follow the sphere inside this radius
     radius_px : radius of the sphere itself
+    viewpoint : where the camera looks from; None where nobody knows: it is taken to see all skin from straight above
+    apex_px : elevation of its apex over untouched skin, which counts with a viewpoint
     """
 
     column: float
     row: float
     contact_radius_px: float
     radius_px: float
+    viewpoint: Viewpoint | None = None
+    apex_px: float = 0.0
 
     @property
     def steepest(self) -> float:
@@ -39,7 +44,11 @@ class Ball:
     def enlarged(self, factor: float) -> Ball:
         """The same ball in a frame with `factor` times as many pixels in each direction."""
         column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))
-        return Ball(column, row, factor * self.contact_radius_px, factor * self.radius_px)
+        viewpoint = self.viewpoint and self.viewpoint.enlarged(factor)
+        contact_px, radius_px, apex_px = (
+            factor * size for size in (self.contact_radius_px, self.radius_px, self.apex_px)
+        )
+        return Ball(column, row, contact_px, radius_px, viewpoint, apex_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +94,12 @@ class BallSamples:
 
 
 def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Slopes (p, q) of the sphere at pixel positions inside it, arrays of the shape of `column`."""
+    """Slopes (p, q) of the sphere that pixels inside it see, arrays of the shape of `column`."""
     across, down = column - np.float32(ball.column), row - np.float32(ball.row)
+    if ball.viewpoint is not None:
+        pixel = np.stack([column, row]).astype(np.float64)
+        centre = np.array([ball.column, ball.row]).reshape(2, *(1,) * column.ndim)
+        across, down = ball.viewpoint.offsets_from_axis(pixel, centre, ball.radius_px, ball.apex_px)
     height = np.sqrt(np.maximum(ball.radius_px**2 - across**2 - down**2, 1e-6))
     return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
 

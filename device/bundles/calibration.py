@@ -74,6 +74,7 @@ class CalibrationRecord(Record, frozen=True, tag_field="schema", tag=CALIBRATION
     shape : (H, W) of every raw frame, sensor pixels
     model_files : the fitted model, opaque to the store
     asked : requested camera settings; None in older records
+    pupil_height_mm : as of the board's profile; None where it says nothing, and in older records
     figures : the report's figures by name, with unit suffix (None: not measured)
     files : hash and size of every file beside the manifest; filled in by the store
     """
@@ -89,6 +90,7 @@ class CalibrationRecord(Record, frozen=True, tag_field="schema", tag=CALIBRATION
     presses: Annotated[tuple[PressRecord, ...], msgspec.Meta(min_length=1, max_length=1000)]
     model_files: Annotated[tuple[FileName, ...], msgspec.Meta(max_length=100)]
     asked: SettingsRecord | None = None
+    pupil_height_mm: Positive | None = None
     figures: Figures = msgspec.field(default_factory=dict)
     files: Files = msgspec.field(default_factory=dict)
 

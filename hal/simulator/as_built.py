@@ -6,6 +6,7 @@ import msgspec
 
 from hal.board_profile import BoardProfile, TwinConfig
 from hal.errors import BoardProfileError
+from hal.simulator.blur import GEL_INDEX
 
 
 def twin_of(profile: BoardProfile) -> BoardProfile:
@@ -19,7 +20,8 @@ def twin_of(profile: BoardProfile) -> BoardProfile:
     if profile.lens is None:
         raise BoardProfileError(f"board {profile.name!r} has no [lens] table: state focal_mm, f_number and pixel_um")
     magnification = profile.lens.pixel_um / profile.sensor.pixel_pitch_um
-    distance_mm = profile.lens.focal_mm * (1.0 + 1.0 / magnification)
+    # From inside the gel the lens seems farther: rays bend where they leave the block.
+    distance_mm = GEL_INDEX * profile.lens.focal_mm * (1.0 + 1.0 / magnification)
     twin = profile.twin or TwinConfig()
     as_twin = msgspec.structs.replace(twin, camera_distance_mm=distance_mm)
     return msgspec.structs.replace(profile, driver="twin", twin=as_twin)

@@ -9,7 +9,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from device.balls.sphere import gather_samples
+from device.balls.sphere import BallSamples, gather_samples
+from device.balls.viewpoint import Viewpoint
 from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
@@ -37,6 +38,7 @@ from host_sync.calibration.elevation_steps import (
     followed_balls,
     lamps_that_read_better,
     lowered_presses,
+    seen_from,
 )
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.grid_press import measure_pitch
@@ -91,6 +93,7 @@ class Calibration:
     slope_noise : what is left of it in slopes, None without a shrinkage
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
     lamps : where the lamp of each channel stands, None where it is not known
+    viewpoint : where the camera looks from, None where it is not known
     fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
     quadric : function of the normal, fitted to the balls where no lamps explain them, that corrects slopes; None where
         it does not help
@@ -116,6 +119,7 @@ class Calibration:
     slope_noise: SlopeNoise | None = None
     shading: ShadingModel | None = None
     lamps: KnownLamps | None = None
+    viewpoint: Viewpoint | None = None
     fitted_lamps: FittedLamps | None = None
     quadric: FittedQuadric | None = None
     press_levels: PressLevels | None = None
@@ -171,6 +175,7 @@ def calibrate(
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
     lamps_mm: Sequence[Position] = (),
+    pupil_height_mm: float | None = None,
 ) -> Calibration:
     """The calibration of one gel and set of lights.
 
@@ -179,6 +184,7 @@ def calibrate(
     tell : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
     lamps_mm : as of `KnownLamps`, by channel; empty where it is not known
+    pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
 
     Raises
     ------
@@ -211,6 +217,12 @@ def calibrate(
     if drifts is not None:
         located = without_drift(located, drifts)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
+    viewpoint = None
+    if pupil_height_mm is not None:
+        viewpoint = Viewpoint.over_middle(pupil_height_mm, pitch_um, located[0].intensity.shape)
+        tell("fitting it again as the camera sees the balls")
+        located = seen_from(located, begun.fit.map, viewpoint)
+        begun = fit_to(located, light, begun)
     elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
     followed = followed_balls(located, begun.fit, elevated) if elevated else None
     if followed:
@@ -251,7 +263,7 @@ def calibrate(
     if reference:
         images = [image for image, _ in kept]
         levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
-    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels)
+    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint)
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -267,11 +279,10 @@ def calibrate(
         frame_model=frame_model,
         elevation=response,
         shrinkage=shrinkage,
-        slope_noise=(
-            measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training) if shrinkage else None
-        ),
+        slope_noise=_slope_noise(shrinkage, inverse, training, demosaiced=presses[0].frame.demosaiced),
         shading=fit_shading_model(training, kept),
         lamps=lamps,
+        viewpoint=viewpoint,
         fitted_lamps=fitted_lamps,
         quadric=quadric,
         press_levels=levels,
@@ -285,6 +296,14 @@ def _learn_shrinkage(
     pressed = [(press.intensity, press.balls) for press in located]
     at_rest = [flat_field_correct(reference, flat_field)] if reference else [image for image, _ in pressed]
     return learn_shrinkage(pressed, gather_samples(pressed), [image.values for image in at_rest])
+
+
+def _slope_noise(
+    shrinkage: DetailShrinkage | None, inverse: InverseFit, training: BallSamples, *, demosaiced: bool
+) -> SlopeNoise | None:
+    if shrinkage is None:
+        return None
+    return measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training, demosaiced=demosaiced)
 
 
 def _without_noise(located: Sequence[UsedPress], shrinkage: DetailShrinkage | None) -> Sequence[UsedPress]:
@@ -315,6 +334,7 @@ def _digest(
     lamps: FittedLamps | None = None,
     quadric: FittedQuadric | None = None,
     levels: PressLevels | None = None,
+    viewpoint: Viewpoint | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -333,4 +353,6 @@ def _digest(
     if levels is not None:
         told = [*levels.mean, levels.sigma, *([] if levels.stray_sigma is None else [levels.stray_sigma])]
         digest.update(np.array(told).tobytes())
+    if viewpoint is not None:
+        digest.update(np.array([viewpoint.column, viewpoint.row, viewpoint.height_px]).tobytes())
     return digest.hexdigest()[:12]

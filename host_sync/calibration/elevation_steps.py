@@ -9,9 +9,11 @@ from functools import partial
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.balls.viewpoint import Viewpoint
 from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.elevated_balls import ElevatedBalls, find_elevated_balls
@@ -21,9 +23,23 @@ from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_slopes import LampReader
 from host_sync.lights.lit_skin import is_lit_by_all
-from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.elevation import ElevationCorrection, apexes_px, elevation_correction
 from host_sync.uncertainty.light_height import nearness_per_px
 from host_sync.uncertainty.slope_error import OverCells
+
+
+def seen_from(located: Sequence[UsedPress], inverse: InverseMap, viewpoint: Viewpoint) -> list[UsedPress]:
+    """The presses with balls as a camera sees them that is not far away."""
+    return [
+        replace(
+            press,
+            balls=tuple(
+                replace(ball, viewpoint=viewpoint, apex_px=apex_px)
+                for ball, apex_px in zip(press.balls, apexes_px(press.intensity, press.balls, inverse), strict=True)
+            ),
+        )
+        for press in located
+    ]
 
 
 def elevated_balls_of(

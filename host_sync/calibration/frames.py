@@ -21,6 +21,7 @@ class CalibrationFrames:
     light_names : of the lights, where they are said
     paper : whether the paper's model is fitted in any case
     lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
+    pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
     """
 
     presses: tuple[PressFrame, ...]
@@ -30,6 +31,7 @@ class CalibrationFrames:
     light_names: tuple[str, ...] = ()
     paper: bool = False
     lamps_mm: tuple[Position, ...] = ()
+    pupil_height_mm: float | None = None
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
@@ -51,5 +53,6 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         light_names=frames.light_names,
         paper=frames.paper,
         lamps_mm=frames.lamps_mm,
+        pupil_height_mm=frames.pupil_height_mm,
         tell=tell,
     )

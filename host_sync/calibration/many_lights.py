@@ -29,6 +29,7 @@ def calibrate_lights(
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
     lamps_mm: Sequence[Position] = (),
+    pupil_height_mm: float | None = None,
 ) -> Calibration:
     """The calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does three.
 
@@ -42,7 +43,16 @@ def calibrate_lights(
     if count < CHANNELS:
         raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
     if count == CHANNELS:
-        return calibrate(presses, reference, pitch_um, others=others, tell=tell, paper=paper, lamps_mm=lamps_mm)
+        return calibrate(
+            presses,
+            reference,
+            pitch_um,
+            others=others,
+            tell=tell,
+            paper=paper,
+            lamps_mm=lamps_mm,
+            pupil_height_mm=pupil_height_mm,
+        )
     groups = choose_groups(frames)
     found = []
     for number, group in enumerate(groups, start=1):
@@ -54,6 +64,7 @@ def calibrate_lights(
                 others=[in_group(frame, group) for frame in others],
                 tell=_telling(tell, f"lights {number} of {len(groups)}: "),
                 lamps_mm=[lamps_mm[light] for light in group] if lamps_mm else (),
+                pupil_height_mm=pupil_height_mm,
             )
         )
     first = found[0]

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle, CalibrationRecord
 from device.imaging.flat_field import demosaic
-from hal.board_profile import load_board_profile
+from hal.board_profile import BoardProfile, load_board_profile
 from hal.errors import BoardProfileError
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration.frames import CalibrationFrames
@@ -14,7 +14,6 @@ from host_sync.calibration_file.cache import key_of
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec, PressSpec
 from host_sync.frames.linear_light import read_frame
-from host_sync.lights.known_lamps import Position
 
 NO_REFERENCE_FRAMES: Final = 24
 """At most so many frames stand in for a missing reference."""
@@ -32,7 +31,13 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
     reference = read_frame(frame_set.reference) if frame_set.reference else None
     others = tuple(read_frame(frame) for frame in _others(frame_set))
     return CalibrationFrames(
-        presses, reference, frame_set.pixel_pitch_um, others, frame_set.lights, lamps_mm=frame_set.lamps_mm
+        presses,
+        reference,
+        frame_set.pixel_pitch_um,
+        others,
+        frame_set.lights,
+        lamps_mm=frame_set.lamps_mm,
+        pupil_height_mm=frame_set.pupil_height_mm,
     )
 
 
@@ -56,17 +61,23 @@ def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
         if press.balls
     )
     reference = demosaic(bundle.reference())
-    return CalibrationFrames(presses, reference, record.pixel_pitch_um, lamps_mm=_lamps_mm(record))
+    board = _known_board(record)
+    on_usb = board is not None and board.uvc is not None  # its lights are no points
+    lamps_mm = () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
+    pupil_mm = record.pupil_height_mm
+    if pupil_mm is None and board is not None:
+        pupil_mm = board.pupil_height_mm  # an older record does not hold it
+    return CalibrationFrames(presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=pupil_mm)
 
 
-def _lamps_mm(record: CalibrationRecord) -> tuple[Position, ...]:
-    """Where the lamps of a board stand; empty for sensors on USB, whose lights are no points."""
-    is_path = record.board.endswith(".toml")
+def _known_board(record: CalibrationRecord) -> BoardProfile | None:
+    """The profile of a calibration's board; None of a builder's own."""
+    if record.board.endswith(".toml"):
+        return None
     try:
-        on_usb = not is_path and load_board_profile(record.board).uvc is not None
+        return load_board_profile(record.board)
     except BoardProfileError:
-        on_usb = False  # a builder's own board, which has lamps
-    return () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
+        return None
 
 
 def key_of_set(frame_set: FrameSet) -> str:
@@ -87,6 +98,7 @@ def key_of_set(frame_set: FrameSet) -> str:
     )
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
     settings = (*settings, "lamps", frame_set.lamps_mm) if frame_set.lamps_mm else settings
+    settings = (*settings, "pupil", frame_set.pupil_height_mm) if frame_set.pupil_height_mm else settings
     try:
         return key_of(settings, [image for spec in specs for image in spec.images])
     except OSError as error:

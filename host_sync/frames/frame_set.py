@@ -60,6 +60,7 @@ class FrameSet:
 
     lights : their names with their colours, empty where the file does not say
     lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
+    pupil_height_mm : the camera's height over untouched skin; None where the file does not say
     """
 
     path: Path
@@ -71,6 +72,7 @@ class FrameSet:
     scans: tuple[ScanSpec, ...]
     lights: tuple[str, ...] = ()
     lamps_mm: tuple[tuple[float, float, float], ...] = ()
+    pupil_height_mm: float | None = None
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
@@ -100,7 +102,18 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     presses = tuple(
         _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
     )
-    return FrameSet(path, file.name, file.pixel_pitch_um, shape, reference, presses, scans, lights, _lamps(file, path))
+    return FrameSet(
+        path,
+        file.name,
+        file.pixel_pitch_um,
+        shape,
+        reference,
+        presses,
+        scans,
+        lights,
+        _lamps(file, path),
+        file.pupil_height_mm,
+    )
 
 
 def _common_form(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[tuple[int, int], int]:

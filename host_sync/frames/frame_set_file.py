@@ -80,11 +80,15 @@ class ScanTable(_Table, frozen=True):
 
 
 class FileTable(_Table, frozen=True):
-    """The whole file."""
+    """The whole file.
+
+    pupil_height_mm : height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it
+    """
 
     name: str
     pixel_pitch_um: Length
     encoding: Encoding
+    pupil_height_mm: Length | None = None
     light: Annotated[tuple[LightTable, ...], msgspec.Meta(max_length=MAX_LIGHTS)] = ()
     reference: ReferenceTable | None = None
     press: tuple[PressTable, ...] = ()

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
+from device.balls.viewpoint import Viewpoint
 from device.surface.fields import Float64Array
 from host_sync.lights.lamp_model import FittedLamps, LampModel
 
@@ -209,6 +210,7 @@ class _Search:
     centre, radius_px, apex_px : of their balls, float64 arrays of shape (N, 2), (N,) and (N,)
     count : of balls
     shape : (H, W)
+    viewpoint : of the camera; None where nobody knows it
     noise : standard deviation of what is expected to be left of intensity
     """
 
@@ -222,6 +224,7 @@ class _Search:
     apex_px: Float64Array
     count: int
     shape: tuple[int, int]
+    viewpoint: Viewpoint | None
     noise: float = NOISE
 
     @classmethod
@@ -240,7 +243,8 @@ class _Search:
         column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
         seen = samples.taught[rows].astype(np.float64)
         apex_px = np.array(apexes_px)[ball]
-        return cls(seen, close[rows], column, row, ball, centre, radius_px, apex_px, len(balls), shape)
+        viewpoint = balls[0].viewpoint
+        return cls(seen, close[rows], column, row, ball, centre, radius_px, apex_px, len(balls), shape, viewpoint)
 
     def model(self, numbers: Float64Array) -> LampModel:
         """The model of these numbers."""
@@ -354,6 +358,9 @@ class _Search:
 
     def _sphere(self, shift_px: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Slopes and elevations of the samples' balls, shape (N,) each."""
-        across, down = (np.stack([self.column, self.row], axis=-1) - self.centre - shift_px[self.ball]).T
+        pixel, centre = np.stack([self.column, self.row]), (self.centre + shift_px[self.ball]).T
+        across, down = pixel - centre
+        if self.viewpoint is not None:
+            across, down = self.viewpoint.offsets_from_axis(pixel, centre, self.radius_px, self.apex_px)
         rise = np.sqrt(np.maximum(self.radius_px**2 - across**2 - down**2, 1.0))
         return -across / rise, -down / rise, self.apex_px - self.radius_px + rise

@@ -24,6 +24,7 @@ from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum, no_datu
 from host_sync.johnson2009.model import integrate_forward_difference
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
+from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
@@ -112,7 +113,9 @@ def reconstruct(
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, warnings = reading.first.intensity, reading.warnings
-    gradients, shrinkage = reading.gradients, calibration.shrinkage
+    gradients, shrinkage, viewpoint = reading.gradients, calibration.shrinkage, calibration.viewpoint
+    if viewpoint is not None:
+        gradients = seen_slopes(gradients, viewpoint)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     noise = calibration.slope_noise
@@ -128,13 +131,20 @@ def reconstruct(
     if datum.is_relative:
         warnings += [NO_ZERO]
     height = datum.level(height)
+    if viewpoint is not None:
+        height = seen_elevation(height, viewpoint)
+        z_px = np.nan_to_num(height.z_um / np.float32(height.pitch_um))
+        gradients = seen_slopes(reading.gradients, viewpoint, z_px, out=gradients)
     slopes = surface_slopes(height)
     uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
         raw_gradients = reading.raw_gradients()
-        other = with_raw_detail(height, solve(raw_gradients, calibration.pitch_um)[0])
+        if viewpoint is not None:
+            raw_gradients = seen_slopes(raw_gradients, viewpoint, z_px)
+        raw = solve(raw_gradients, calibration.pitch_um)[0]
+        other = with_raw_detail(height, without_blur(raw, noise.raw_blur_px) if noise else raw)
         if noise is not None and detail == "shrunk":
             lost = lost_variance(surface_slopes(other), slopes, noise)
         if detail == "raw":

@@ -27,6 +27,7 @@ from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
 from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.reconstruction.slope_reading import estimate, raise_on_warnings
 from host_sync.results.record import refusals
 
@@ -124,6 +125,9 @@ class FrameSolver:
         unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
         raise_on_warnings(unlit, frame.name, force=self.force)
         peak_um, known = _shift_to_zero(height.z_um, np.float32(datum.zero_um), out)
+        if self._calibration.viewpoint is not None:
+            seen = seen_elevation(replace(height, z_um=out), self._calibration.viewpoint, out)
+            peak_um = np.nanmax(seen.z_um) if known else peak_um
         return FrameStatistics(
             contact_fraction=shaded_fraction(_subsample(intensity)),
             clipped_fraction=float(np.count_nonzero(intensity.clipped) / intensity.clipped.size),
@@ -158,6 +162,8 @@ class FrameSolver:
                 correct_elevation(found, self._calibration.elevation)
         else:
             found = estimate(intensity, self._calibration, self.method)
+        if self._calibration.viewpoint is not None:
+            found = seen_slopes(found, self._calibration.viewpoint, out=found)
         if self.weighted:
             return found
         parallel_rows(_zero_invalid, self.shape, found.p, found.q, found.valid)

@@ -72,9 +72,9 @@ def test_the_twin_of_a_board_is_as_sharp_as_its_lens(board: str) -> None:
     lens = Lens.of(twin)
     assert twin.lens is not None
     assert lens.blur == blur_of(twin.lens, twin.sensor.pixel_pitch_um)
-    assert lens.distance_mm == pytest.approx(
-        twin.lens.focal_mm * (1.0 + twin.sensor.pixel_pitch_um / twin.lens.pixel_um)
-    )
+    in_air_mm = twin.lens.focal_mm * (1.0 + twin.sensor.pixel_pitch_um / twin.lens.pixel_um)
+    assert lens.distance_mm == pytest.approx(1.41 * in_air_mm)  # seen from inside silicone
+    assert twin.pupil_height_mm == pytest.approx(lens.distance_mm)
 
 
 def test_without_a_lens_there_is_no_twin_of_a_board(profile: BoardProfile) -> None:

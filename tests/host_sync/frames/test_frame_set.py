@@ -310,3 +310,11 @@ def test_lamps_stand_where_the_file_says(write: Write) -> None:
 def test_lamps_of_some_lights_or_below_the_skin_are_refused(write: Write, last: str, words: str) -> None:
     with pytest.raises(FrameSetError, match=words):
         load_frame_set(write(GOOD + LAMPS + last))
+
+
+def test_the_camera_stands_where_the_file_says(write: Write) -> None:
+    stated = GOOD.replace('encoding = "linear"', 'encoding = "linear"\npupil_height_mm = 160')
+    assert load_frame_set(write(stated)).pupil_height_mm == 160.0
+    assert load_frame_set(write(GOOD)).pupil_height_mm is None
+    with pytest.raises(FrameSetError, match="pupil_height_mm"):
+        load_frame_set(write(stated.replace("160", "-160")))

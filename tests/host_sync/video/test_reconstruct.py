@@ -14,15 +14,19 @@ import pytest
 import tifffile
 from PIL import Image
 
+from device.balls.viewpoint import Viewpoint
 from device.errors import OutputError
 from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
 from device.inverse_map.model import InverseMap
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
+from device.surface.fields import GradientField, HeightMap
+from device.surface.poisson_dct import integrate_dct
 from device.surface.stereographic import stereographic_from_slope
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.frames.sequence import BadFrame, StoredFrame
+from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
@@ -49,6 +53,7 @@ def calibration() -> SimpleNamespace:
         frame_model=FrameModel.of(None, flat_field, []),
         elevation=None,
         shrinkage=None,
+        viewpoint=None,
         pitch_um=PITCH_UM,
         inverse=SimpleNamespace(map=inverse),
         calibration_id="c0ffee",
@@ -193,6 +198,23 @@ def test_without_weights_a_clean_surface_is_the_same(tmp_path: Path) -> None:
     one.solve(frame, weighted)
     other.solve(frame, equal)
     np.testing.assert_allclose(weighted, equal, atol=0.5)
+
+
+def test_a_camera_nearby_is_as_a_still_frame_knows_it() -> None:
+    """Where the camera stands at one side, slopes that rise towards it look steeper."""
+    above, nearby = np.empty(SHAPE, np.float32), np.empty(SHAPE, np.float32)
+    frame = frame_of(60.0, "frame")
+    solver().solve(frame, above)
+    known = calibration()
+    known.viewpoint = Viewpoint(-300.0, 0.5 * (SHAPE[0] - 1), 600.0)
+    figures = FrameSolver(known, "direct", "linear").solve(frame, nearby)
+    q, p = np.gradient(above / PITCH_UM)
+    slopes = GradientField(p, q, np.isfinite(p), np.ones(SHAPE, np.float32))
+    seen = seen_slopes(slopes, known.viewpoint)
+    expected = seen_elevation(HeightMap(integrate_dct(seen.p, seen.q, PITCH_UM), PITCH_UM), known.viewpoint).z_um
+    np.testing.assert_allclose(nearby - np.median(nearby), expected - np.median(expected), atol=0.5)
+    assert np.abs(nearby - above).max() > 2.0
+    assert figures.peak_um == pytest.approx(float(np.nanmax(nearby)))
 
 
 def test_a_solver_keeps_no_trace_of_the_frame_before() -> None:

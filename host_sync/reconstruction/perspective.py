@@ -1,0 +1,66 @@
+"""Heights on the grid of pixels that a camera nearby sees, from slopes of the skin itself.
+
+A camera at the height h sees skin of slope (p, q) and elevation z, over the place (x, y) from the middle, at
+(x, y) / (1 - z / h). On its pixels heights rise by (p, q) (1 - z / h) / (1 + (x p + y q) / h). Integrated without the
+first factor they are -h log(1 - z / h), so that neither needs to be known beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from device.balls.viewpoint import Viewpoint
+from device.surface.fields import Float32Array, GradientField, HeightMap
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+
+
+def seen_slopes(
+    gradients: GradientField, viewpoint: Viewpoint, z_px: Float32Array | None = None, out: GradientField | None = None
+) -> GradientField:
+    """How steeply heights rise over pixels, of skin with these slopes; without `z_px` less the factor of elevation.
+
+    z_px : elevation over untouched skin, pixels, float32 array of shape (H, W)
+    out : receives p and q; may be `gradients`
+    """
+    p, q = (np.empty_like(gradients.p), np.empty_like(gradients.q)) if out is None else (out.p, out.q)
+    nowhere = np.empty((0, 0), np.float32) if z_px is None else z_px
+    place = np.array([viewpoint.column, viewpoint.row, 1.0 / viewpoint.height_px], np.float32)
+    parallel_rows(_write_seen, p.shape, gradients.p, gradients.q, nowhere, place, p, q)
+    return replace(gradients, p=p, q=q)
+
+
+def seen_elevation(height: HeightMap, viewpoint: Viewpoint, out: Float32Array | None = None) -> HeightMap:
+    """Heights over untouched skin, from those that slopes without the factor of elevation add up to.
+
+    out : receives the heights; may be those given
+    """
+    z_um = np.empty_like(height.z_um) if out is None else out
+    nearness = np.float32(1.0 / (viewpoint.height_px * height.pitch_um))
+    parallel_rows(_write_elevation, z_um.shape, height.z_um, nearness, z_um)
+    return HeightMap(z_um, height.pitch_um)
+
+
+@njit(cache=True, nogil=True)
+def _write_seen(p: Any, q: Any, z: Any, place: Any, seen_p: Any, seen_q: Any, first: int, last: int) -> None:
+    column, row, nearness = place
+    one = np.float32(1.0)
+    for r in range(first, last):
+        y = (np.float32(r) - row) * nearness
+        for c in range(p.shape[1]):
+            x = (np.float32(c) - column) * nearness
+            share = one / (one + x * p[r, c] + y * q[r, c])
+            if z.size:
+                share *= one - z[r, c] * nearness
+            seen_p[r, c] = share * p[r, c]
+            seen_q[r, c] = share * q[r, c]
+
+
+@njit(cache=True, nogil=True)
+def _write_elevation(z: Any, nearness: Any, out: Any, first: int, last: int) -> None:
+    for r in range(first, last):
+        for c in range(z.shape[1]):
+            out[r, c] = -np.expm1(-z[r, c] * nearness) / nearness

@@ -1,0 +1,39 @@
+"""A ball on the twin, whose camera stands 160 mm over the skin: read by what knows that, and by what does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from device.acquisition.capture import CaptureSettings, capture
+from device.imaging.flat_field import demosaic
+from device.store.store import BundleStore
+from hal.hardware import Hardware
+from hal.interfaces import PressBall
+from hal.simulator.bench import SimulatedScene
+from host_sync.calibration.frames import calibrate_frames
+from host_sync.calibration_file.inputs import frames_of_bundle
+from host_sync.reconstruction.pipeline import reconstruct
+
+RADIUS_MM = 3.0
+GENTLE, STEEP = 0.1, 0.5
+
+
+@pytest.mark.parametrize(("knows", "least", "most"), [(True, -0.005, 0.005), (False, 0.008, 0.02)])
+def test_slopes_of_a_raised_ball(
+    knows: bool, least: float, most: float, calibrated: BundleStore, hardware: Hardware, bench: SimulatedScene
+) -> None:
+    frames = frames_of_bundle(calibrated.active_calibration())
+    assert frames.pupil_height_mm == 160.0
+    calibration = calibrate_frames(frames if knows else replace(frames, pupil_height_mm=None))
+    assert (calibration.viewpoint is not None) == knows
+    with hardware:
+        hardware.operator.ask(PressBall(RADIUS_MM, 0.25, 0.33))
+        hardware.button.wait_for_press(None)
+        frame = capture(hardware, CaptureSettings.of_board(hardware))
+    truth = bench.truth()
+    found = reconstruct(demosaic(frame), calibration, "ball")
+    slope = np.hypot(truth.p, truth.q)
+    here = truth.contact & (slope > GENTLE) & (slope < STEEP)
+    along = (found.p - truth.p) * truth.p + (found.q - truth.q) * truth.q
+    assert least < along[here].sum() / (slope[here] ** 2).sum() < most
