@@ -53,10 +53,12 @@ class LinearFrame:
     rgb : float32 array of shape (H, W, 3), fraction of full scale above black, R, G, B; of other sensors than the
         handheld (H, W, N), one channel a light
     clipped : bool array of shape (H, W), True where a channel is saturated
+    demosaiced : whether `demosaic` interpolated two colours of every pixel
     """
 
     rgb: Float32Array
     clipped: MaskArray
+    demosaiced: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -94,12 +96,20 @@ class NormalizedImage:
         return rows, columns
 
 
+DEMOSAIC_BLUR_PX: Final = (5 / 12) ** 0.5
+"""Standard deviation of the blur of bilinear interpolation, along either axis over all pixels and colours.
+
+Of red and blue a quarter of the pixels is seen, for half of the others a colour comes from neighbours along an axis:
+variance 1/2. Of green half is seen: 1/4.
+"""
+
+
 def demosaic(frame: RawFrame) -> LinearFrame:
     """Full-size linear frame from a Bayer mosaic; missing colours are interpolated bilinearly."""
     scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
     counts = cv2.cvtColor(frame.mosaic, _DEMOSAIC[frame.bayer_order])
     rgb = (counts.astype(np.float32) - np.float32(frame.black_level_dn)) * scale
-    return LinearFrame(rgb, _clipped_neighbourhood(frame))
+    return LinearFrame(rgb, _clipped_neighbourhood(frame), demosaiced=True)
 
 
 def _clipped_neighbourhood(frame: RawFrame) -> MaskArray:

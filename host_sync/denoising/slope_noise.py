@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from device.balls.sphere import BallSamples
-from device.imaging.flat_field import NormalizedImage
+from device.imaging.flat_field import DEMOSAIC_BLUR_PX, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, HeightMap, surface_slopes
 from device.surface.poisson_dct import integrate_dct
@@ -33,9 +33,12 @@ MIN_SAMPLES: Final = 50
 
 
 def measure_slope_noise(
-    noise: FrameNoise, shrinkage: Shrinkage, inverse_map: InverseMap, samples: BallSamples
+    noise: FrameNoise, shrinkage: Shrinkage, inverse_map: InverseMap, samples: BallSamples, *, demosaiced: bool = False
 ) -> SlopeNoise:
-    """The noise of slopes that a map reads at the places and colours of a calibration's samples."""
+    """The noise of slopes that a map reads at the places and colours of a calibration's samples.
+
+    demosaiced : as of `LinearFrame`
+    """
     rng = np.random.default_rng(0)
     raw = noise.sample((TILE_PX, TILE_PX), rng)
     everywhere = np.ones(raw.shape[:2], np.bool_)
@@ -50,12 +53,14 @@ def measure_slope_noise(
             both = [_angle_deg(inverse_map, samples, some, part, rng) for part in (raw, shrunk)]
             bands.append((float(tilt[some].mean()), both[0], both[1]))
     tilts, raws, shrunks = zip(*(bands or [(0.0, 0.0, 0.0)]), strict=True)
-    raw_kept, raw_px = _in_height_map(inverse_map, raw, 0.0)
-    for blur_px in (BLUR_PX, 0.0):
+    # Of raw detail what demosaicing took is given back however loud its noise is, which is known and told.
+    raw_blur_px = DEMOSAIC_BLUR_PX if demosaiced else 0.0
+    raw_kept, raw_px = _in_height_map(inverse_map, raw, raw_blur_px)
+    for blur_px in ((float(np.hypot(BLUR_PX, DEMOSAIC_BLUR_PX)),) if demosaiced else ()) + (BLUR_PX, 0.0):
         shrunk_kept, shrunk_px = _in_height_map(inverse_map, shrunk, blur_px)
         if shrunk_kept * shrunks[0] <= MAX_NOISE_DEG:
             break
-    return SlopeNoise(tilts, raws, shrunks, raw_kept, shrunk_kept, raw_px, shrunk_px, blur_px)
+    return SlopeNoise(tilts, raws, shrunks, raw_kept, shrunk_kept, raw_px, shrunk_px, blur_px, raw_blur_px)
 
 
 def _angle_deg(

@@ -27,7 +27,7 @@ class SlopeNoise(msgspec.Struct, frozen=True):
     raw_deg, shrunk_deg : of slopes as read per pixel, from raw and from shrunk frames
     raw_kept, shrunk_kept : share of it in the slopes of the height map
     raw_height_px, shrunk_height_px : fine noise of heights over that of the height map's slopes, pixels
-    blur_px : standard deviation of the camera's blur that is taken out of the surface with shrunk detail
+    blur_px, raw_blur_px : standard deviation of the blur that is taken out of the surface with shrunk and raw detail
     """
 
     tilt_deg: tuple[float, ...]
@@ -38,6 +38,7 @@ class SlopeNoise(msgspec.Struct, frozen=True):
     raw_height_px: float
     shrunk_height_px: float
     blur_px: float = 0.0
+    raw_blur_px: float = 0.0
 
     def added_variance(self, square: Float32Array) -> Float32Array:
         """Variance of either slope that raw detail has beyond shrunk detail, in a height map with p² + q² `square`."""

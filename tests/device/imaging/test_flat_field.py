@@ -4,6 +4,7 @@ import pytest
 from device.errors import CalibrationMismatch, FrameError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import (
+    DEMOSAIC_BLUR_PX,
     LinearFrame,
     bin_bayer,
     check_exposed,
@@ -34,6 +35,20 @@ def expected_rgb() -> np.ndarray:
 def test_demosaic_puts_each_colour_into_its_channel(order: BayerOrder) -> None:
     frame = demosaic(uniform(order))
     np.testing.assert_allclose(frame.rgb, np.broadcast_to(expected_rgb(), frame.rgb.shape), atol=1e-5)
+
+
+@pytest.mark.parametrize("order", BAYER_ORDERS)
+@pytest.mark.parametrize("along", [0, 1])
+def test_demosaicing_takes_of_a_grey_wave_what_its_blur_says(order: BayerOrder, along: int) -> None:
+    period = 24
+    wave = 2000.0 + 1000.0 * np.sin(2.0 * np.pi * np.arange(10 * period) / period)
+    mosaic = np.broadcast_to(wave[:, None] if along == 0 else wave, (10 * period, 10 * period))
+    frame = demosaic(raw_of(np.rint(mosaic), order))
+    assert frame.demosaiced
+    seen = frame.rgb.mean(axis=(1 - along, 2))[period:-period]
+    sine = np.sin(2.0 * np.pi * np.arange(period, 9 * period) / period)
+    kept = 2.0 * (seen * sine).mean() / (1000.0 / (WHITE_DN - BLACK_DN))
+    assert 1.0 - kept == pytest.approx(0.5 * (DEMOSAIC_BLUR_PX * 2.0 * np.pi / period) ** 2, rel=0.05)
 
 
 @pytest.mark.parametrize("order", BAYER_ORDERS)
