@@ -208,7 +208,7 @@ def _check_lamps(calibration: Calibration) -> None:
             model.shape == calibration.flat_field.shape[:2]
             and np.isfinite(numbers).all()
             and (model.position[:, 2] > 0.0).all()
-            and min(model.gloss_width, model.tail) > 0.0
+            and min(model.gloss_width, model.tail, model.aim) > 0.0
         ):
             raise Unsound("lamps and a coat that no instrument has")
 

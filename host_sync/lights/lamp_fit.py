@@ -48,7 +48,7 @@ NOISE: Final = 0.03
 
 MIN_NOISE: Final = 0.003
 """The last search expects what the first one left, but no less than this: so what is expected of lamps and coat
-beforehand counts as little as it should beside quiet balls."""
+beforehand counts as little as it should beside quiet balls. Then only is it asked where beams point, too."""
 
 MAX_WORSE: Final = 1.1
 """What the last search may leave, over what the first one did."""
@@ -80,23 +80,24 @@ ROUNDS: Final = 25
 TOLERANCE: Final = 1e-4
 """The search ends when a round makes the sum of squares smaller by less than this share, or after so many rounds."""
 
-FOLDS: Final = 4
-"""Parts of the balls without which the lamps are found again, by one step from where all balls put them."""
+FOLDS: Final = 6
+"""Parts of the balls without which the lamps are found again, from where all balls put them."""
 
-_PLAIN_COAT: Final = (0.3, 0.0, np.log(0.35), 0.0, 0.1, 0.1, 0.2, np.log(2.0), 0.0)
+_PLAIN_COAT: Final = (0.3, 0.0, np.log(0.35), 0.0, 0.1, 0.1, 0.2, np.log(2.0), 0.0, 0.0)
 _START: Final = np.array([0.2, 2.0, *[0.05] * 6, *[0.01] * 3, *_PLAIN_COAT])
 _EXPECTED: Final = np.array([0.2, 2.0, *[0.0] * 6, *[0.0] * 3, *_PLAIN_COAT])
-_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.15, 0.5, 0.5, 0.5, 1.0, 0.2])
+_DOUBT: Final = np.array([0.5, 1.0, *[0.1] * 6, *[0.05] * 3, 0.5, 0.3, 0.5, 0.15, 0.5, 0.5, 0.5, 1.0, 0.2, 0.12])
 """Strip, fall-off, mixing and haze; roughness, gloss, logarithm of its width, gain with tilt, bounce from close by and
-from afar, beam, logarithm of tail, camera."""
+from afar, beam, logarithm of tail, camera, logarithm of aim."""
 
 _PLACES: Final = 9
 _GLOSS: Final = _PLACES + 12
 _TAIL: Final = _PLACES + 18
+_AIM: Final = _PLACES + 20
 _OF_GLOSS: Final = (_GLOSS, _GLOSS + 1, _TAIL)
 _BOUNCE: Final = (_GLOSS + 3, _GLOSS + 4)
 """Numbers before them: right and down by channel, then logarithms of heights; where those of gloss and its tail are,
-and those of bounce."""
+that of aim, and those of bounce."""
 _EVEN: Final = (_PLACES, _GLOSS - 1)
 """Strip and roughness: the model is the same with either sign, and so is what is expected of them."""
 
@@ -146,20 +147,19 @@ def fit_lamps(
     for width in GLOSS_WIDTHS:
         begin = first.numbers.copy()
         begin[_GLOSS : _GLOSS + 2] = GLOSS, np.log(width)
-        found = search.solved(begin, first.shift_px)
+        found = search.solved(begin, first.shift_px, fixed=(_AIM,))
         if found.residual < GLOSS_GAIN * best.residual:
             best = found
     best = search.without_darkening(best)
-    folds: list[Float64Array] = []
+    folds: list[_Solution] = []
     if best.residual < MAX_RESIDUAL:
-        # One step without a fold goes astray where little is expected beforehand: it is taken from the first search.
-        first, steps = best, [one - best.numbers for one in best.without_folds()]
-        search = replace(search, noise=max(first.residual, MIN_NOISE))
-        again = search.without_darkening(search.solved(first.numbers, first.shift_px, fixed=first.fixed))
-        if again.residual < MAX_WORSE * first.residual and _falls_off(search.model(again.numbers)):
-            best = again
-        folds = [best.numbers + step for step in steps]
-    lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one) for one in folds))
+        closer = replace(search, noise=max(best.residual, MIN_NOISE))
+        fixed = tuple(number for number in best.fixed if number != _AIM)
+        again = closer.without_darkening(closer.solved(best.numbers, best.shift_px, fixed=fixed))
+        if again.residual < MAX_WORSE * best.residual and _falls_off(closer.model(again.numbers)):
+            best, search = again, closer
+        folds = [search.without(fold).solved(best.numbers, best.shift_px, fixed=best.fixed) for fold in range(FOLDS)]
+    lamps = FittedLamps(search.model(best.numbers), tuple(search.model(one.numbers) for one in folds))
     return LampFit(lamps, best.shift_px, best.residual)
 
 
@@ -170,33 +170,17 @@ class _Solution:
     numbers, free : of the model, and which of them were free to change
     shift_px : of the balls' centres, shape (balls, 2)
     residual : as of `LampFit`
-    off, derivatives : of its equations there, shape (M,) and (M, variables)
-    ball : of each equation; none's where it is -1, shape (M,)
     """
 
     numbers: Float64Array
     free: np.ndarray
     shift_px: Float64Array
     residual: float
-    off: Float64Array
-    derivatives: Float64Array
-    ball: np.ndarray
 
     @property
     def fixed(self) -> tuple[int, ...]:
         """Which of the numbers were not free."""
         return tuple(sorted(set(range(len(self.numbers))) - set(self.free.tolist())))
-
-    def without_folds(self) -> list[Float64Array]:
-        """The numbers, moved by one Gauss-Newton step with every fold of the balls left out in turn."""
-        found = []
-        for fold in range(FOLDS):
-            kept = (self.ball < 0) | (self.ball % FOLDS != fold)
-            step = np.linalg.lstsq(self.derivatives[kept], -self.off[kept], rcond=None)[0]
-            numbers = self.numbers.copy()
-            numbers[self.free] += step[: len(self.free)]
-            found.append(numbers)
-        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,12 +230,19 @@ class _Search:
         viewpoint = balls[0].viewpoint
         return cls(seen, close[rows], column, row, ball, centre, radius_px, apex_px, len(balls), shape, viewpoint)
 
+    def without(self, fold: int) -> _Search:
+        """The search without the samples of every ball of this fold."""
+        kept = self.ball % FOLDS != fold
+        named = ("intensity", "close", "column", "row", "ball", "centre", "radius_px", "apex_px")
+        return replace(self, **{name: getattr(self, name)[kept] for name in named})
+
     def model(self, numbers: Float64Array) -> LampModel:
         """The model of these numbers."""
         strip, fall_off, *mixed = numbers[_PLACES:].tolist()
         mixing = np.eye(3)
         mixing[~np.eye(3, dtype=np.bool_)] = mixed[:6]
-        haze, (roughness, gloss, width, tilt_gain, close, afar, beam, tail, camera) = np.array(mixed[6:9]), mixed[9:]
+        haze = np.array(mixed[6:9])
+        roughness, gloss, width, tilt_gain, close, afar, beam, tail, camera, aim = mixed[9:]
         position = np.concatenate([numbers[:6].reshape(3, 2), np.exp(numbers[6:9, None])], axis=1)
         return LampModel(
             self.shape,
@@ -269,13 +260,14 @@ class _Search:
             beam=beam,
             tail=float(np.exp(tail)),
             camera=camera,
+            aim=float(np.exp(aim)),
         )
 
     def matt(self, height: float, strip: float) -> _Solution:
         """The best fit of a coat that does not shine near lamps of this height and length."""
         begin = np.concatenate([self.first_places(height), _START])
         begin[_PLACES] = strip
-        return self.solved(begin, np.zeros((self.count, 2)), fixed=_OF_GLOSS)
+        return self.solved(begin, np.zeros((self.count, 2)), fixed=(*_OF_GLOSS, _AIM))
 
     def first_places(self, height: float) -> Float64Array:
         """Where the lamps stand by the slants of gentle skin if they stand so high: (9,)."""
@@ -346,8 +338,7 @@ class _Search:
         numbers, shift = parted(found.x)
         left = np.nan_to_num(self._left(numbers, shift), nan=MISSED, posinf=MISSED, neginf=-MISSED)
         residual = float(np.sqrt((left**2 / (1.0 + (left / (OUTLYING * NOISE)) ** 2)).mean()))
-        ball = np.concatenate([np.repeat(self.ball, 3), np.full(len(free) + 2 * self.count, -1)])
-        return _Solution(numbers, free, shift, residual, found.fun, np.asarray(found.jac), ball)
+        return _Solution(numbers, free, shift, residual)
 
     def _left(self, numbers: Float64Array, shift_px: Float64Array) -> Float64Array:
         """Intensity predicted less that seen, (N, 3)."""

@@ -44,8 +44,8 @@ class LampModel:
     tilt_gain : by what share skin of tilt t shows more than such a coat does, over 1 - cos t: flakes show less
     bounce_close, bounce_afar : light that skin of tilt t receives from skin close by (`surroundings`) and from level
         skin farther away, over 1 - cos t times what that skin shows
-    beam : share of a lamp's light that goes with the cosine from its axis, which meets the middle of the field; the
-        rest shines alike in all directions
+    beam : share of a lamp's light that goes with the cosine from its axis; the rest shines alike in all directions
+    aim : tangent of those axes' elevation over that of the lamp from the middle of the field; 1 where they meet there
     tail : power with which that reflection fades away from its middle: 2 of most coats, far more of aligned flakes
     camera : one over the camera's height over the middle of the field; 0 where it sees all skin from straight above
     """
@@ -65,6 +65,7 @@ class LampModel:
     beam: float
     tail: float
     camera: float
+    aim: float = 1.0
 
     def shown(
         self,
@@ -109,7 +110,8 @@ class LampModel:
         count = 1 if p.ndim == 1 else p.shape[1]
         slopes = (np.ascontiguousarray(part.reshape(len(x), count)) for part in (p, q))
         own = np.empty((len(x), count, 3))
-        axes = self.position / np.linalg.norm(self.position, axis=1, keepdims=True)
+        axes = self.position * np.array([1.0, 1.0, self.aim])
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, *slopes, x, y, z_px / columns, own)
         return own.reshape(*p.shape, 3)
 

@@ -54,6 +54,7 @@ def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
         frame_model=FrameModel.of(None, flat_field, []),
         elevation=None,
         shrinkage=None,
+        viewpoint=None,
         pitch_um=bundle.record.pixel_pitch_um,
         inverse=SimpleNamespace(map=model),
         calibration_id="c0ffee",
