@@ -41,6 +41,11 @@ class Ball:
         """Slope of the sphere at the border of the contact."""
         return float(self.contact_radius_px / np.sqrt(self.radius_px**2 - self.contact_radius_px**2))
 
+    @property
+    def seen_larger(self) -> float:
+        """How many times as large as untouched skin a camera sees the skin at its apex."""
+        return 1.0 if self.viewpoint is None else 1.0 / (1.0 - self.apex_px / self.viewpoint.height_px)
+
     def enlarged(self, factor: float) -> Ball:
         """The same ball in a frame with `factor` times as many pixels in each direction."""
         column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))

@@ -12,6 +12,9 @@ import numpy as np
 
 from device.surface.fields import Float64Array
 
+MIN_HEIGHTS: Final = 5.0
+"""Times a ball's elevation that a camera's height must be."""
+
 ROUNDS: Final = 8
 """Each makes the error of an offset smaller by slope times the tangent of the viewing angle: 0.01 to 0.2."""
 

@@ -126,22 +126,34 @@ def held_out_slopes(learners: Learners, state: Refined, fold_of_ball: NDArray[np
 
 def true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
     """Slopes of shape (N, 2) of the spheres at their present centres."""
-    centre = np.array([[ball.column, ball.row] for ball in balls])[samples.ball]
     radius = np.array([ball.radius_px for ball in balls])[samples.ball]
-    offset = np.stack([samples.column, samples.row], axis=-1) - centre
+    offset = _offsets(samples, balls)
     height = np.sqrt(np.maximum(radius**2 - (offset**2).sum(axis=-1), (0.2 * radius) ** 2))
     return np.asarray(-offset / height[:, None])
+
+
+def _offsets(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
+    """How far to the right of and below their spheres' axes the samples see them, pixels: shape (N, 2)."""
+    centre = np.array([[ball.column, ball.row] for ball in balls])[samples.ball]
+    pixel = np.stack([samples.column, samples.row], axis=-1).astype(np.float64)
+    viewpoint = balls[0].viewpoint
+    if viewpoint is None:
+        return np.asarray(pixel - centre)
+    radius, apex = (
+        np.array(part)[samples.ball] for part in zip(*((b.radius_px, b.apex_px) for b in balls), strict=True)
+    )
+    return viewpoint.offsets_from_axis(pixel.T, centre.T, radius, apex).T
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:
     """Balls moved towards where held-out slopes put their centres; the set's common shift is left out."""
     radius = np.array([ball.radius_px for ball in balls])[samples.ball]
     towards_apex = slope * (radius / np.sqrt(1.0 + (slope**2).sum(axis=-1)))[:, None]
-    apex = np.stack([samples.column, samples.row], axis=-1) + towards_apex
+    off = _offsets(samples, balls) + towards_apex
     centre = np.array([[ball.column, ball.row] for ball in balls])
     shift = np.zeros_like(centre)
     for number in np.unique(samples.ball):
-        shift[number] = np.median(apex[samples.ball == number], axis=0) - centre[number]
+        shift[number] = np.median(off[samples.ball == number], axis=0) * balls[number].seen_larger
     shift = SHIFT_TAKEN * (shift - np.median(shift[kept], axis=0))
     moved = centre + shift
     return tuple(

@@ -122,8 +122,10 @@ class InverseMap:
         """
         self.check_size(image.shape, binning)
         p, q, excess, spread = (np.empty(image.shape, np.float32) for _ in range(4))
+        # Binned pixels are so much quieter that noise adds nothing to what they read.
+        read_by = self if binning == 1 else self.quiet
         for rows in _blocks(image.shape[0]):
-            p[rows], q[rows], excess[rows], spread[rows] = self._block(image.values[rows], rows, binning)
+            p[rows], q[rows], excess[rows], spread[rows] = read_by._block(image.values[rows], rows, binning)
         valid = image.valid & (excess < LOST_EXCESS)
         confidence = np.where(image.clipped, CLIPPED_CONFIDENCE, 1.0) / (1.0 + (excess / TRUSTED_EXCESS) ** 2) ** 2
         confidence = confidence / (1.0 + spread * (1.0 / DISAGREEMENT**2))
@@ -139,17 +141,15 @@ class InverseMap:
         row = np.arange(rows.start, rows.start + height) * binning + centre
         across = field_position(column, np.zeros_like(column), self.shape)[:, 0].astype(np.float32)
         down = field_position(np.zeros_like(row), row, self.shape)[:, 1].astype(np.float32)
-        # Binned pixels are so much quieter that noise adds nothing to what they read.
-        read_by = self if binning == 1 else self.quiet
-        slope, excess, spread = read_by._rows(values, across, down)
+        slope, excess, spread = self._rows(values, across, down)
         return slope[..., 0], slope[..., 1], excess, spread
 
     @property
     def quiet(self) -> InverseMap:
         """The map for intensities without noise, as means over pixels are.
 
-        `rest_bump` is then what the curves read of untouched skin, not that which noisy pixels need, and nothing is
-        taken off for noise.
+        `rest_bump` is then what the curves read of untouched skin, not that which noisy pixels need, and nothing of
+        `noise_bias` is taken off.
         """
         if self.rest_bump is None:
             return self if self.noise_bias is None else replace(self, noise_bias=None)

@@ -218,7 +218,9 @@ def calibrate(
         located = without_drift(located, drifts)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     viewpoint = None
-    if pupil_height_mm is not None:
+    if (
+        pupil_height_mm is not None and pitch is None
+    ):  # a grid's pitch is that at the balls' tops, as the camera sees it
         viewpoint = Viewpoint.over_middle(pupil_height_mm, pitch_um, located[0].intensity.shape)
         tell("fitting it again as the camera sees the balls")
         located = seen_from(located, begun.fit.map, viewpoint)
@@ -263,7 +265,10 @@ def calibrate(
     if reference:
         images = [image for image, _ in kept]
         levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
-    digest = _digest(inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint)
+    noise = _slope_noise(shrinkage, inverse, training, demosaiced=presses[0].frame.demosaiced)
+    digest = _digest(
+        inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint, noise
+    )
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -279,7 +284,7 @@ def calibrate(
         frame_model=frame_model,
         elevation=response,
         shrinkage=shrinkage,
-        slope_noise=_slope_noise(shrinkage, inverse, training, demosaiced=presses[0].frame.demosaiced),
+        slope_noise=noise,
         shading=fit_shading_model(training, kept),
         lamps=lamps,
         viewpoint=viewpoint,
@@ -335,6 +340,7 @@ def _digest(
     quadric: FittedQuadric | None = None,
     levels: PressLevels | None = None,
     viewpoint: Viewpoint | None = None,
+    noise: SlopeNoise | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -355,4 +361,6 @@ def _digest(
         digest.update(np.array(told).tobytes())
     if viewpoint is not None:
         digest.update(np.array([viewpoint.column, viewpoint.row, viewpoint.height_px]).tobytes())
+    if noise is not None and noise.raw_blur_px > 0.0:
+        digest.update(np.array([noise.blur_px, noise.raw_blur_px]).tobytes())
     return digest.hexdigest()[:12]

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.balls.viewpoint import Viewpoint
+from device.balls.viewpoint import MIN_HEIGHTS, Viewpoint
 from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import InverseFit
+from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array
@@ -29,8 +30,14 @@ from host_sync.uncertainty.slope_error import OverCells
 
 
 def seen_from(located: Sequence[UsedPress], inverse: InverseMap, viewpoint: Viewpoint) -> list[UsedPress]:
-    """The presses with balls as a camera sees them that is not far away."""
-    return [
+    """The presses with balls as a camera sees them that is not far away.
+
+    Raises
+    ------
+    CalibrationError
+        The camera would stand hardly higher than the balls.
+    """
+    seen = [
         replace(
             press,
             balls=tuple(
@@ -40,6 +47,13 @@ def seen_from(located: Sequence[UsedPress], inverse: InverseMap, viewpoint: View
         )
         for press in located
     ]
+    highest_px = max((ball.apex_px for press in seen for ball in press.balls), default=0.0)
+    if viewpoint.height_px < MIN_HEIGHTS * highest_px:
+        raise CalibrationError(
+            f"the camera's pupil is stated {viewpoint.height_px:.0f} px over the skin and a ball rises "
+            f"{highest_px:.0f} px: check pupil_height_mm"
+        )
+    return seen
 
 
 def elevated_balls_of(

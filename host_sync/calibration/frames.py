@@ -37,7 +37,11 @@ class CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
         presses = []
         for number, (frame, used) in enumerate(zip(self.presses, calibration.presses, strict=True)):
-            balls = tuple(ball for ball in used.balls if not (number == press and ball == held))
+            balls = tuple(
+                replace(ball, viewpoint=None, apex_px=0.0)
+                for ball in used.balls
+                if not (number == press and ball == held)
+            )
             if balls:
                 presses.append(replace(frame, balls=balls, labelled_by_hand=False))
         return replace(self, presses=tuple(presses))

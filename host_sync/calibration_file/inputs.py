@@ -64,10 +64,15 @@ def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
     board = _known_board(record)
     on_usb = board is not None and board.uvc is not None  # its lights are no points
     lamps_mm = () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
-    pupil_mm = record.pupil_height_mm
-    if pupil_mm is None and board is not None:
-        pupil_mm = board.pupil_height_mm  # an older record does not hold it
-    return CalibrationFrames(presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=pupil_mm)
+    return CalibrationFrames(
+        presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=_pupil_height_mm(record)
+    )
+
+
+def _pupil_height_mm(record: CalibrationRecord) -> float | None:
+    """The camera's height over untouched skin; of an older record, which does not hold it, that of its board."""
+    board = _known_board(record)
+    return board.pupil_height_mm if record.pupil_height_mm is None and board is not None else record.pupil_height_mm
 
 
 def _known_board(record: CalibrationRecord) -> BoardProfile | None:
@@ -114,7 +119,9 @@ def key_of_bundle(bundle: CalibrationBundle) -> str:
         A file is missing.
     """
     names = (CALIBRATION_MANIFEST, *bundle.record.raw_files)
-    return key_of("bundle", [bundle.directory / name for name in names])
+    pupil_mm = _pupil_height_mm(bundle.record)
+    settings: Any = "bundle" if pupil_mm is None else ("bundle", pupil_mm)
+    return key_of(settings, [bundle.directory / name for name in names])
 
 
 def _others(frame_set: FrameSet) -> list[FrameSpec]:

@@ -13,6 +13,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from device.balls.viewpoint import Viewpoint
 from device.inverse_map.illumination import is_node_grid
 from device.inverse_map.model import InverseMap
 from device.inverse_map.polynomial_features import position_exponents
@@ -64,6 +65,8 @@ LARGEST_PLACE: Final = 10.0
 LARGEST_LEVEL: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
 MIN_FOLDS: Final = 2
+MIN_HEIGHT_PX: Final = 1.0
+LARGEST_BLUR_PX: Final = 5.0
 
 
 class Unsound(ValueError):
@@ -87,6 +90,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_field(one)
         _check_errors(one.slope_error, one.slope_noise)
         _check_lamps(one)
+        _check_viewpoint(one.viewpoint)
         _check_quadric(one)
         _check_levels(one.press_levels)
     _check_lights(calibration)
@@ -213,6 +217,15 @@ def _check_lamps(calibration: Calibration) -> None:
             raise Unsound("lamps and a coat that no instrument has")
 
 
+def _check_viewpoint(viewpoint: Viewpoint | None) -> None:
+    """Refuse a camera that stands nowhere over the skin."""
+    if viewpoint is None:
+        return
+    places = viewpoint.column, viewpoint.row, viewpoint.height_px
+    if not (np.isfinite(places).all() and viewpoint.height_px >= MIN_HEIGHT_PX):
+        raise Unsound("a camera that does not stand over the skin")
+
+
 def _check_quadric(calibration: Calibration) -> None:
     """Refuse a quadric of another field, or of other numbers than its degree asks for."""
     quadric = calibration.quadric
@@ -249,6 +262,8 @@ def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:
         raise Unsound("gains of balls that lie at no place of the field")
     alike = len({len(part) for part in parts}) == 1 and len(error.tilt_deg) > 0
     if noise is not None:
+        if not all(0.0 <= blur_px <= LARGEST_BLUR_PX for blur_px in (noise.blur_px, noise.raw_blur_px)):
+            raise Unsound("a blur that no camera has")
         alike = alike and len({len(part) for part in (noise.tilt_deg, noise.raw_deg, noise.shrunk_deg)}) == 1
         parts += [noise.tilt_deg, noise.raw_deg, noise.shrunk_deg]
     if not alike or not all(np.isfinite(part).all() for part in parts) or not 0.0 < error.patch_px < LARGEST_SIDE:

@@ -16,11 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from device.balls.sphere import Ball, sphere_slopes
+from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.calibrate import METHODS, Calibration, Method
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_report.paper_figures import caption
+from host_sync.reconstruction.perspective import seen_slopes
 from host_sync.reconstruction.pipeline import reconstruct
 
 MARGIN: Final = 1.25
@@ -90,6 +92,23 @@ def _typical_ball(calibration: Calibration) -> tuple[int, Ball]:
     return balls[int(np.argsort(error)[len(balls) // 2])]
 
 
+def _truth(
+    ball: Ball, column: Float32Array, row: Float32Array, pitch_um: float
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Slopes over pixels and height (µm, zero anywhere) of the sphere that pixels see, arrays of their shape."""
+    p, q = sphere_slopes(ball, column, row)
+    if ball.viewpoint is None:
+        squared = (column - ball.column) ** 2 + (row - ball.row) ** 2
+        return p, q, np.asarray(np.sqrt(np.maximum(ball.radius_px**2 - squared, 0.0)) * pitch_um, np.float32)
+    rise_px = ball.radius_px / np.sqrt(1.0 + p * p + q * q)
+    z_px = np.asarray(ball.apex_px - ball.radius_px + rise_px, np.float32)
+    everywhere = GradientField(p, q, np.ones(p.shape, np.bool_), np.ones(p.shape, np.float32))
+    own = ball.viewpoint
+    within = Viewpoint(own.column - float(column[0, 0]), own.row - float(row[0, 0]), own.height_px)
+    seen = seen_slopes(everywhere, within, z_px)
+    return seen.p, seen.q, np.asarray(z_px * pitch_um, np.float32)
+
+
 def _error(
     height: HeightMap, slopes: tuple[Float32Array, Float32Array], ball: Ball, method: Method, press: str
 ) -> BallError:
@@ -104,9 +123,8 @@ def _error(
     valid = np.isfinite(z_um) & np.isfinite(p) & np.isfinite(q)
     inside = (distance < ball.contact_radius_px) & valid
     inner = (distance < INNER_FRACTION * ball.contact_radius_px) & valid
-    pt, qt = sphere_slopes(ball, column, row)
+    pt, qt, sphere_um = _truth(ball, column, row, height.pitch_um)
     cosine = (p * pt + q * qt + 1.0) / np.sqrt((1.0 + p**2 + q**2) * (1.0 + pt**2 + qt**2))
-    sphere_um = np.sqrt(np.maximum(ball.radius_px**2 - distance**2, 0.0)) * height.pitch_um
     off_um = z_um - sphere_um
     return BallError(
         method=method,

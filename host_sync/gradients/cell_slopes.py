@@ -15,9 +15,9 @@ from host_sync.lights.surroundings import ALL
 
 
 def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
-    """Slopes of cells of `cell` x `cell` pixels, those at the far borders of fewer, shape (h, w).
+    """Slopes of cells of `cell` x `cell` pixels, shape (h, w); beyond the field its last row and column are repeated.
 
-    A cell with an invalid pixel is invalid: its slope and weight are 0.
+    A cell of which more than a thousandth is invalid is invalid: its slope and weight are 0.
     """
     size = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
     valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > ALL

@@ -48,7 +48,7 @@ NOISE: Final = 0.03
 
 MIN_NOISE: Final = 0.003
 """The last search expects what the first one left, but no less than this: so what is expected of lamps and coat
-beforehand counts as little as it should beside quiet balls. Then only is it asked where beams point, too."""
+beforehand counts as little as it should beside quiet balls. It alone is asked where beams point."""
 
 MAX_WORSE: Final = 1.1
 """What the last search may leave, over what the first one did."""
@@ -93,11 +93,12 @@ from afar, beam, logarithm of tail, camera, logarithm of aim."""
 _PLACES: Final = 9
 _GLOSS: Final = _PLACES + 12
 _TAIL: Final = _PLACES + 18
+_CAMERA: Final = _PLACES + 19
 _AIM: Final = _PLACES + 20
 _OF_GLOSS: Final = (_GLOSS, _GLOSS + 1, _TAIL)
 _BOUNCE: Final = (_GLOSS + 3, _GLOSS + 4)
 """Numbers before them: right and down by channel, then logarithms of heights; where those of gloss and its tail are,
-that of aim, and those of bounce."""
+those of camera and aim, and those of bounce."""
 _EVEN: Final = (_PLACES, _GLOSS - 1)
 """Strip and roughness: the model is the same with either sign, and so is what is expected of them."""
 
@@ -300,6 +301,8 @@ class _Search:
 
         free = np.delete(np.arange(len(begin)), fixed)
         expected, doubt = np.append(np.zeros(_PLACES), _EXPECTED), np.append(np.full(_PLACES, np.inf), _DOUBT)
+        if self.viewpoint is not None:
+            expected[_CAMERA] = self.shape[1] / self.viewpoint.height_px
         even = np.isin(np.arange(len(begin)), _EVEN)
         weight = np.sqrt(len(self.ball) / PRIOR_SAMPLES)
         sigma_px = CENTRE_SIGMA * float(np.median(self.radius_px))

@@ -8,7 +8,7 @@ first factor they are -h log(1 - z / h), so that neither needs to be known befor
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from device.balls.viewpoint import Viewpoint
 from device.surface.fields import Float32Array, GradientField, HeightMap
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
+
+MIN_FACING: Final = 0.2
+"""Skin that faces the camera less than this share of what level skin does is taken to face it so much: at 0 it would
+be seen edge on, and no height map holds what lies behind."""
 
 
 def seen_slopes(
@@ -47,12 +51,12 @@ def seen_elevation(height: HeightMap, viewpoint: Viewpoint, out: Float32Array | 
 @njit(cache=True, nogil=True)
 def _write_seen(p: Any, q: Any, z: Any, place: Any, seen_p: Any, seen_q: Any, first: int, last: int) -> None:
     column, row, nearness = place
-    one = np.float32(1.0)
+    one, least = np.float32(1.0), np.float32(MIN_FACING)
     for r in range(first, last):
         y = (np.float32(r) - row) * nearness
         for c in range(p.shape[1]):
             x = (np.float32(c) - column) * nearness
-            share = one / (one + x * p[r, c] + y * q[r, c])
+            share = one / max(one + x * p[r, c] + y * q[r, c], least)
             if z.size:
                 share *= one - z[r, c] * nearness
             seen_p[r, c] = share * p[r, c]

@@ -14,7 +14,7 @@ from device.surface.fields import Float32Array, GradientField, HeightMap, MaskAr
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
-from host_sync.denoising.blur_correction import without_blur
+from host_sync.denoising.blur_correction import BLUR_PX, without_blur
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
@@ -49,9 +49,9 @@ class Reconstruction:
     height : the height map, zero at untouched skin
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm
     samples_um : float32 array of shape (K, h, w), height errors that the data allow, over the field reduced, µm
-    p, q : float32 arrays of shape (H, W), slopes of the height map
+    p, q : float32 arrays of shape (H, W), slopes of the height map over its pixels
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either of them
-    gradients : the slopes as estimated per pixel, before integration
+    gradients : the slopes as estimated per pixel; of a camera nearby how they rise over pixels
     integration : what the solver reports
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training data
     clipped_share : share of pixels with a saturated channel
@@ -119,6 +119,9 @@ def reconstruct(
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     noise = calibration.slope_noise
+    if noise is not None and not (isinstance(frame, RawFrame) or frame.demosaiced):
+        # What a calibration of raw frames gives back for demosaicing is not missing from images that came with colours.
+        noise = msgspec.structs.replace(noise, blur_px=min(noise.blur_px, BLUR_PX), raw_blur_px=0.0)
     if noise is not None:
         height = without_blur(height, noise.blur_px)
     found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)
@@ -187,7 +190,7 @@ def _uncertainty(
 
     height : with shrunk detail, levelled to the datum
     slopes : of it
-    gradients : as they were integrated
+    gradients : as they were integrated, of a camera nearby times what elevation changes
     """
     p, q = slopes
     first = reading.first

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -248,3 +249,14 @@ def test_a_light_without_a_limit_is_refused(tmp_path: Path) -> None:
     path = rewritten(tmp_path, "max_ma = 25.0              # continuous, of each LED\n", "", "pi5-imx296")
     with pytest.raises(BoardProfileError, match=r"lights: red has no max_ma"):
         load_board_profile(path)
+
+
+def test_a_cameras_height_is_stated_or_follows_from_its_lens() -> None:
+    twin, built = load_board_profile("twin"), load_board_profile("pi5-imx296")
+    assert twin.pupil_height_mm == 160.0
+    assert built.lens is not None
+    in_air_mm = built.lens.focal_mm * (1.0 + built.sensor.pixel_pitch_um / built.lens.pixel_um)
+    assert built.pupil_height_mm == pytest.approx(1.41 * in_air_mm)
+    stated = msgspec.structs.replace(built, camera=msgspec.structs.replace(built.camera, pupil_height_mm=90.0))
+    assert stated.pupil_height_mm == 90.0
+    assert load_board_profile("gelsight-mini").pupil_height_mm is None

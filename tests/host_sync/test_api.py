@@ -131,6 +131,10 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: _calibrate([api.Press("ball-0.png", 0.96, [(9999.0, 3.0, 20.0)])]),
         "press 0: balls[0]: its centre (9999, 3) is outside the frame, 384x288 pixels",
     ),
+    "a camera in the skin": (
+        lambda: api.calibrate(LABELLED, reference="flat.png", pixel_pitch_um=20.0, pupil_height_mm=-1.0),
+        "pupil_height_mm -1 is out of range",
+    ),
     "a pitch in a text": (lambda: _calibrate(LABELLED, pixel_pitch_um="20"), "pixel_pitch_um '20' is out of range"),
     "a radius in a text": (lambda: _calibrate([api.Press("ball-0.png", "1")]), "ball_radius_mm '1' is out of range"),  # type: ignore[arg-type]
     "a grid of no pitch": (

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 import pytest
 
-from device.balls.sphere import Ball, BallSamples
+from device.balls.sphere import Ball, BallSamples, sphere_slopes
+from device.balls.viewpoint import Viewpoint
 from device.calibration.candidates import RegressorFit
-from device.calibration.centre_refinement import FEW_BALLS, refine, true_slopes
+from device.calibration.centre_refinement import FEW_BALLS, SHIFT_TAKEN, _recentred, refine, true_slopes
 from device.surface.fields import Float64Array
 from device.surface.stereographic import stereographic_from_slope
 
+VIEW = Viewpoint(250.0, 200.0, 900.0)
 TRUE = tuple(Ball(100.0 * (1 + i % 4), 100.0 * (1 + i // 4), 30.0, 60.0) for i in range(12))
 
 
@@ -92,3 +94,33 @@ def test_a_ball_in_a_corner_may_be_read_worse_when_it_was_pressed_alone(one_a_pr
     learners = [(cast(RegressorFit, Learner(MissingRidge(seen, balls, (0, 14)))), 1.0)]
     kept = refine(seen, balls, learners, np.full(len(balls), one_a_press)).kept
     assert kept.tolist() == [number != 14 and (number != 0 or one_a_press) for number in range(len(balls))]
+
+
+def seen_nearby() -> tuple[BallSamples, tuple[Ball, ...]]:
+    """Samples of balls that stand 30 px high under a camera at 900 px."""
+    balls = tuple(Ball(b.column, b.row, 30.0, 60.0, VIEW, 30.0) for b in TRUE)
+    across, down = (part.ravel() for part in np.meshgrid(np.arange(-24.0, 25.0, 6.0), np.arange(-24.0, 25.0, 6.0)))
+    column, row = (
+        np.concatenate([at + off for at in places]).astype(np.float32)
+        for places, off in (([b.column for b in balls], across), ([b.row for b in balls], down))
+    )
+    number = np.repeat(np.arange(len(balls)), len(across))
+    slopes = [sphere_slopes(b, column[number == n], row[number == n]) for n, b in enumerate(balls)]
+    p, q = (np.concatenate([pair[axis] for pair in slopes]) for axis in (0, 1))
+    return BallSamples(np.ones((len(p), 3), np.float32), p, q, column, row, number), balls
+
+
+def test_maps_are_taught_what_a_camera_nearby_sees() -> None:
+    samples, balls = seen_nearby()
+    np.testing.assert_allclose(true_slopes(samples, balls), np.stack([samples.p, samples.q], -1), atol=1e-5)
+    assert np.abs(true_slopes(samples, balls) - true_slopes(samples, TRUE)).max() > 0.01
+
+
+def test_centres_are_found_as_a_camera_nearby_sees_them() -> None:
+    samples, balls = seen_nearby()
+    off = 2.0 * np.where(np.arange(len(balls)) % 2, 1.0, -1.0)
+    moved = tuple(replace(b, column=b.column + d) for b, d in zip(balls, off, strict=True))
+    right = np.stack([samples.p, samples.q], -1).astype(np.float64)
+    found = _recentred(samples, moved, right, np.ones(len(balls), bool))
+    left = np.array([b.column - t.column for b, t in zip(found, balls, strict=True)])
+    np.testing.assert_allclose(left, (1.0 - SHIFT_TAKEN) * off, atol=0.1)

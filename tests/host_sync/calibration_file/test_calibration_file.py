@@ -17,6 +17,7 @@ import pytest
 from point_lamps import point_lamps
 from pressed_frames import write_frame_set
 
+from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
 from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.calibrate import Calibration
@@ -33,13 +34,14 @@ from host_sync.calibration_file.kept_calibration import (
     read_calibration_file,
 )
 from host_sync.calibration_file.soundness import Unsound, check_sound
-from host_sync.calibration_file.typed_members import READ_ERRORS, from_members
+from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
 from host_sync.cli.main import main
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
 from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.results.record import SlopeNoise
 
 MUTATIONS = 60
 FIELDS = (
@@ -203,7 +205,13 @@ def test_the_key_changes_with_everything_that_the_calibration_is_made_from(frame
     copy = shutil.copytree(frame_set.parent, tmp_path / "set") / "frameset.toml"
     key, text = key_of_set(load_frame_set(copy)), copy.read_text()
     assert key == key_of_set(load_frame_set(frame_set))
-    for old, new in (("= 20.0", "= 20.1"), ("ball_radius_mm = 0.96", "ball_radius_mm = 0.95"), ('"linear"', '"srgb"')):
+    camera = ('"linear"', '"linear"\npupil_height_mm = 160.0')
+    for old, new in (
+        camera,
+        ("= 20.0", "= 20.1"),
+        ("ball_radius_mm = 0.96", "ball_radius_mm = 0.95"),
+        ('"linear"', '"srgb"'),
+    ):
         assert old in text
         copy.write_text(text.replace(old, new))
         assert key_of_set(load_frame_set(copy)) != key
@@ -338,6 +346,12 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "lamps under the skin": lambda one: with_lamps(one, position=-np.eye(3)),
     "two lamps": lambda one: with_lamps(one, position=np.ones((2, 3))),
     "a lobe without width": lambda one: with_lamps(one, gloss_width=0.0),
+    "beams that point nowhere": lambda one: with_lamps(one, aim=float("nan")),
+    "a camera on the skin": lambda one: replace(one, viewpoint=Viewpoint(100.0, 80.0, 0.0)),
+    "a camera at no height": lambda one: replace(one, viewpoint=Viewpoint(100.0, 80.0, float("nan"))),
+    "a blur without measure": lambda one: replace(
+        one, slope_noise=SlopeNoise((0.0,), (0.1,), (0.1,), 0.6, 0.6, 1.5, 1.5, raw_blur_px=float("nan"))
+    ),
     "a quadric of another field": lambda one: with_quadric(one, shape=(10, 10)),
     "a quadric of another degree": lambda one: with_quadric(one, degree=2),
     "a quadric of a degree that nobody fits": lambda one: with_quadric(one, degree=-1),
@@ -354,6 +368,14 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a ball at no place": lambda one: with_ball_places(one, *((float("nan"), 0.5),) * len(one.slope_error.ball_gains)),
     "a gain beyond measure": lambda one: with_gains(one, ((1e300,) * len(one.slope_error.tilt_deg),)),
 }
+
+
+def test_a_camera_nearby_and_blurs_are_read_as_they_were_written(kept: KeptCalibration) -> None:
+    noise = SlopeNoise((0.0,), (0.1,), (0.1,), 0.6, 0.6, 1.5, 1.5, 0.5, 0.6)
+    known = replace(kept.calibration, viewpoint=Viewpoint(100.0, 80.0, 9000.0), slope_noise=noise)
+    found = from_members(as_members(known), Calibration)
+    assert (found.viewpoint, found.slope_noise) == (known.viewpoint, noise)
+    check_sound(found, "file")
 
 
 @pytest.mark.parametrize("harm", HARMS)

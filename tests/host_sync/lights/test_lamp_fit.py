@@ -1,4 +1,4 @@
-"""Where beams point, told by balls that a renderer of its own lights."""
+"""Where beams point, told by balls under the light of a renderer of its own."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from host_sync.lights.lamp_fit import FOLDS, LampFit, fit_lamps
 
 SHAPE = (480, 640)
-RADIUS, CONTACT, APEX = 70.0, 40.0, 24.0
-OUT, UP = 540.0, 480.0
+RADIUS, CONTACT, APEX = 70.0, 40.0, 30.0
+OUT, UP = 400.0, 340.0
 """Of the lamps, pixels from the middle and over the skin."""
 
 
@@ -55,7 +55,7 @@ def fitted(aim: float) -> LampFit:
 def test_balls_show_where_beams_point(aim: float) -> None:
     fit = fitted(aim)
     assert fit.lamps.model.beam == pytest.approx(1.0, abs=0.25)
-    # Half a thousandth of intensity tells it; what is expected beforehand holds it back.
-    assert abs(np.log(fit.lamps.model.aim / aim)) < 0.75 * abs(np.log(aim))
+    # What is expected beforehand holds it back.
+    assert abs(np.log(fit.lamps.model.aim / aim)) < 0.5 * abs(np.log(aim))
     assert len(fit.lamps.folds) == FOLDS
     assert len({model.aim for model in fit.lamps.folds}) == FOLDS

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
+from device.errors import CalibrationError
 from device.imaging.flat_field import demosaic
 from device.store.store import BundleStore
 from hal.hardware import Hardware
@@ -37,3 +38,9 @@ def test_slopes_of_a_raised_ball(
     here = truth.contact & (slope > GENTLE) & (slope < STEEP)
     along = (found.p - truth.p) * truth.p + (found.q - truth.q) * truth.q
     assert least < along[here].sum() / (slope[here] ** 2).sum() < most
+
+
+def test_a_camera_hardly_higher_than_the_balls_is_refused(calibrated: BundleStore) -> None:
+    frames = frames_of_bundle(calibrated.active_calibration())
+    with pytest.raises(CalibrationError, match="check pupil_height_mm"):
+        calibrate_frames(replace(frames, pupil_height_mm=0.16))
