@@ -218,9 +218,8 @@ def calibrate(
         located = without_drift(located, drifts)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     viewpoint = None
-    if (
-        pupil_height_mm is not None and pitch is None
-    ):  # a grid's pitch is that at the balls' tops, as the camera sees it
+    # A grid's pitch is that at the balls' tops, as the camera sees it.
+    if pupil_height_mm is not None and pitch is None:
         viewpoint = Viewpoint.over_middle(pupil_height_mm, pitch_um, located[0].intensity.shape)
         tell("fitting it again as the camera sees the balls")
         located = seen_from(located, begun.fit.map, viewpoint)

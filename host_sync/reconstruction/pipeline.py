@@ -113,9 +113,10 @@ def reconstruct(
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, warnings = reading.first.intensity, reading.warnings
-    gradients, shrinkage, viewpoint = reading.gradients, calibration.shrinkage, calibration.viewpoint
+    gradients = read = reading.gradients
+    shrinkage, viewpoint = calibration.shrinkage, calibration.viewpoint
     if viewpoint is not None:
-        gradients = seen_slopes(gradients, viewpoint)
+        gradients = seen_slopes(read, viewpoint)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     noise = calibration.slope_noise
@@ -137,7 +138,7 @@ def reconstruct(
     if viewpoint is not None:
         height = seen_elevation(height, viewpoint)
         z_px = np.nan_to_num(height.z_um / np.float32(height.pitch_um))
-        gradients = seen_slopes(reading.gradients, viewpoint, z_px, out=gradients)
+        gradients = seen_slopes(read, viewpoint, z_px, out=gradients)
     slopes = surface_slopes(height)
     uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum)
     uncertainty.start()
