@@ -36,7 +36,7 @@ from host_sync.integration.zero_level import elevation_over_datum_px
 from host_sync.kernels.cell_rows import middles_of_cells
 from host_sync.lights.known_lamps import KnownLamps
 from host_sync.lights.lamp_model import FittedLamps, LampModel
-from host_sync.uncertainty.elevation import ElevationCorrection
+from host_sync.uncertainty.elevation import ElevationCorrection, apex_in_cells_px
 
 MAX_CELL_PX: Final = 4
 MIN_CELLS_ALONG_RADIUS: Final = 25.0
@@ -198,10 +198,7 @@ class _Skin:
 
     def apex_px(self, ball: Ball) -> float:
         """Elevation of a ball's apex, pixels: that over its own contact's rim at least."""
-        row, column = (int(np.rint(at)) // self.cell for at in (ball.row, ball.column))
-        rows, columns = self.z_px.shape
-        here = self.z_px[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
-        return max(float(here), ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
+        return apex_in_cells_px(self.z_px, ball, self.cell)
 
     def as_lit_at(self, ball: Ball, lit: _Lit) -> Float32Array:
         """What is to be added to intensity, (h, w, 3), were all skin untouched and lit as the middle of a ball is."""

@@ -65,13 +65,12 @@ def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
     on_usb = board is not None and board.uvc is not None  # its lights are no points
     lamps_mm = () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
     return CalibrationFrames(
-        presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=_pupil_height_mm(record)
+        presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=_pupil_height_mm(record, board)
     )
 
 
-def _pupil_height_mm(record: CalibrationRecord) -> float | None:
+def _pupil_height_mm(record: CalibrationRecord, board: BoardProfile | None) -> float | None:
     """The camera's height over untouched skin; of an older record, which does not hold it, that of its board."""
-    board = _known_board(record)
     return board.pupil_height_mm if record.pupil_height_mm is None and board is not None else record.pupil_height_mm
 
 
@@ -119,7 +118,7 @@ def key_of_bundle(bundle: CalibrationBundle) -> str:
         A file is missing.
     """
     names = (CALIBRATION_MANIFEST, *bundle.record.raw_files)
-    pupil_mm = _pupil_height_mm(bundle.record)
+    pupil_mm = _pupil_height_mm(bundle.record, _known_board(bundle.record))
     settings: Any = "bundle" if pupil_mm is None else ("bundle", pupil_mm)
     return key_of(settings, [bundle.directory / name for name in names])
 

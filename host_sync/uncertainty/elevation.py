@@ -81,16 +81,15 @@ def apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap
     # In pixels instead of µm: zero as a scan's height map has it.
     height = HeightMap(integrate_dct(gradients.p, gradients.q, float(CELL_PX)), float(CELL_PX))
     z_px = zero_to_datum(height, untouched_mask(gradients)).z_um
-    return [max(_at(z_px, ball.row, ball.column), _rise_px(ball)) for ball in balls]
+    return [apex_in_cells_px(z_px, ball, CELL_PX) for ball in balls]
 
 
-def _at(cells: Float32Array, row: float, column: float) -> float:
-    """The value of the cell that a pixel of these coordinates lies in; the nearest one's beyond the border."""
-    last_row, last_column = (size - 1 for size in cells.shape)
-    down, across = (int(np.rint(at)) // CELL_PX for at in (row, column))
-    return float(cells[min(max(down, 0), last_row), min(max(across, 0), last_column)])
+def apex_in_cells_px(z_px: Float32Array, ball: Ball, cell: int) -> float:
+    """Elevation of a ball's apex, pixels: that over its own contact's rim at least.
 
-
-def _rise_px(ball: Ball) -> float:
-    """Elevation of a ball's apex over the rim of its contact, pixels."""
-    return ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2))
+    z_px : elevation of cells of `cell` x `cell` pixels, shape (h, w); beyond the border that of the nearest one counts
+    """
+    last_row, last_column = (size - 1 for size in z_px.shape)
+    row, column = (int(np.rint(at)) // cell for at in (ball.row, ball.column))
+    here = float(z_px[min(max(row, 0), last_row), min(max(column, 0), last_column)])
+    return max(here, ball.radius_px - float(np.sqrt(ball.radius_px**2 - ball.contact_radius_px**2)))
