@@ -57,6 +57,18 @@ def test_a_tilt_is_an_error_of_its_angle_and_a_bigger_ball_has_a_bigger_radius(t
     assert larger.radius_ratio == pytest.approx(1.05, abs=1e-3)
 
 
+def test_a_ball_that_a_near_camera_sees_larger_has_its_own_radius(truth: TwinTruth) -> None:
+    camera_um = 8000.0
+    row, column = np.mgrid[-60:61, -60:61] * PITCH_UM
+    z_um = sphere(RADIUS_UM)
+    for _ in range(60):  # where the ray of each pixel meets the ball
+        closer = 1.0 - z_um / camera_um
+        z_um = np.sqrt(np.maximum(RADIUS_UM**2 - (row**2 + column**2) * closer**2, 0.0)).astype(np.float32)
+    seen = ball_error.judge_ball(HeightMap(z_um, PITCH_UM), truth, RADIUS_UM, camera_um)
+    assert seen.radius_ratio == pytest.approx(1.0, abs=1e-3)
+    assert ball_error.judge_ball(HeightMap(z_um, PITCH_UM), truth, RADIUS_UM).radius_ratio > 1.02
+
+
 def test_noise_from_pixel_to_pixel_counts_in_the_surface_and_hardly_in_its_bias(truth: TwinTruth) -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.5, truth.z_um.shape).astype(np.float32)
     error = ball_error.judge_ball(HeightMap(truth.z_um + noise, PITCH_UM), truth, RADIUS_UM)

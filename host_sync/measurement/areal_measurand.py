@@ -24,6 +24,7 @@ from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_par
 from host_sync.measurement.footprint import field_places, region_places
 from host_sync.measurement.geometry import Region
 from host_sync.measurement.recipe import Recipe
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import SphereForm
 
 _DEGREES: Final = {"mean": 0, "plane": 1}
@@ -36,6 +37,7 @@ class Preparation:
     ----------
     height : the measured region
     recipe : form and filters
+    places : of the region's pixels
 
     Raises
     ------
@@ -43,13 +45,13 @@ class Preparation:
         No pixel is valid, or the form is not determined.
     """
 
-    def __init__(self, height: HeightMap, recipe: Recipe) -> None:
+    def __init__(self, height: HeightMap, recipe: Recipe, places: SkinPlaces) -> None:
         valid = np.isfinite(height.z_um)
         if not valid.any():
             raise MeasurementError(
                 "every pixel of the region is masked or beyond the calibration: choose another, or keep_extrapolated"
             )
-        self._form = _form(recipe.form, height)
+        self._form = _form(recipe.form, height, places)
         formless = height.z_um if self._form is None else self._form.remove(height.z_um)
         self.valid = np.isfinite(formless)
         self._s, self._l = (
@@ -77,11 +79,11 @@ class Preparation:
         return float((distance[self.valid] < 0.5 * self._l_px).mean())
 
 
-def _form(name: str, height: HeightMap) -> FormRemoval | None:
+def _form(name: str, height: HeightMap, places: SkinPlaces) -> FormRemoval | None:
     if name == "none":
         return None
     if name == "sphere":
-        return SphereForm(height.pitch_um)
+        return SphereForm(places)
     degree = _DEGREES[name] if name in _DEGREES else int(name.rpartition("-")[2])
     return PolynomialForm(np.isfinite(height.z_um), degree)
 
@@ -105,12 +107,13 @@ class ArealMeasurand:
     ----------
     recipe : region, form, filters and parameters
     height : the whole height map
+    places : of its pixels
     extrapolated : bool array of shape (H, W), True where slopes lie beyond the calibration's training samples; or None
     """
 
     name = AREAL_SUBJECT
 
-    def __init__(self, recipe: Recipe, height: HeightMap, extrapolated: MaskArray | None) -> None:
+    def __init__(self, recipe: Recipe, height: HeightMap, places: SkinPlaces, extrapolated: MaskArray | None) -> None:
         self._recipe = recipe
         self._pitch_um = height.pitch_um
         shape = (height.z_um.shape[0], height.z_um.shape[1])
@@ -121,7 +124,8 @@ class ArealMeasurand:
         self.places_px = (
             region_places([Region(*recipe.region_um)], height.pitch_um) if recipe.region_um else field_places(shape)
         )
-        self._preparation = Preparation(HeightMap(self._cut(height.z_um), height.pitch_um), recipe)
+        part = HeightMap(self._cut(height.z_um), height.pitch_um)
+        self._preparation = Preparation(part, recipe, places.of_part(*self._window))
         self._wanted = _wanted(recipe)
         self._correlation = Autocorrelation(self._preparation.valid) if self._wants("spatial") else None
         self.masked_share = 1.0 - float(self._preparation.valid.mean())

@@ -16,6 +16,7 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.recipe import CircleTable
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.profile.profile_line import bilinear
 
 RAYS: Final = 360
@@ -45,10 +46,11 @@ MIN_RADIUS_PX: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circle:
-    """A circle on the field, µm from the centre of the first pixel.
+    """A circle on the grid of pixels, µm from the centre of the first.
 
     roundness_um : largest minus smallest distance of the edge from the centre, of the places that belong to it
     step_um : height inside above outside, median
+    height_um : of the edge, median
     share : fraction of the rays that belong to it
     """
 
@@ -57,6 +59,7 @@ class Circle:
     radius_um: float
     roundness_um: float
     step_um: float
+    height_um: float
     share: float
 
 
@@ -115,7 +118,8 @@ def _once(z_um: Float32Array, pitch_um: float, centre: Float64Array, radius_um: 
     if np.median(np.abs(distance - radius)) > MAX_OFF_SHARE * radius:
         raise MeasurementError(problem)
     kept = distance[weight > 0.0]
-    return Circle(column, row, radius, float(np.ptp(kept)), usual, kept.size / RAYS)
+    height_um = float(np.nanmedian(outside[known] + level * step[known]))
+    return Circle(column, row, radius, float(np.ptp(kept)), usual, height_um, kept.size / RAYS)
 
 
 def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: float) -> float:
@@ -150,9 +154,10 @@ def _fitted(places: Float64Array) -> tuple[float, float, float, Float64Array]:
 class CircleMeasurand:
     """A round edge: diameter, centre, roundness, and the step across it."""
 
-    def __init__(self, table: CircleTable, height: HeightMap) -> None:
+    def __init__(self, table: CircleTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self._pitch_um = height.pitch_um
+        self._places = places
         self.found = find_circle(height.z_um, height.pitch_um, table.centre_um, table.radius_um)
         angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
         circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * self.found.radius_um
@@ -175,11 +180,13 @@ class CircleMeasurand:
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """The circle of a height map of shape (H, W), µm."""
         found = self._at(z_um)
+        share = self._places.share(found.height_um)
+        right_um, down_um = self._places.seen_at(np.array([found.column_um, found.row_um]), found.height_um)
         return {
-            "diameter": 2.0 * found.radius_um,
-            "centre right": found.column_um,
-            "centre down": found.row_um,
-            "roundness": found.roundness_um,
+            "diameter": 2.0 * share * found.radius_um,
+            "centre right": float(right_um),
+            "centre down": float(down_um),
+            "roundness": share * found.roundness_um,
             "step": found.step_um,
         }
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
+from host_sync.measurement.skin_places import SkinPlaces
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +46,19 @@ class Region:
         return z_um[self.pixels((z_um.shape[0], z_um.shape[1]), pitch_um)]
 
 
-def between_places(z_um: Float32Array, pitch_um: float, start: Float64Array, end: Float64Array) -> dict[str, float]:
+def between_places(z_um: Float32Array, places: SkinPlaces, start: Float64Array, end: Float64Array) -> dict[str, float]:
     """Lateral distance, height difference and distance in space, µm, and slope angle, degrees, between two places.
 
-    start, end : (column, row), µm; their heights are means of the valid pixels within one and a half pixels
+    start, end : (column, row) on the grid of pixels, µm; their heights are means of the valid pixels within one
+        and a half pixels
 
     Raises
     ------
     MeasurementError
         A place is outside the field, or no pixel near it is valid.
     """
-    heights = [_height_at(z_um, pitch_um, place) for place in (start, end)]
+    heights = [_height_at(z_um, places.pitch_um, place) for place in (start, end)]
+    start, end = (places.seen_at(place, z) for place, z in zip((start, end), heights, strict=True))
     across_um = float(np.hypot(*(end - start)))
     rise_um = heights[1] - heights[0]
     return {
@@ -64,14 +69,17 @@ def between_places(z_um: Float32Array, pitch_um: float, start: Float64Array, end
     }
 
 
-def between_planes_deg(first: Float32Array, second: Float32Array, pitch_um: float) -> float:
-    """Angle between the least-squares planes of two regions, degrees."""
-    normals = [np.array([*_plane(part)[:2], pitch_um]) for part in (first, second)]
+def between_planes_deg(first: Float32Array, second: Float32Array, places: tuple[SkinPlaces, SkinPlaces]) -> float:
+    """Angle between the least-squares planes of two regions, degrees.
+
+    places : of the pixels of each
+    """
+    normals = [_normal(*one) for one in zip((first, second), places, strict=True)]
     cosine = normals[0] @ normals[1] / np.linalg.norm(normals[0]) / np.linalg.norm(normals[1])
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def pit_volumes(z_um: Float32Array, pitch_um: float, border_px: int) -> dict[str, float]:
+def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[str, float]:
     """Void below and material above the plane through a region's border, µm³; largest depth and height, µm.
 
     Masked pixels are not counted.
@@ -86,11 +94,13 @@ def pit_volumes(z_um: Float32Array, pitch_um: float, border_px: int) -> dict[str
     border = np.isfinite(z_um)
     border[border_px:-border_px, border_px:-border_px] = False
     heights = _over_plane(z_um, border)
-    seen = heights[np.isfinite(heights)].astype(np.float64)
+    known = np.isfinite(heights)
+    seen = heights[known].astype(np.float64)
     below, above = np.minimum(seen, 0.0), np.maximum(seen, 0.0)
+    area_um2 = places.areas_um2(z_um)[known]
     return {
-        "void volume": -float(below.sum()) * pitch_um**2,
-        "material volume": float(above.sum()) * pitch_um**2,
+        "void volume": -float((below * area_um2).sum()),
+        "material volume": float((above * area_um2).sum()),
         "largest depth": -float(below.min()),
         "largest height": float(above.max()),
     }
@@ -98,18 +108,24 @@ def pit_volumes(z_um: Float32Array, pitch_um: float, border_px: int) -> dict[str
 
 def _over_plane(z_um: Float32Array, used: MaskArray) -> Float32Array:
     """Heights above the plane through the used pixels."""
-    a, b, c = _plane(np.where(used, z_um, np.float32(np.nan)))
-    rows, columns = (np.arange(side) for side in z_um.shape)
-    return np.asarray(z_um - (a * columns + b * rows[:, None] + c), np.float32)
+    row, column = np.mgrid[: z_um.shape[0], : z_um.shape[1]]
+    a, b, c = _plane(column, row, np.where(used, z_um, np.float32(np.nan)))
+    return np.asarray(z_um - (a * column + b * row + c), np.float32)
 
 
-def _plane(z_um: Float32Array) -> tuple[float, float, float]:
-    """Slope per column and per row, and height at the first pixel, of the plane through the valid pixels; µm."""
-    row, column = np.nonzero(np.isfinite(z_um))
-    design = np.stack([column, row, np.ones(row.size)], axis=-1).astype(np.float64)
-    solution, _, rank, _ = np.linalg.lstsq(design, z_um[row, column].astype(np.float64), rcond=None)
+def _normal(z_um: Float32Array, places: SkinPlaces) -> Float64Array:
+    """Normal of the least-squares plane, of any length."""
+    a, b, _ = _plane(*places.at(z_um), z_um)
+    return np.array([a, b, 1.0])
+
+
+def _plane(across: NDArray[Any], down: NDArray[Any], z_um: Float32Array) -> tuple[float, float, float]:
+    """Slopes across and down, and height at the origin, of the plane through the valid pixels; µm."""
+    known = np.isfinite(z_um)
+    design = np.stack([across[known], down[known], np.ones(known.sum())], axis=-1).astype(np.float64)
+    solution, _, rank, _ = np.linalg.lstsq(design, z_um[known].astype(np.float64), rcond=None)
     if rank < 3:
-        raise MeasurementError(f"{row.size} valid pixels do not determine a plane: widen the region")
+        raise MeasurementError(f"{len(design)} valid pixels do not determine a plane: widen the region")
     a, b, c = (float(value) for value in solution)
     return a, b, c
 

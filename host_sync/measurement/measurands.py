@@ -13,6 +13,7 @@ from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.footprint import line_places, region_places
 from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import fit_sphere
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.step_height import StepEdges, definition_sigma_um, find_edges, room_share, step_height_um
@@ -94,10 +95,11 @@ class FailedMeasurand(_Plain):
 class StepMeasurand(_Plain):
     """A step, groove or ridge; the profile between the edges found on the height map is used of every sample."""
 
-    def __init__(self, table: StepTable, height: HeightMap) -> None:
+    def __init__(self, table: StepTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self.line = Line(table.from_um, table.to_um, table.width_um)
         self._pitch_um = height.pitch_um
+        self._places = places
         self.profile = profile_along(height.z_um, height.pitch_um, self.line)
         self.places_px = line_places(self.line, height.pitch_um)
         self.masked_share = self.profile.masked_share
@@ -122,7 +124,9 @@ class StepMeasurand(_Plain):
         places = self._edges_of(profile)
         if len(places) == 1:
             return height | {"edge at": places[0]}
-        return height | {"first edge at": places[0], "second edge at": places[1], "width": places[1] - places[0]}
+        at_edges = np.interp(places, np.arange(profile.z_um.size) * profile.step_um, profile.z_um)
+        width_um = self._places.share(float(at_edges.mean())) * (places[1] - places[0])
+        return height | {"first edge at": places[0], "second edge at": places[1], "width": width_um}
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """A line that is too short for the step's flank."""
@@ -157,10 +161,10 @@ class StepMeasurand(_Plain):
 class DistanceMeasurand(_Plain):
     """Distances between two places."""
 
-    def __init__(self, table: DistanceTable, height: HeightMap) -> None:
+    def __init__(self, table: DistanceTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self._ends = np.array([table.from_um, table.to_um], np.float64)
-        self._pitch_um = height.pitch_um
+        self._places = places
         self.places_px = line_places(Line(table.from_um, table.to_um), height.pitch_um)
         self.masked_share = 0.0
         self.values(height.z_um)  # a place outside the field is refused now
@@ -176,16 +180,17 @@ class DistanceMeasurand(_Plain):
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Distances and slope angle."""
-        return between_places(z_um, self._pitch_um, *self._ends)
+        return between_places(z_um, self._places, *self._ends)
 
 
 class AngleMeasurand(_Plain):
     """Angle between two faces."""
 
-    def __init__(self, table: AngleTable, height: HeightMap) -> None:
+    def __init__(self, table: AngleTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self._regions = Region(*table.first_um), Region(*table.second_um)
         self._pitch_um = height.pitch_um
+        self._first, self._second = (_places_of(region, height, places) for region in self._regions)
         self.masked_share = _masked(height, *self._regions)
         self.places_px = region_places(self._regions, height.pitch_um)
         self.values(height.z_um)  # what cannot be measured is refused now
@@ -197,19 +202,20 @@ class AngleMeasurand(_Plain):
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Angle between the least-squares planes."""
         first, second = (region.cut(z_um, self._pitch_um) for region in self._regions)
-        return {"angle": between_planes_deg(first, second, self._pitch_um)}
+        return {"angle": between_planes_deg(first, second, (self._first, self._second))}
 
 
 class RadiusMeasurand(_Plain):
     """Radius of a sphere."""
 
-    def __init__(self, table: RadiusTable, height: HeightMap) -> None:
+    def __init__(self, table: RadiusTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self._region = Region(*table.region_um)
         self._pitch_um = height.pitch_um
+        self._places = _places_of(self._region, height, places)
         self.masked_share = _masked(height, self._region)
         self.places_px = region_places([self._region], height.pitch_um)
-        self._start = fit_sphere(self._region.cut(height.z_um, height.pitch_um), height.pitch_um)
+        self._start = fit_sphere(self._region.cut(height.z_um, height.pitch_um), self._places)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Radius, and RMS distance of the surface from the sphere."""
@@ -217,17 +223,18 @@ class RadiusMeasurand(_Plain):
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Least-squares sphere; the radius of a hollow is negative."""
-        found = fit_sphere(self._region.cut(z_um, self._pitch_um), self._pitch_um, self._start)
+        found = fit_sphere(self._region.cut(z_um, self._pitch_um), self._places, self._start)
         return {"radius": found.radius_um, "residual": found.residual_um}
 
 
 class VolumeMeasurand(_Plain):
     """Volumes of a pit or a hill."""
 
-    def __init__(self, table: VolumeTable, height: HeightMap) -> None:
+    def __init__(self, table: VolumeTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
         self._region = Region(*table.region_um)
         self._pitch_um = height.pitch_um
+        self._places = _places_of(self._region, height, places)
         self._border_px = max(round(table.border_um / height.pitch_um), 1)
         self.masked_share = _masked(height, self._region)
         self.places_px = region_places([self._region], height.pitch_um)
@@ -239,7 +246,7 @@ class VolumeMeasurand(_Plain):
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Volumes below and above the plane through the border."""
-        return pit_volumes(self._region.cut(z_um, self._pitch_um), self._pitch_um, self._border_px)
+        return pit_volumes(self._region.cut(z_um, self._pitch_um), self._places, self._border_px)
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """Masked pixels are not counted."""
@@ -247,6 +254,12 @@ class VolumeMeasurand(_Plain):
             return {}
         missing = (f"{self.masked_share:.1%} of the region is masked and not counted: this is a lower limit",)
         return {"void volume": missing, "material volume": missing}
+
+
+def _places_of(region: Region, height: HeightMap, places: SkinPlaces) -> SkinPlaces:
+    """Places of the pixels of a region."""
+    rows, columns = height.z_um.shape
+    return places.of_part(*region.pixels((rows, columns), height.pitch_um))
 
 
 def _masked(height: HeightMap, *regions: Region) -> float:

@@ -49,6 +49,7 @@ from host_sync.measurement.recipe import (
     StepTable,
     VolumeTable,
 )
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.tolerance import NO_PITCH_SIGMA, judged, unmet
 from host_sync.profile.profile_line import Profile
 from host_sync.profile.step_height import lines_um, used_samples
@@ -100,11 +101,12 @@ class _MeasurementPlan:
 
     def __init__(self, surface: ResultSurface, smooth: HeightMap, recipe: Recipe) -> None:
         height = surface.height
-        self.areal = ArealMeasurand(recipe, height, surface.extrapolated)
+        places = SkinPlaces.of(surface.record)
+        self.areal = ArealMeasurand(recipe, height, places, surface.extrapolated)
         made = [_made(table, "profile", ProfileMeasurand, height) for table in recipe.profile]
         self.profiles = [one for one in made if isinstance(one, ProfileMeasurand)]
         self.failed = [one for one in made if isinstance(one, FailedMeasurand)]
-        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth), *self.failed]
+        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth, places), *self.failed]
         self.failed += [one for one in self.others[len(self.profiles) :] if isinstance(one, FailedMeasurand)]
         self.failed = list(dict.fromkeys(self.failed))
         shape = (height.z_um.shape[0], height.z_um.shape[1])
@@ -165,11 +167,11 @@ TableT = TypeVar("TableT", ProfileTable, StepTable, DistanceTable, AngleTable, R
 
 
 def _made(
-    table: TableT, label: str, kind: Callable[[TableT, HeightMap], Made], height: HeightMap
+    table: TableT, label: str, kind: Callable[..., Made], *surface: HeightMap | SkinPlaces
 ) -> Made | FailedMeasurand:
     """The measurand of a table, or what says why the result does not show it."""
     try:
-        return kind(table, height)
+        return kind(table, *surface)
     except MeasurementError as error:
         return FailedMeasurand(table.name, label, str(error))
 
@@ -290,19 +292,19 @@ def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float3
     return raised
 
 
-def _others(recipe: Recipe, height: HeightMap) -> Iterable[Measurand]:
+def _others(recipe: Recipe, height: HeightMap, places: SkinPlaces) -> Iterable[Measurand]:
     for step in recipe.step:
-        yield _made(step, "height", StepMeasurand, height)
+        yield _made(step, "height", StepMeasurand, height, places)
     for distance in recipe.distance:
-        yield _made(distance, "in space", DistanceMeasurand, height)
+        yield _made(distance, "in space", DistanceMeasurand, height, places)
     for angle in recipe.angle:
-        yield _made(angle, "angle", AngleMeasurand, height)
+        yield _made(angle, "angle", AngleMeasurand, height, places)
     for radius in recipe.radius:
-        yield _made(radius, "radius", RadiusMeasurand, height)
+        yield _made(radius, "radius", RadiusMeasurand, height, places)
     for volume in recipe.volume:
-        yield _made(volume, "void volume", VolumeMeasurand, height)
+        yield _made(volume, "void volume", VolumeMeasurand, height, places)
     for circle in recipe.circle:
-        yield _made(circle, "diameter", CircleMeasurand, height)
+        yield _made(circle, "diameter", CircleMeasurand, height, places)
 
 
 def _stretched(numbers: Numbers, kinds: Mapping[str, ParameterKind], stretch: float) -> Numbers:

@@ -14,6 +14,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.kernels.jit import njit
+from host_sync.measurement.skin_places import MIN_SHARE, SkinPlaces
 
 MAX_STEPS: Final = 40
 ENOUGH: Final = 1e-9
@@ -43,11 +44,11 @@ class SphereForm:
 
     Parameters
     ----------
-    pitch_um : pixel pitch, µm
+    places : of its pixels
     """
 
-    def __init__(self, pitch_um: float) -> None:
-        self._pitch_um = pitch_um
+    def __init__(self, places: SkinPlaces) -> None:
+        self._places = places
         self._last: Sphere | None = None
         self._beside: MaskArray | None = None
 
@@ -57,9 +58,9 @@ class SphereForm:
         Pixels beside the first surface's sphere stay invalid in later ones, so that a surface and its samples are
         compared on the same pixels.
         """
-        self._last = sphere = fit_sphere(z_um, self._pitch_um, self._last)
-        row, column = (np.arange(side) * self._pitch_um for side in z_um.shape)
-        reach = sphere.radius_um**2 - (column - sphere.column_um) ** 2 - (row[:, None] - sphere.row_um) ** 2
+        self._last = sphere = fit_sphere(z_um, self._places, self._last)
+        across_um, down_um = self._places.at(z_um)
+        reach = sphere.radius_um**2 - (across_um - sphere.column_um) ** 2 - (down_um - sphere.row_um) ** 2
         if self._beside is None:
             self._beside = reach <= 0.0
         cap = np.sqrt(np.maximum(reach, 0.0))
@@ -67,9 +68,10 @@ class SphereForm:
         return np.where(self._beside, np.nan, left).astype(np.float32)
 
 
-def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None) -> Sphere:
+def fit_sphere(z_um: Float32Array, places: SkinPlaces, start: Sphere | None = None) -> Sphere:
     """The least-squares sphere of the valid pixels of a surface.
 
+    places : of its pixels
     start : a sphere close to it, if known
 
     Raises
@@ -80,11 +82,12 @@ def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None)
     valid = np.isfinite(z_um)
     if valid.sum() < 4:
         raise MeasurementError(f"a sphere needs four valid pixels, found {int(valid.sum())}: widen the region")
-    width_um = pitch_um * max(z_um.shape)
-    middle = start or _algebraic(z_um, valid, pitch_um)
+    width_um = places.pitch_um * max(z_um.shape)
+    middle = start or _algebraic(z_um, valid, places.pitch_um)
+    grid = np.array([places.pitch_um, *places.middle_um, places.nearness_per_um])
     state = np.array([middle.column_um, middle.row_um, middle.height_um, abs(middle.radius_um)])
     for _ in range(MAX_STEPS):
-        normal, right, _ = _step(z_um, np.float64(pitch_um), state)
+        normal, right, _ = _step(z_um, grid, state)
         try:
             change = np.linalg.solve(normal, right)
         except np.linalg.LinAlgError:
@@ -93,7 +96,7 @@ def fit_sphere(z_um: Float32Array, pitch_um: float, start: Sphere | None = None)
         if not np.isfinite(state).all() or state[3] > MAX_RADIUS_RATIO * width_um:
             break
         if np.abs(change).max() < ENOUGH * state[3]:
-            _, _, square = _step(z_um, np.float64(pitch_um), state)
+            _, _, square = _step(z_um, grid, state)
             side = 1.0 if np.median(z_um[valid]) > state[2] else -1.0
             column, row, height, radius = (float(value) for value in state)
             return Sphere(column, row, height, side * radius, float(np.sqrt(square / valid.sum())))
@@ -118,18 +121,22 @@ def _algebraic(z_um: Float32Array, valid: MaskArray, pitch_um: float) -> Sphere:
 
 
 @njit(cache=True)
-def _step(z_um: Any, pitch_um: Any, state: Any) -> tuple[Float64Array, Float64Array, float]:
+def _step(z_um: Any, grid: Any, state: Any) -> tuple[Float64Array, Float64Array, float]:
     """Normal equations of one Gauss-Newton step, and the sum of squared distances."""
     rows, columns = z_um.shape
     normal, right, square = np.zeros((4, 4)), np.zeros(4), 0.0
     gradient = np.empty(4)
     gradient[3] = -1.0
+    pitch_um, across_um, down_um, nearness = grid
     for r in range(rows):
         for c in range(columns):
             z = z_um[r, c]
             if not np.isfinite(z):
                 continue
-            x, y, h = c * pitch_um - state[0], r * pitch_um - state[1], z - state[2]
+            share = max(1.0 - nearness * z, MIN_SHARE)
+            x = across_um + (c * pitch_um - across_um) * share - state[0]
+            y = down_um + (r * pitch_um - down_um) * share - state[1]
+            h = z - state[2]
             distance = np.sqrt(x * x + y * y + h * h)
             gradient[0], gradient[1], gradient[2] = -x / distance, -y / distance, -h / distance
             off = distance - state[3]

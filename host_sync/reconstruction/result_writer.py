@@ -136,6 +136,7 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         rows=rows,
         columns=columns,
         pixel_pitch_um=calibration.pitch_um,
+        pupil_height_mm=_pupil_height_mm(calibration),
         height_min_um=float(np.nanmin(z_um)) if finite else None,
         height_max_um=float(np.nanmax(z_um)) if finite else None,
         height_sigma_median_um=_median(reconstruction.sigma_um),
@@ -159,6 +160,11 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
             converged=reconstruction.integration.converged,
         ),
     )
+
+
+def _pupil_height_mm(calibration: Calibration) -> float | None:
+    viewpoint = calibration.viewpoint
+    return None if viewpoint is None else 1e-3 * viewpoint.height_px * calibration.pitch_um
 
 
 def calibration_facts(calibration: Calibration) -> dict[str, Any]:

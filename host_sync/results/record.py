@@ -91,6 +91,8 @@ MAX_RATE_HZ: Final = 1e6
 
 Size = Annotated[int, msgspec.Meta(ge=1, le=MAX_PIXELS)]
 Pitch = Annotated[float, msgspec.Meta(ge=MIN_PITCH_UM, le=MAX_PITCH_UM)]
+PupilHeight = Annotated[float, msgspec.Meta(ge=1.0, le=1e6)]
+"""mm, from a pupil next to the gel to one at infinity."""
 
 RecordT = TypeVar("RecordT", bound=msgspec.Struct)
 
@@ -147,6 +149,7 @@ class ResultRecord(msgspec.Struct, frozen=True, kw_only=True):
     rows: Size
     columns: Size
     pixel_pitch_um: Pitch
+    pupil_height_mm: PupilHeight | None = None
     height_min_um: float | None = None
     height_max_um: float | None = None
     height_sigma_median_um: float | None = None

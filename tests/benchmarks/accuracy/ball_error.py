@@ -40,8 +40,11 @@ class BallError:
     radius_ratio: float
 
 
-def judge_ball(height: HeightMap, truth: TwinTruth, radius_um: float) -> BallError:
-    """Errors of a height map of one pressed ball."""
+def judge_ball(height: HeightMap, truth: TwinTruth, radius_um: float, camera_um: float = np.inf) -> BallError:
+    """Errors of a height map of one pressed ball.
+
+    camera_um : height of the camera over the middle of the untouched skin
+    """
     inner = inner_contact(truth.contact)
     p, q = surface_slopes(height)
     seen = inner & np.isfinite(p) & np.isfinite(q)
@@ -52,7 +55,7 @@ def judge_ball(height: HeightMap, truth: TwinTruth, radius_um: float) -> BallErr
         surface_deg=np.concatenate([sharp, invalid]),
         smooth_deg=np.concatenate([smooth, invalid]),
         masked_share=len(invalid) / int(inner.sum()),
-        radius_ratio=_fitted_radius_um(height, seen) / radius_um,
+        radius_ratio=_fitted_radius_um(height, seen, camera_um) / radius_um,
     )
 
 
@@ -81,13 +84,14 @@ def _smoothed(values: Float32Array, inside: NDArray[np.bool_]) -> NDArray[np.flo
     return np.asarray(total[inside] / share[inside])
 
 
-def _fitted_radius_um(height: HeightMap, inside: NDArray[np.bool_]) -> float:
+def _fitted_radius_um(height: HeightMap, inside: NDArray[np.bool_], camera_um: float) -> float:
     """Radius (µm) of the sphere that fits the height best in the algebraic sense; NaN without pixels."""
     row, column = np.nonzero(inside)
     if len(row) == 0:
         return float("nan")
     z = height.z_um[inside].astype(np.float64) / height.pitch_um
-    x, y = column - column.mean(), row - row.mean()
+    closer = 1.0 - z * height.pitch_um / camera_um
+    x, y = ((place - 0.5 * (side - 1)) * closer for place, side in zip((column, row), inside.shape[::-1], strict=True))
     design = np.column_stack([2.0 * x, 2.0 * y, 2.0 * z, np.ones_like(z)])
     solved = np.linalg.lstsq(design, x * x + y * y + z * z, rcond=None)[0]
     return float(np.sqrt(max(solved[3] + (solved[:3] ** 2).sum(), 0.0)) * height.pitch_um)

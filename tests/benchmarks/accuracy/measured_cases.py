@@ -41,6 +41,9 @@ RECIPES: Final = {
     "groove": (_across("groove", "groove"),),
 }
 
+NOTHING: Final = 1e-3
+"""Share of a number that a true one is no measure of it any more."""
+
 
 @dataclass(frozen=True, slots=True)
 class Case:
@@ -81,9 +84,15 @@ def shares(cases: Mapping[str, list[Case]]) -> Iterator[tuple[str, int, float, f
     for number, some in cases.items():
         ratio = np.abs([case.ratio for case in some])
         # Of a number that may be zero there is no share: then the error over its own size is shown.
-        share = np.array([(case.value - case.truth) / (abs(case.truth) or abs(case.value) or 1.0) for case in some])
+        share = np.array([(case.value - case.truth) / _size(case) for case in some])
         spread, off = (float(np.sqrt((one**2).mean())) for one in (ratio, share))
         yield number, len(some), float((ratio <= 1.0).mean()), float((ratio <= 2.0).mean()), spread, off
+
+
+def _size(case: Case) -> float:
+    """Of the truth; of the number itself where that is next to nothing."""
+    value, truth = abs(case.value), abs(case.truth)
+    return (truth if truth > NOTHING * value else value) or 1.0
 
 
 def _ball(contact: MaskArray, pitch_um: float) -> Recipe:

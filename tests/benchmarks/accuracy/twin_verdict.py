@@ -58,6 +58,8 @@ def judge_instrument(
 ) -> TwinVerdict:
     """Results over a ball at each position, and the coverage over those and the named objects."""
     balls, heights, slopes = [], [], []
+    pupil_mm = instrument.profile.pupil_height_mm
+    camera_um = np.inf if pupil_mm is None else 1e3 * pupil_mm
     for press, what in [(instrument.press_ball, place) for place in places] + [
         (instrument.press_object, (name,)) for name in objects
     ]:
@@ -67,5 +69,5 @@ def judge_instrument(
         heights.append(height_coverage(found, scan.truth))
         slopes.append(slope_coverage(found, scan.truth))
         if press == instrument.press_ball:
-            balls.append(judge_ball(found.height, scan.truth, BALL_RADIUS_MM * 1e3))
+            balls.append(judge_ball(found.height, scan.truth, BALL_RADIUS_MM * 1e3, camera_um))
     return TwinVerdict(tuple(balls), total(heights), total(slopes))

@@ -5,6 +5,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import SphereForm, fit_sphere
 
 SHAPE = (180, 240)
@@ -66,22 +67,22 @@ def sphere(radius_um: float, side: float) -> np.ndarray:
 @pytest.mark.parametrize("radius_um", [900.0, 20_000.0])
 def test_a_sphere_is_found_and_comes_off(radius_um: float, side: float) -> None:
     z_um = torn(sphere(radius_um, side))
-    found = fit_sphere(z_um, PITCH_UM)
+    found = fit_sphere(z_um, SkinPlaces(PITCH_UM))
     assert found.radius_um == pytest.approx(side * radius_um, rel=1e-4)
     assert (found.column_um, found.row_um) == pytest.approx((500.0, 350.0), abs=0.2)
-    left = SphereForm(PITCH_UM).remove(z_um)
+    left = SphereForm(SkinPlaces(PITCH_UM)).remove(z_um)
     assert np.nanmax(np.abs(left)) < 0.02
 
 
 def test_noise_on_a_sphere_leaves_its_radius_unbiased() -> None:
     noise = np.random.default_rng(2).standard_normal(SHAPE)
-    found = fit_sphere(torn(sphere(2000.0, 1.0) + 2.0 * noise), PITCH_UM)
+    found = fit_sphere(torn(sphere(2000.0, 1.0) + 2.0 * noise), SkinPlaces(PITCH_UM))
     assert found.radius_um == pytest.approx(2000.0, rel=3e-3)
     assert found.residual_um == pytest.approx(2.0, rel=0.1)
 
 
 def test_a_plane_is_no_sphere() -> None:
     with pytest.raises(MeasurementError, match="no sphere"):
-        fit_sphere(np.zeros(SHAPE, np.float32), PITCH_UM)
+        fit_sphere(np.zeros(SHAPE, np.float32), SkinPlaces(PITCH_UM))
     with pytest.raises(MeasurementError, match="four valid pixels"):
-        fit_sphere(np.full(SHAPE, np.nan, np.float32), PITCH_UM)
+        fit_sphere(np.full(SHAPE, np.nan, np.float32), SkinPlaces(PITCH_UM))

@@ -6,6 +6,7 @@ import pytest
 from host_sync.errors import MeasurementError
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.profile_parameters import profile_parameters
 from host_sync.profile.step_height import StepEdges, find_edges, step_height_um
@@ -107,13 +108,14 @@ def test_a_step_without_room_is_refused() -> None:
 def test_distances_and_angles_of_a_roof() -> None:
     row, column = np.mgrid[:100, :201]
     z_um = (-0.5 * np.abs(column - 100) * PITCH_UM + 0.0 * row).astype(np.float32)
-    found = between_places(z_um, PITCH_UM, np.array([80.0, 200.0]), np.array([240.0, 200.0]))
+    found = between_places(z_um, SkinPlaces(PITCH_UM), np.array([80.0, 200.0]), np.array([240.0, 200.0]))
     assert found["along the skin"] == pytest.approx(160.0)
     assert found["in height"] == pytest.approx(80.0, abs=0.01)
     assert found["in space"] == pytest.approx(np.hypot(160.0, 80.0), abs=0.01)
     assert found["slope angle"] == pytest.approx(np.degrees(np.arctan(0.5)), abs=0.01)
     left, right = (Region(a, 40.0, b, 300.0).cut(z_um, PITCH_UM) for a, b in ((20.0, 380.0), (420.0, 780.0)))
-    assert between_planes_deg(left, right, PITCH_UM) == pytest.approx(2.0 * np.degrees(np.arctan(0.5)), abs=0.01)
+    angle_deg = between_planes_deg(left, right, (SkinPlaces(PITCH_UM), SkinPlaces(PITCH_UM)))
+    assert angle_deg == pytest.approx(2.0 * np.degrees(np.arctan(0.5)), abs=0.01)
 
 
 def test_the_volume_of_a_hollow_under_a_tilted_face() -> None:
@@ -121,7 +123,7 @@ def test_the_volume_of_a_hollow_under_a_tilted_face() -> None:
     depth, radius = 20.0, 200.0
     square = ((column - 400.0) ** 2 + (row - 400.0) ** 2) / radius**2
     z_um = (-depth * np.maximum(1.0 - square, 0.0) + 0.05 * column).astype(np.float32)
-    found = pit_volumes(z_um, PITCH_UM, 10)
+    found = pit_volumes(z_um, SkinPlaces(PITCH_UM), 10)
     assert found["void volume"] == pytest.approx(np.pi * radius**2 * depth / 2.0, rel=2e-3)
     assert found["largest depth"] == pytest.approx(depth, rel=1e-3)
     assert found["material volume"] == pytest.approx(0.0, abs=1.0)
