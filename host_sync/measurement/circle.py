@@ -46,28 +46,30 @@ MIN_RADIUS_PX: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circle:
-    """A circle on the grid of pixels, µm from the centre of the first.
+    """A circle, µm from the centre of the first pixel.
 
+    grid : column, row and radius on the grid of pixels, where it is drawn
+    column_um, row_um, radius_um : on the skin
     roundness_um : largest minus smallest distance of the edge from the centre, of the places that belong to it
     step_um : height inside above outside, median
-    height_um : of the edge, median
     share : fraction of the rays that belong to it
     """
 
+    grid: tuple[float, float, float]
     column_um: float
     row_um: float
     radius_um: float
     roundness_um: float
     step_um: float
-    height_um: float
     share: float
 
 
 def find_circle(
-    z_um: Float32Array, pitch_um: float, centre_um: tuple[float, float], radius_um: float, level: float = 0.5
+    z_um: Float32Array, places: SkinPlaces, centre_um: tuple[float, float], radius_um: float, level: float = 0.5
 ) -> Circle:
-    """The circle near a place and radius.
+    """The circle near a place and radius on the grid of pixels.
 
+    places : of the pixels
     level : where the edge lies between the heights outside (0) and inside (1)
 
     Raises
@@ -75,6 +77,7 @@ def find_circle(
     MeasurementError
         There is no edge around the place.
     """
+    pitch_um = places.pitch_um
     if radius_um < MIN_RADIUS_PX * pitch_um:
         raise MeasurementError(f"a circle needs a radius of {MIN_RADIUS_PX * pitch_um:g} µm or more: draw it larger")
     across_um = float(np.hypot(*z_um.shape)) * pitch_um
@@ -82,16 +85,16 @@ def find_circle(
         raise MeasurementError(
             f"a circle of {radius_um:g} µm radius does not fit into a field of {across_um:.0f} µm: draw it smaller"
         )
-    found = _once(z_um, pitch_um, np.array(centre_um, np.float64), radius_um, level)
-    return _once(z_um, pitch_um, np.array([found.column_um, found.row_um]), found.radius_um, level)
+    column_um, row_um, again_um = _once(z_um, places, np.array(centre_um, np.float64), radius_um, level).grid
+    return _once(z_um, places, np.array([column_um, row_um]), again_um, level)
 
 
-def _once(z_um: Float32Array, pitch_um: float, centre: Float64Array, radius_um: float, level: float) -> Circle:
+def _once(z_um: Float32Array, places: SkinPlaces, centre: Float64Array, radius_um: float, level: float) -> Circle:
     angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     way = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    count = max(16, int(np.ceil(2.0 * REACH * radius_um / (0.5 * pitch_um))))
+    count = max(16, int(np.ceil(2.0 * REACH * radius_um / (0.5 * places.pitch_um))))
     along = radius_um * np.linspace(1.0 - REACH, 1.0 + REACH, count)
-    heights, seen = bilinear(z_um, (centre + along[None, :, None] * way[:, None]) / pitch_um)
+    heights, seen = bilinear(z_um, (centre + along[None, :, None] * way[:, None]) / places.pitch_um)
     heights = np.where(seen, heights, np.nan)
     part = max(2, round(LEVEL_SHARE * count))
     whole = seen[:, :part].any(axis=1) & seen[:, -part:].any(axis=1)
@@ -111,15 +114,18 @@ def _once(z_um: Float32Array, pitch_um: float, centre: Float64Array, radius_um: 
     )
     if known.sum() < max(MIN_RAYS, MIN_AGREEING * whole.sum()) or usual == 0.0:
         raise MeasurementError(problem)
-    column, row, radius, weight = _fitted(centre + edge[known, None] * way[known])
+    seen_um = centre + edge[known, None] * way[known]
+    column, row, radius, weight = _fitted(seen_um)
     if not 0.0 < radius < np.inf or weight.sum() == 0.0:
         raise MeasurementError(problem)
-    distance = np.hypot(*(centre + edge[known, None] * way[known] - (column, row)).T)
+    distance = np.hypot(*(seen_um - (column, row)).T)
     if np.median(np.abs(distance - radius)) > MAX_OFF_SHARE * radius:
         raise MeasurementError(problem)
-    kept = distance[weight > 0.0]
-    height_um = float(np.nanmedian(outside[known] + level * step[known]))
-    return Circle(column, row, radius, float(np.ptp(kept)), usual, height_um, kept.size / RAYS)
+    grid = column, row, radius
+    skin_um = places.of_seen(seen_um, outside[known] + level * step[known])
+    column, row, radius, weight = _fitted(skin_um)
+    kept = np.hypot(*(skin_um - (column, row)).T)[weight > 0.0]
+    return Circle(grid, column, row, radius, float(np.ptp(kept)), usual, kept.size / RAYS)
 
 
 def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: float) -> float:
@@ -156,12 +162,12 @@ class CircleMeasurand:
 
     def __init__(self, table: CircleTable, height: HeightMap, places: SkinPlaces) -> None:
         self.name = table.name
-        self._pitch_um = height.pitch_um
         self._places = places
-        self.found = find_circle(height.z_um, height.pitch_um, table.centre_um, table.radius_um)
+        self.found = find_circle(height.z_um, places, table.centre_um, table.radius_um)
         angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
-        circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * self.found.radius_um
-        self.places_px = (circle + np.array([self.found.row_um, self.found.column_um])) / height.pitch_um
+        column_um, row_um, radius_um = self.found.grid
+        circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * radius_um
+        self.places_px = (circle + np.array([row_um, column_um])) / height.pitch_um
         self.masked_share = 1.0 - self.found.share
         others = [self._at(height.z_um, level).radius_um for level in OTHER_LEVELS]
         self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
@@ -180,13 +186,11 @@ class CircleMeasurand:
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """The circle of a height map of shape (H, W), µm."""
         found = self._at(z_um)
-        share = self._places.share(found.height_um)
-        right_um, down_um = self._places.seen_at(np.array([found.column_um, found.row_um]), found.height_um)
         return {
-            "diameter": 2.0 * share * found.radius_um,
-            "centre right": float(right_um),
-            "centre down": float(down_um),
-            "roundness": share * found.roundness_um,
+            "diameter": 2.0 * found.radius_um,
+            "centre right": found.column_um,
+            "centre down": found.row_um,
+            "roundness": found.roundness_um,
             "step": found.step_um,
         }
 
@@ -201,4 +205,5 @@ class CircleMeasurand:
         return {"diameter": self._definition}
 
     def _at(self, z_um: Float32Array, level: float = 0.5) -> Circle:
-        return find_circle(z_um, self._pitch_um, (self.found.column_um, self.found.row_um), self.found.radius_um, level)
+        column_um, row_um, radius_um = self.found.grid
+        return find_circle(z_um, self._places, (column_um, row_um), radius_um, level)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
@@ -58,7 +56,7 @@ def between_places(z_um: Float32Array, places: SkinPlaces, start: Float64Array, 
         A place is outside the field, or no pixel near it is valid.
     """
     heights = [_height_at(z_um, places.pitch_um, place) for place in (start, end)]
-    start, end = (places.seen_at(place, z) for place, z in zip((start, end), heights, strict=True))
+    start, end = places.of_seen(np.stack([start, end]), np.array(heights))
     across_um = float(np.hypot(*(end - start)))
     rise_um = heights[1] - heights[0]
     return {
@@ -93,7 +91,7 @@ def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[
     """
     border = np.isfinite(z_um)
     border[border_px:-border_px, border_px:-border_px] = False
-    heights = _over_plane(z_um, border)
+    heights = _over_plane(z_um, border, places)
     known = np.isfinite(heights)
     seen = heights[known].astype(np.float64)
     below, above = np.minimum(seen, 0.0), np.maximum(seen, 0.0)
@@ -106,11 +104,11 @@ def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[
     }
 
 
-def _over_plane(z_um: Float32Array, used: MaskArray) -> Float32Array:
-    """Heights above the plane through the used pixels."""
-    row, column = np.mgrid[: z_um.shape[0], : z_um.shape[1]]
-    a, b, c = _plane(column, row, np.where(used, z_um, np.float32(np.nan)))
-    return np.asarray(z_um - (a * column + b * row + c), np.float32)
+def _over_plane(z_um: Float32Array, used: MaskArray, places: SkinPlaces) -> Float32Array:
+    """Heights above the plane through the used pixels, where they lie."""
+    across_um, down_um = places.at(z_um)
+    a, b, c = _plane(across_um, down_um, np.where(used, z_um, np.float32(np.nan)))
+    return np.asarray(z_um - (a * across_um + b * down_um + c), np.float32)
 
 
 def _normal(z_um: Float32Array, places: SkinPlaces) -> Float64Array:
@@ -119,7 +117,7 @@ def _normal(z_um: Float32Array, places: SkinPlaces) -> Float64Array:
     return np.array([a, b, 1.0])
 
 
-def _plane(across: NDArray[Any], down: NDArray[Any], z_um: Float32Array) -> tuple[float, float, float]:
+def _plane(across: Float64Array, down: Float64Array, z_um: Float32Array) -> tuple[float, float, float]:
     """Slopes across and down, and height at the origin, of the plane through the valid pixels; µm."""
     known = np.isfinite(z_um)
     design = np.stack([across[known], down[known], np.ones(known.sum())], axis=-1).astype(np.float64)

@@ -61,9 +61,14 @@ class Levelling:
         }[table.on]
         self._plane = self._through(used)
 
+    def plane(self, z_um: Float32Array) -> tuple[float, float, float]:
+        """The level of a height map: µm at the middle of the field, and per pixel down and across."""
+        zero, down, across = (float(value) for value in self._plane(z_um))
+        return zero, down, across
+
     def apply(self, z_um: Float32Array) -> Float32Array:
         """A height map of shape (H, W) less its level, float32."""
-        zero, down, across = self._plane(z_um)
+        zero, down, across = self.plane(z_um)
         plane = zero + down * self._row[:, None] + across * self._column
         return np.asarray(z_um - plane.astype(np.float32), np.float32)
 

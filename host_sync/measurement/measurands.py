@@ -124,9 +124,11 @@ class StepMeasurand(_Plain):
         places = self._edges_of(profile)
         if len(places) == 1:
             return height | {"edge at": places[0]}
-        at_edges = np.interp(places, np.arange(profile.z_um.size) * profile.step_um, profile.z_um)
-        width_um = self._places.share(float(at_edges.mean())) * (places[1] - places[0])
-        return height | {"first edge at": places[0], "second edge at": places[1], "width": width_um}
+        return height | {
+            "first edge at": places[0],
+            "second edge at": places[1],
+            "width": self._between_um(places[0], places[1], profile),
+        }
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
         """A line that is too short for the step's flank."""
@@ -148,6 +150,16 @@ class StepMeasurand(_Plain):
     def definition_sigmas(self) -> Mapping[str, float]:
         """How far the height depends on how much of the profile is used."""
         return {self._label: definition_sigma_um(self.profile, self.edges)}
+
+    def _between_um(self, first_um: float, second_um: float, profile: Profile) -> float:
+        """Distance on the skin of two places along the line."""
+        known = np.isfinite(profile.z_um)
+        along_um = np.array([first_um, second_um])
+        z_um = np.interp(along_um, profile.along_um[known], profile.z_um[known])
+        start, end = np.array(self.line.start_um, np.float64), np.array(self.line.end_um, np.float64)
+        way = (end - start) / np.linalg.norm(end - start)
+        first, second = self._places.of_seen(start + along_um[:, None] * way, z_um)
+        return float(np.linalg.norm(second - first))
 
     def _edges_of(self, profile: Profile) -> tuple[float, ...]:
         if not self._are_found:

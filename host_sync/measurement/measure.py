@@ -97,11 +97,11 @@ class _MeasurementPlan:
     ----------
     surface : with the detail that roughness is measured on
     smooth : height map with the detail that steps and radii are measured on
+    places : of the pixels
     """
 
-    def __init__(self, surface: ResultSurface, smooth: HeightMap, recipe: Recipe) -> None:
+    def __init__(self, surface: ResultSurface, smooth: HeightMap, recipe: Recipe, places: SkinPlaces) -> None:
         height = surface.height
-        places = SkinPlaces.of(surface.record)
         self.areal = ArealMeasurand(recipe, height, places, surface.extrapolated)
         made = [_made(table, "profile", ProfileMeasurand, height) for table in recipe.profile]
         self.profiles = [one for one in made if isinstance(one, ProfileMeasurand)]
@@ -210,10 +210,11 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     if recipe.mask:
         left_out = painted(recipe.mask, (surface.record.rows, surface.record.columns), surface.height.pitch_um)
         surface, smooth = (replace(one, height=without(one.height, left_out)) for one in (surface, smooth))
-    level = Levelling(recipe.level, smooth) if recipe.level else None
+    level, places = Levelling(recipe.level, smooth) if recipe.level else None, SkinPlaces.of(surface.record)
     if level is not None:
+        places = places.levelled(*level.plane(smooth.height.z_um))
         surface, smooth = (replace(one, height=_levelled(one.height, level)) for one in (surface, smooth))
-    plan = _MeasurementPlan(surface, smooth.height, recipe)
+    plan = _MeasurementPlan(surface, smooth.height, recipe, places)
     found = plan.evaluate(surface.height.z_um, smooth.height.z_um)
     samples = HeightSamples(surface, recipe.scale)
     raised = _raised(plan, found, samples.noisier())

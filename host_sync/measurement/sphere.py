@@ -84,7 +84,7 @@ def fit_sphere(z_um: Float32Array, places: SkinPlaces, start: Sphere | None = No
         raise MeasurementError(f"a sphere needs four valid pixels, found {int(valid.sum())}: widen the region")
     width_um = places.pitch_um * max(z_um.shape)
     middle = start or _algebraic(z_um, valid, places.pitch_um)
-    grid = np.array([places.pitch_um, *places.middle_um, places.nearness_per_um])
+    grid = np.array([places.pitch_um, *places.middle_um, places.nearness_per_um, *places.level, MIN_SHARE])
     state = np.array([middle.column_um, middle.row_um, middle.height_um, abs(middle.radius_um)])
     for _ in range(MAX_STEPS):
         normal, right, _ = _step(z_um, grid, state)
@@ -127,15 +127,15 @@ def _step(z_um: Any, grid: Any, state: Any) -> tuple[Float64Array, Float64Array,
     normal, right, square = np.zeros((4, 4)), np.zeros(4), 0.0
     gradient = np.empty(4)
     gradient[3] = -1.0
-    pitch_um, across_um, down_um, nearness = grid
+    pitch_um, across_um, down_um, nearness, zero, across, down, least = grid
     for r in range(rows):
         for c in range(columns):
             z = z_um[r, c]
             if not np.isfinite(z):
                 continue
-            share = max(1.0 - nearness * z, MIN_SHARE)
-            x = across_um + (c * pitch_um - across_um) * share - state[0]
-            y = down_um + (r * pitch_um - down_um) * share - state[1]
+            x, y = c * pitch_um - across_um, r * pitch_um - down_um
+            share = max(1.0 - nearness * (z + zero + across * x + down * y), least)
+            x, y = across_um + x * share - state[0], down_um + y * share - state[1]
             h = z - state[2]
             distance = np.sqrt(x * x + y * y + h * h)
             gradient[0], gradient[1], gradient[2] = -x / distance, -y / distance, -h / distance

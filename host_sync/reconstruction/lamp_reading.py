@@ -33,10 +33,13 @@ STEPS: Final = (2, 1, 1)
 BEGIN_STEPS: Final = 6
 """Steps from the map's slopes, and from none, where all of the field stands high."""
 
-SHADOW_ROUNDS: Final = 16
+SHADOW_ROUNDS: Final = 20
 SETTLED_SLOPE: Final = 1e-3
-"""Rounds in which slopes where a light may be hidden settle, at most; they end when these move by no more than this,
-root mean square."""
+"""At most so many rounds; they end once slopes where a light may be hidden move by no more, root mean square."""
+
+FURTHER: Final = 0.75
+"""Share of what the last round moved the surface by that is added to it: rounds that near their end from one side get
+there in half as many, and do not swing past it."""
 
 SETTLING_ROUNDS: Final = 5
 SETTLED_SHARE: Final = 0.05
@@ -78,7 +81,8 @@ def read_under_lamps(
         found = reading.improved(found, steps)
         if found.is_level:
             break
-    found = reading.settled(found)
+    if found.has_zero:
+        found = reading.settled(found)
     rise, is_plate = None, reading.is_plate(found)
     if found.is_level and not is_plate:
         return None
@@ -144,7 +148,7 @@ class _Reading:
         """What is found once slopes where a light may be hidden agree with the surface that they make.
 
         Two lights tell little of skin that turns away from the third, so that each round mends a part of what is left;
-        what the last one moved the surface by is added once more.
+        what the last one moved the surface by is added in part once more.
         """
         if found.lights is None or not found.lights.hidden.any():
             return found
@@ -152,7 +156,7 @@ class _Reading:
         count = np.sqrt(2.0 * found.lights.any_hidden.sum())
         for _ in range(SHADOW_ROUNDS):
             z_px, _ = self._elevation_px(_Found(told.slope, told.shadow, found.z_px), None)
-            towards_px = z_px if last_px is None else 2.0 * z_px - last_px
+            towards_px = z_px if last_px is None else z_px + np.float32(FURTHER) * (z_px - last_px)
             again, last_px = self.cells.told_again(self.read, told, z_px, towards_px), z_px
             moved = np.linalg.norm(again.slope - told.slope) / count
             told = again

@@ -91,8 +91,8 @@ MAX_RATE_HZ: Final = 1e6
 
 Size = Annotated[int, msgspec.Meta(ge=1, le=MAX_PIXELS)]
 Pitch = Annotated[float, msgspec.Meta(ge=MIN_PITCH_UM, le=MAX_PITCH_UM)]
-PupilHeight = Annotated[float, msgspec.Meta(ge=1.0, le=1e6)]
-"""mm, from a pupil next to the gel to one at infinity."""
+PupilHeight = Annotated[float, msgspec.Meta(gt=0.0)]
+"""mm; whatever a board's profile or a frame set may say."""
 
 RecordT = TypeVar("RecordT", bound=msgspec.Struct)
 

@@ -107,11 +107,11 @@ def _rendered_marks() -> Iterator[Mark]:
 def _twin_marks() -> Iterator[Mark]:
     for skin, most in _TWIN_DEG.items():
         yield Mark(f"twin {skin} surface", "deg", most=most)
-        yield from _common_marks(f"twin {skin}")
+        yield from _common_marks(f"twin {skin}", 0.007)
 
 
-def _common_marks(name: str) -> Iterator[Mark]:
-    yield Mark(f"{name} radius off by", "", most=0.02)
+def _common_marks(name: str, radius: float = 0.02) -> Iterator[Mark]:
+    yield Mark(f"{name} radius off by", "", most=radius)
     yield Mark(f"{name} masked", "", most=0.03)
 
 

@@ -42,7 +42,7 @@ RECIPES: Final = {
 }
 
 NOTHING: Final = 1e-3
-"""Share of a number that a true one is no measure of it any more."""
+"""A truth below this share of the number is too small to divide by."""
 
 
 @dataclass(frozen=True, slots=True)

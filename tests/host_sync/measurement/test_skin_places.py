@@ -15,6 +15,7 @@ from host_sync.measurement.recipe import (
     AngleTable,
     CircleTable,
     DistanceTable,
+    LevelTable,
     RadiusTable,
     Recipe,
     StepTable,
@@ -92,6 +93,37 @@ CASES: dict[str, tuple[Surface, Recipe, str, float, float]] = {
         300.0 * 2.0 * np.pi * 400.0**2,
         0.05,
     ),
+    "volume on a slope": (
+        lambda x, y: 900.0 + 0.1 * x - 300.0 * np.exp(-(x**2 + y**2) / (2.0 * 400.0**2)),
+        Recipe(volume=(VolumeTable(name="pit", region_um=ALL_UM, border_um=200.0),)),
+        "void volume",
+        300.0 * 2.0 * np.pi * 400.0**2,
+        0.02,
+    ),
+    "levelled distance": (
+        lambda x, y: 1000.0 + 0.05 * x + 0.0 * y,
+        Recipe(
+            level=LevelTable(on="plane", regions_um=(ALL_UM,)),
+            distance=(DistanceTable(name="d", from_um=(1000.0, 1000.0), to_um=(7000.0, 5000.0)),),
+        ),
+        "along the skin",
+        6923.0,
+        0.03,
+    ),
+    "circle on a slope": (
+        lambda x, y: plate(1200.0, 400.0)(x - 800.0, y) + 700.0 + 0.15 * x,
+        Recipe(circle=(CircleTable(name="c", centre_um=(4825.0, 2990.0), radius_um=1240.0),)),
+        "diameter",
+        2400.0,
+        0.02,
+    ),
+    "centre of a circle on a slope": (
+        lambda x, y: plate(1200.0, 400.0)(x - 800.0, y) + 700.0 + 0.15 * x,
+        Recipe(circle=(CircleTable(name="c", centre_um=(4825.0, 2990.0), radius_um=1240.0),)),
+        "centre right",
+        3990.0 + 800.0,
+        0.005,
+    ),
     "circle": (
         plate(1500.0, 800.0),
         Recipe(circle=(CircleTable(name="c", centre_um=(3990.0, 2990.0), radius_um=1520.0),)),
@@ -125,6 +157,17 @@ def test_a_sphere_taken_off_leaves_nothing_of_itself() -> None:
     recipe = Recipe(form="sphere", region_um=(3500.0, 900.0, 6300.0, 3600.0), parameters=("Sz",))
     assert numbers(of, recipe, PUPIL_MM)["Sz"] < 0.1
     assert numbers(of, recipe, None)["Sz"] > 0.5
+
+
+def test_masked_skin_beside_an_edge_leaves_the_width_as_it_is() -> None:
+    of, recipe, quantity, _, _ = CASES["ridge"]
+    rows, columns = SHAPE
+    record = ResultRecord(name="a", rows=rows, columns=columns, pixel_pitch_um=PITCH_UM, pupil_height_mm=PUPIL_MM)
+    z_um = seen(of)
+    z_um[:, 190:200] = np.nan
+    surface = ResultSurface(Path("a"), record, HeightMap(z_um, PITCH_UM), stated=())
+    found = {one.name: one.value for one in measure(surface, recipe).quantities}
+    assert found[quantity] == pytest.approx(3000.0, rel=2e-3)
 
 
 def test_far_cameras_see_pixels_where_they_are() -> None:

@@ -29,6 +29,7 @@ from host_sync.measurement.recipe import (
     read_recipe,
 )
 from host_sync.measurement.recipe_text import recipe_text
+from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.tolerance import verdict_of
 
 Write = Callable[..., Path]
@@ -186,7 +187,7 @@ def test_the_command_prints_verdicts_and_fails_with_them(
 
 def test_a_circle_wider_than_the_field_is_refused_before_it_is_sampled() -> None:
     with pytest.raises(MeasurementError, match="does not fit into a field"):
-        find_circle(hole().astype(np.float32), PITCH_UM, (580.0, 470.0), 1e7)
+        find_circle(hole().astype(np.float32), SkinPlaces(PITCH_UM), (580.0, 470.0), 1e7)
 
 
 def test_a_brush_wider_than_any_line_covers_the_field() -> None:

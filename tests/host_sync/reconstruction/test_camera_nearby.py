@@ -15,6 +15,7 @@ from hal.simulator.bench import SimulatedScene
 from host_sync.calibration.frames import calibrate_frames
 from host_sync.calibration_file.inputs import frames_of_bundle
 from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.result_writer import result_record
 
 RADIUS_MM = 3.0
 GENTLE, STEEP = 0.1, 0.5
@@ -33,7 +34,9 @@ def test_slopes_of_a_raised_ball(
         hardware.button.wait_for_press(None)
         frame = capture(hardware, CaptureSettings.of_board(hardware))
     truth = bench.truth()
+    stated_mm = 160.0 if knows else None
     found = reconstruct(demosaic(frame), calibration, "ball")
+    assert result_record("ball", found, calibration).pupil_height_mm == pytest.approx(stated_mm)
     slope = np.hypot(truth.p, truth.q)
     here = truth.contact & (slope > GENTLE) & (slope < STEEP)
     along = (found.p - truth.p) * truth.p + (found.q - truth.q) * truth.q

@@ -14,6 +14,7 @@ from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.lamp_slopes import KnownBefore, LampSkin, move_towards
+from host_sync.reconstruction import lamp_reading
 from host_sync.reconstruction.lamp_cells import LampCells
 from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
 from host_sync.reconstruction.light_elevation import Rise
@@ -108,6 +109,20 @@ def test_skin_in_shadow_is_told_by_the_lamps_that_reach_it(flank: float) -> None
     assert (read.weight[beyond] > 0.9).mean() > 0.9
     sigma_p, _ = found.sigma((SHAPE[1], SHAPE[0]))
     assert np.abs(sigma_p[dark]).mean() > 10.0 * np.abs(sigma_p[~dark]).mean()
+
+
+def test_slopes_in_shadow_have_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    z, p, q = cone(1.0)
+    lit = reaches(z)
+    found_px = []
+    for rounds in (lamp_reading.SHADOW_ROUNDS, 3 * lamp_reading.SHADOW_ROUNDS):
+        monkeypatch.setattr(lamp_reading, "SHADOW_ROUNDS", rounds)
+        read = field(p, q)
+        found = read_under_lamps(read, image_of(z, p, q, lit), LAMPS)
+        assert found is not None
+        found.apply(read)
+        found_px.append(height_px(read))
+    assert found_px[0] == pytest.approx(found_px[1], rel=0.015)
 
 
 def test_frames_of_single_lights_show_where_one_does_not_arrive() -> None:
