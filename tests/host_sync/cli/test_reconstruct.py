@@ -40,6 +40,7 @@ RESULT_FILES = {
 }  # fmt: skip
 RADIUS_MM = 3.0
 PITCH_UM = 48.0
+PUPIL_MM = 160.0
 pytestmark = pytest.mark.usefixtures("calibrated_once")
 PLACES = [(column, row) for row in (0.2, 0.5, 0.8) for column in (0.2, 0.5, 0.8)]
 
@@ -71,7 +72,10 @@ def shoot(hardware: Hardware, request: OperatorRequest) -> np.ndarray:
 def frames(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardProfile) -> Frames:
     folder = tmp_path_factory.mktemp("frames")
     bench = build(small_twin, VirtualClock())
-    lines = [f'name = "twin"\npixel_pitch_um = {PITCH_UM}\nencoding = "linear"\n[reference]\nimage = "flat.png"']
+    lines = [
+        f'name = "twin"\npixel_pitch_um = {PITCH_UM}\npupil_height_mm = {PUPIL_MM}\nencoding = "linear"',
+        '[reference]\nimage = "flat.png"',
+    ]
     with twin_hardware(bench) as hardware:
         write_rgb(folder / "flat.png", shoot(hardware, LiftOff()))
         for number, (column, row) in enumerate(PLACES):
@@ -168,6 +172,7 @@ def test_the_record_says_what_was_done(results: Path) -> None:
     record = json.loads((results / "sphere" / "result.json").read_text())
     assert record["schema"] == "retrograph.result/1"
     assert record["pixel_pitch_um"] == PITCH_UM
+    assert record["pupil_height_mm"] == pytest.approx(PUPIL_MM)
     assert record["method"] == "direct"
     assert record["integration"]["converged"] is True
     assert 0.0 < record["held_out_error_deg"] < 3.0
