@@ -48,9 +48,13 @@ def seen(of: Surface) -> NDArray[np.float32]:
 
 
 def numbers(of: Surface, recipe: Recipe, pupil_mm: float | None) -> dict[str, float]:
+    return numbers_on(seen(of), recipe, pupil_mm)
+
+
+def numbers_on(z_um: NDArray[np.float32], recipe: Recipe, pupil_mm: float | None) -> dict[str, float]:
     rows, columns = SHAPE
     record = ResultRecord(name="a", rows=rows, columns=columns, pixel_pitch_um=PITCH_UM, pupil_height_mm=pupil_mm)
-    surface = ResultSurface(Path("a"), record, HeightMap(seen(of), PITCH_UM), stated=())
+    surface = ResultSurface(Path("a"), record, HeightMap(z_um, PITCH_UM), stated=())
     return {one.name: one.value for one in measure(surface, recipe).quantities if one.value is not None}
 
 
@@ -161,13 +165,9 @@ def test_a_sphere_taken_off_leaves_nothing_of_itself() -> None:
 
 def test_masked_skin_beside_an_edge_leaves_the_width_as_it_is() -> None:
     of, recipe, quantity, _, _ = CASES["ridge"]
-    rows, columns = SHAPE
-    record = ResultRecord(name="a", rows=rows, columns=columns, pixel_pitch_um=PITCH_UM, pupil_height_mm=PUPIL_MM)
     z_um = seen(of)
     z_um[:, 190:200] = np.nan
-    surface = ResultSurface(Path("a"), record, HeightMap(z_um, PITCH_UM), stated=())
-    found = {one.name: one.value for one in measure(surface, recipe).quantities}
-    assert found[quantity] == pytest.approx(3000.0, rel=2e-3)
+    assert numbers_on(z_um, recipe, PUPIL_MM)[quantity] == pytest.approx(3000.0, rel=2e-3)
 
 
 def test_far_cameras_see_pixels_where_they_are() -> None:
