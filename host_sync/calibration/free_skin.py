@@ -28,10 +28,10 @@ FREE_RADII: Final = 4.0
 MAX_SLOPE: Final = 0.03
 """Steeper skin is not untouched, or is another gel's."""
 
-MAX_MISSED: Final = 0.002
+MAX_MISSED: Final = 0.004
 """Root mean square slope that a reference's noise may be read as; more is skin that changed since.
 
-Rendered sensors show 0.0003 to 0.0016, a real one whose skin drifts from press to press 0.011.
+Rendered sensors show 0.0003 to 0.0023, a real one whose skin drifts from press to press 0.011.
 """
 
 MAX_CELLS: Final = 40_000

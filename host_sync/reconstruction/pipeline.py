@@ -15,6 +15,7 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.denoising.blur_correction import BLUR_PX, without_blur
+from host_sync.denoising.noise_waves import MAX_POWER, without_noise_waves
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
@@ -125,12 +126,16 @@ def reconstruct(
         noise = msgspec.structs.replace(noise, blur_px=min(noise.blur_px, BLUR_PX), raw_blur_px=0.0)
     if noise is not None:
         height = without_blur(height, noise.blur_px)
+    power = None
+    if chosen == "direct" and reading.has_rest:
+        height, power = without_noise_waves(height, gradients)
     found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
     unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
-    checks = (*reading.first.checks, *told)
+    nothing = () if power is None else (FrameCheck("relief", "passed", power, MAX_POWER, "of the noise's power"),)
+    checks = (*reading.first.checks, *told, *nothing)
     raise_on_warnings(warnings, name, force=force)
     if datum.is_relative:
         warnings += [NO_ZERO]
