@@ -201,6 +201,8 @@ def _uncertainty(
     p, q = slopes
     first = reading.first
     calibration, correction, noise = first.calibration, first.correction, first.calibration.slope_noise
+    if correction is not None and len(reading.groups) == 1:
+        gradients = correction.confidence_in(gradients)
     size = reduced_size(p.shape)
     error = slope_error_of(calibration, reading.method)
     contradiction = nonintegrable_residual(gradients, p, q)

@@ -1,0 +1,44 @@
+"""Weights of slopes in shadow: one for integration, another for their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from device.surface.fields import GradientField
+from host_sync.reconstruction.cell_correction import CellCorrection
+
+CELL = 4
+SIZE = (20, 30)
+SHAPE = (SIZE[0] * CELL, SIZE[1] * CELL)
+
+
+def correction(confidence: float | None) -> CellCorrection:
+    shadow = np.zeros(SIZE, np.float32)
+    shadow[:, :10] = 1.0
+    nothing = np.zeros(SIZE, np.float32)
+    return CellCorrection(nothing, nothing, nothing, nothing, shadow, CELL, 0.3, confidence=confidence)
+
+
+def field() -> GradientField:
+    p, q = (np.zeros(SHAPE, np.float32) for _ in range(2))
+    weight = np.linspace(0.5, 1.0, SHAPE[1], dtype=np.float32)[None, :].repeat(SHAPE[0], axis=0)
+    return GradientField(p, q, np.ones(SHAPE, np.bool_), np.ascontiguousarray(weight))
+
+
+def test_confidence_is_what_the_weight_would_be_with_another_share() -> None:
+    taken, wanted = field(), field()
+    correction(0.6).apply(taken)
+    replace(correction(None), weight=0.6).apply(wanted)
+    assert taken.weight[:, :20].max() < 0.25
+    found = correction(0.6).confidence_in(taken)
+    np.testing.assert_allclose(found.weight, wanted.weight, rtol=1e-5)
+    assert found.p is taken.p
+
+
+def test_without_another_share_or_shadow_weights_stay() -> None:
+    taken = field()
+    assert correction(None).confidence_in(taken) is taken
+    lit = replace(correction(0.6), shadow=np.zeros(SIZE, np.float32))
+    assert lit.confidence_in(taken) is taken
