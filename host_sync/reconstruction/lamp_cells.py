@@ -81,6 +81,7 @@ class LampCells:
     cell : pixels along a cell
     arriving : how much each light arrives as seen under it alone, 0 to 1, float64 array of shape (h, w, 3)
     faithful : bool array of shape (h, w), False where a pixel is saturated or its reference dark
+    bend : by how much mean slopes are steeper than those of the mean light, which all slopes here are: shape (h, w, 2)
     """
 
     intensity: Float64Array
@@ -88,10 +89,17 @@ class LampCells:
     cell: int
     arriving: Float64Array
     faithful: MaskArray
+    bend: Float64Array
 
     @classmethod
     def of(
-        cls, image: NormalizedImage, model: LampModel, size: tuple[int, int], cell: int, alone: Float32Array | None
+        cls,
+        image: NormalizedImage,
+        model: LampModel,
+        size: tuple[int, int],
+        cell: int,
+        alone: Float32Array | None,
+        bend: Float64Array,
     ) -> LampCells:
         """The cells of an image (H, W) of `cell` x `cell` pixels, `size` of them."""
         row, column = middles_of_cells(size, cell)
@@ -99,7 +107,7 @@ class LampCells:
         arriving = np.ones((*size, 3)) if alone is None else arriving_share(means_of_cells(alone, size, cell))
         intensity, faithful = faithful_cells(image, cell)
         skin = LampSkin.at(model, across, down, Surroundings.of_cells(intensity, faithful, cell))
-        return cls(np.nan_to_num(intensity).reshape(-1, 3), skin, cell, arriving, faithful)
+        return cls(np.nan_to_num(intensity).reshape(-1, 3), skin, cell, arriving, faithful, bend)
 
     def slopes(
         self,
@@ -201,9 +209,9 @@ class LampCells:
         return HiddenLights(np.asarray(hidden), np.minimum(self.arriving, passes))
 
     def _surface(self, z_px: Float32Array) -> Float64Array:
-        """Slopes of a surface, shape (h w, 2)."""
+        """Slopes of a surface as its mean light shows them, shape (h w, 2)."""
         slopes = surface_slopes(HeightMap(z_px, float(self.cell)))
-        return np.stack(slopes, axis=-1).astype(np.float64).reshape(-1, 2)
+        return (np.stack(slopes, axis=-1).astype(np.float64) - self.bend).reshape(-1, 2)
 
     def _lit(
         self, slope: Float64Array, here: np.ndarray, surface: Float64Array, z_px: Float64Array, steps: int

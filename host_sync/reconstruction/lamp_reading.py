@@ -22,6 +22,7 @@ from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.cell_rows import cell_px
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.lamp_slopes import INTENSITY_SIGMA
+from host_sync.reconstruction.bent_cells import slopes_hidden_by_means
 from host_sync.reconstruction.cell_correction import CellCorrection
 from host_sync.reconstruction.elevation_correction import HIGHEST_SHARE, cell_means
 from host_sync.reconstruction.lamp_cells import HiddenLights, LampCells, ToldSlopes
@@ -78,8 +79,9 @@ def read_under_lamps(
     """
     cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
-    cells = LampCells.of(image, lamps.model, p.shape, cell, alone)
-    reading = _Reading(cells, Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64), known)
+    bend = slopes_hidden_by_means(gradients, p, q, cell)
+    cells = LampCells.of(image, lamps.model, p.shape, cell, alone, bend)
+    reading = _Reading(cells, Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64) - bend, known)
     found = reading.begin()
     for steps in STEPS:
         found = reading.improved(found, steps)
@@ -135,7 +137,7 @@ class _Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
-    """Cells, and slopes as the inverse map reads them, shape (h, w, 2), where they are known."""
+    """Cells, and slopes of their mean light as the inverse map reads them, shape (h, w, 2), where they are known."""
 
     cells: LampCells
     solver: Integrator
@@ -238,7 +240,8 @@ class _Reading:
 
         risen_px : of the median, where that is known otherwise
         """
-        p, q = (np.ascontiguousarray(found.slope[..., axis], np.float32) for axis in (0, 1))
+        mean = found.slope + self.cells.bend
+        p, q = (np.ascontiguousarray(mean[..., axis], np.float32) for axis in (0, 1))
         step_px, known = float(self.cells.cell), self.known
         evenly = GradientField(p, q, known, known.astype(np.float32))
         weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * found.shadow)

@@ -244,7 +244,7 @@ def test_untouched_skin_is_no_plate() -> None:
 def test_slopes_are_as_unsure_as_the_elevation_that_the_light_tells() -> None:
     z, p, q = texture()
     image = image_of(z, p, q)
-    cells = LampCells.of(image, MODEL, (120, 160), 2, None)
+    cells = LampCells.of(image, MODEL, (120, 160), 2, None, np.zeros((120, 160, 2)))
     slope = np.stack([p, q], axis=-1).reshape(120, 2, 160, 2, 2).mean(axis=(1, 3))
     z_px = z.reshape(120, 2, 160, 2).mean(axis=(1, 3)).astype(np.float32)
     parts = np.zeros((4, 4))
