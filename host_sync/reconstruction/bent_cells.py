@@ -7,55 +7,59 @@ w = √(1 + p² + q²), leans less than the mean slope says: by C s / w², where
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, GradientField
+from device.surface.fields import Float64Array, GradientField
 from host_sync.denoising.blur_correction import BLUR_PX
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 
+SAMPLES: Final = 4
+"""Pixels along a cell whose slopes are asked, at least."""
 
-def slopes_hidden_by_means(gradients: GradientField, p: Float32Array, q: Float32Array, cell: int) -> Float64Array:
-    """By how much cells' mean slopes are steeper than their mean light shows: float64 array of shape (h, w, 2).
+
+def slopes_hidden_by_means(gradients: GradientField, size: tuple[int, int], cell: int) -> Float64Array:
+    """By how much mean slopes of `size` (h, w) cells are steeper than their mean light shows: float64 array (h, w, 2).
 
     Over a cell slopes differ as pixels show, and within a pixel as they change over the camera's blur.
 
     gradients : slopes of pixels
-    p, q : their means over cells of `cell` x `cell` pixels, shape (h, w)
+    cell : pixels along a cell
     """
-    sums = np.zeros((4, *p.shape), np.float32)
-    parallel_rows(_add_squares, p.shape, gradients.p, gradients.q, gradients.valid, cell, np.float32(BLUR_PX**2), sums)
-    pp, pq, qq = (part / np.maximum(sums[3], np.float32(1.0)) for part in sums[:3])
-    known = sums[3] > 0.0
-    pp, pq, qq = (np.where(known, part, 0.0) for part in (pp - p * p, pq - p * q, qq - q * q))
-    square = 1.0 + p.astype(np.float64) ** 2 + q.astype(np.float64) ** 2
-    return np.stack([(pp * p + pq * q) / square, (pq * p + qq * q) / square], axis=-1)
+    sums = np.zeros((6, *size), np.float32)
+    blur, step = np.float32(BLUR_PX**2), max(1, cell // SAMPLES)
+    parallel_rows(_add_squares, size, gradients.p, gradients.q, gradients.valid, cell, step, blur, sums)
+    p, q, pp, pq, qq = sums[:5] / np.maximum(sums[5], np.float32(1.0))
+    pp, pq, qq = pp - p * p, pq - p * q, qq - q * q
+    square = 1.0 + p * p + q * q
+    return np.stack([(pp * p + pq * q) / square, (pq * p + qq * q) / square], axis=-1).astype(np.float64)
 
 
 @njit(cache=True, nogil=True)
-def _add_squares(p: Any, q: Any, valid: Any, cell: int, blur: Any, sums: Any, first: int, last: int) -> None:
-    """Add up p², pq, q², each with what the blur hides, and the number of valid pixels over the rows of cells."""
+def _add_squares(p: Any, q: Any, valid: Any, cell: int, step: int, blur: Any, sums: Any, first: int, last: int) -> None:
+    """Add up p, q, p², pq, q² (with what the blur hides) and the number of valid pixels over rows of cells."""
     rows, columns = valid.shape
-    half = np.float32(0.5)
+    quarter = np.float32(0.25) * blur
     for i in range(first, last):
-        for r in range(i * cell, min((i + 1) * cell, rows)):
-            above, below = max(r - 1, 0), min(r + 1, rows - 1)
-            for c in range(columns):
-                left, right = max(c - 1, 0), min(c + 1, columns - 1)
+        for r in range(i * cell + step // 2, min((i + 1) * cell, rows), step):
+            for c in range(step // 2, columns, step):
                 if not valid[r, c]:
                     continue
                 x, y = p[r, c], q[r, c]
                 pp, pq, qq = x * x, x * y, y * y
-                if valid[above, c] and valid[below, c] and valid[r, left] and valid[r, right]:
-                    px, py = half * (p[r, right] - p[r, left]), half * (p[below, c] - p[above, c])
-                    qx, qy = half * (q[r, right] - q[r, left]), half * (q[below, c] - q[above, c])
-                    pp += blur * (px * px + py * py)
-                    pq += blur * (px * qx + py * qy)
-                    qq += blur * (qx * qx + qy * qy)
+                inner = 0 < r < rows - 1 and 0 < c < columns - 1
+                if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
+                    px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]
+                    qx, qy = q[r, c + 1] - q[r, c - 1], q[r + 1, c] - q[r - 1, c]
+                    pp += quarter * (px * px + py * py)
+                    pq += quarter * (px * qx + py * qy)
+                    qq += quarter * (qx * qx + qy * qy)
                 j = c // cell
-                sums[0, i, j] += pp
-                sums[1, i, j] += pq
-                sums[2, i, j] += qq
-                sums[3, i, j] += np.float32(1.0)
+                sums[0, i, j] += x
+                sums[1, i, j] += y
+                sums[2, i, j] += pp
+                sums[3, i, j] += pq
+                sums[4, i, j] += qq
+                sums[5, i, j] += np.float32(1.0)

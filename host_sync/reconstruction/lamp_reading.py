@@ -79,7 +79,7 @@ def read_under_lamps(
     """
     cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
-    bend = slopes_hidden_by_means(gradients, p, q, cell)
+    bend = slopes_hidden_by_means(gradients, known.shape, cell)
     cells = LampCells.of(image, lamps.model, p.shape, cell, alone, bend)
     reading = _Reading(cells, Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64) - bend, known)
     found = reading.begin()

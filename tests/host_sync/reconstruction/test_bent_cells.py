@@ -25,8 +25,7 @@ def means(values: np.ndarray) -> np.ndarray:
 
 
 def hidden(gradients: GradientField) -> np.ndarray:
-    p, q = (np.asarray(means(part), np.float32) for part in (gradients.p, gradients.q))
-    return slopes_hidden_by_means(gradients, p, q, CELL)
+    return slopes_hidden_by_means(gradients, (SHAPE[0] // CELL, SHAPE[1] // CELL), CELL)
 
 
 def of_mean_normal(p: np.ndarray, q: np.ndarray, blur_px: float) -> np.ndarray:
@@ -61,8 +60,16 @@ def test_pixels_that_are_not_known_count_for_nothing() -> None:
     before = hidden(gradients)
     gradients.p[30:37, 50:61] = np.nan
     gradients.valid[30:37, 50:61] = False
-    cells = means(np.nan_to_num(gradients.p)) / np.maximum(means(gradients.valid.astype(np.float64)), 1e-9)
-    after = slopes_hidden_by_means(gradients, cells.astype(np.float32), np.zeros_like(cells, np.float32), CELL)
+    after = hidden(gradients)
     assert np.isfinite(after).all()
     np.testing.assert_array_equal(after[8, 13], 0.0)
     np.testing.assert_allclose(after[:6], before[:6], atol=1e-6)
+
+
+def test_of_large_cells_some_pixels_are_enough() -> None:
+    p = 0.4 + 0.25 * np.sin(2.0 * np.pi * (COLUMN + 0.7 * ROW) / 31.0)
+    gradients = field(p, 0.5 * p)
+    some = slopes_hidden_by_means(gradients, (5, 8), 16)[:, :-1]
+    every = np.lib.stride_tricks.sliding_window_view(p[:, :112], (16, 16))[::16, ::16].reshape(5, 7, -1)
+    of_cell = every.var(axis=-1) * every.mean(axis=-1) * 1.25 / (1.0 + 1.25 * every.mean(axis=-1) ** 2)
+    np.testing.assert_allclose(some[..., 0], of_cell, rtol=0.15, atol=3e-4)
