@@ -9,7 +9,7 @@ their own drift is out (`press_drift`), counts as no drift.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -21,6 +21,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
+from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.integration.zero_level import Datum, block_medians, find_datum, trimmed_mean
 from host_sync.lights.surroundings import ALL
 
@@ -160,30 +161,32 @@ class FieldCells:
 
     values : mean intensity, float32 array of shape (h, w, 3)
     known : bool array of shape (h, w), True for faithful cells
-    shape : (H, W) of the frame
     """
 
     values: Float32Array
     known: MaskArray
-    shape: tuple[int, int]
 
     @classmethod
     def of(cls, image: NormalizedImage) -> FieldCells | None:
         """The cells of a frame; None where they are too few to tell anything."""
         values = in_cells(np.nan_to_num(image.values[samples_of(image.shape)]), image.shape)
         known = in_cells(image.faithful_at(samples_of(image.shape)).astype(np.float32), image.shape) > ALL
-        return cls(values, known, image.shape) if min(known.shape) >= MIN_CELLS else None
+        return cls(values, known) if min(known.shape) >= MIN_CELLS else None
 
     def datum(self, values: Float32Array, inverse_map: InverseMap) -> Datum:
         """Untouched skin where the cells have these values (h, w, 3)."""
-        row, column = (
-            (np.arange(size) + 0.5) * (full / size) - 0.5
-            for size, full in zip(values.shape[:2], self.shape, strict=True)
-        )
-        read = inverse_map.on_grid(values, column, row)
-        p, q = (np.where(self.known, read[..., axis], np.float32(0.0)) for axis in (0, 1))
+        p, q = (np.where(self.known, slope, np.float32(0.0)) for slope in slopes_of_means(values, inverse_map))
         gradients = GradientField(p, q, self.known, self.known.astype(np.float32))
         return find_datum(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients)
+
+
+def slopes_of_means(values: Float32Array, inverse_map: InverseMap) -> tuple[Float32Array, Float32Array]:
+    """Slopes p and q (h, w) that a map reads of means (h, w, 3) over cells that cover its field."""
+    size = values.shape[0], values.shape[1]
+    everywhere = np.ones(size, np.bool_)
+    image = NormalizedImage(np.ascontiguousarray(values, np.float32), everywhere, ~everywhere)
+    read = evaluate(replace(inverse_map.quiet, shape=size), image)
+    return read.p, read.q
 
 
 def in_cells(samples: Float32Array, shape: tuple[int, int]) -> Float32Array:

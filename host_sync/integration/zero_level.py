@@ -114,6 +114,10 @@ class Datum:
         """The height map above this zero."""
         return HeightMap(height.z_um - np.float32(self.zero_um), height.pitch_um)
 
+    def of(self, height: HeightMap) -> Datum:
+        """The datum of another height map of the same skin."""
+        return _no_datum_on(height, self.skin) if self.is_relative else _datum_on(height, self.skin)
+
     def at_rest(self, height: HeightMap, gradients: GradientField) -> Datum:
         """The same with its zero where skin of a height map with these slopes will have sunk to rest."""
         if self.is_relative:
@@ -143,17 +147,26 @@ def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool
         not are_its_own and (_is_over_others(height, gradients.valid, far) or is_relief(height, gradients, far))
     ):
         return no_datum(height, gradients)
-    blocks_um = block_medians(height.z_um, far)
-    zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, far)
+    return _datum_on(height, far)
+
+
+def _datum_on(height: HeightMap, skin: MaskArray) -> Datum:
+    """The datum of a height map whose skin is untouched here."""
+    blocks_um = block_medians(height.z_um, skin)
+    zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, skin)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
-    return Datum(far, zero_um, spread_um, float(far.mean()), blocks_um.size)
+    return Datum(skin, zero_um, spread_um, float(skin.mean()), blocks_um.size)
 
 
 def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
     """What the heights of a map are relative to where no skin is untouched."""
-    known = height.z_um[gradients.valid]
+    return _no_datum_on(height, gradients.valid)
+
+
+def _no_datum_on(height: HeightMap, valid: MaskArray) -> Datum:
+    known = height.z_um[valid]
     spread_um = float(np.nanstd(known)) if known.size else 0.0
-    return Datum(gradients.valid, height_of_rest_um(height, gradients.valid), spread_um, 0.0)
+    return Datum(valid, height_of_rest_um(height, valid), spread_um, 0.0)
 
 
 def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> bool:

@@ -168,10 +168,12 @@ class _Reading:
         """
         if found.lights is None or not found.lights.hidden.any():
             return found
-        told, last_px = ToldSlopes(found.slope, found.shadow, found.lights), None
+        told, last_px, datum = ToldSlopes(found.slope, found.shadow, found.lights), None, None
         count = np.sqrt(2.0 * found.lights.any_hidden.sum())
         for _ in range(SHADOW_ROUNDS):
-            z_px, _ = self._elevation_px(_Found(told.slope, told.shadow, found.z_px), None)
+            height, evenly = self._height(told.slope, told.shadow)
+            datum = datum.of(height) if datum else find_datum(height, evenly)
+            z_px = _known(datum.level(height))
             towards_px = z_px if last_px is None else z_px + np.float32(FURTHER) * (z_px - last_px)
             again, last_px = self.cells.told_again(self.read, told, z_px, towards_px), z_px
             moved = np.linalg.norm(again.slope - told.slope) / count
@@ -240,17 +242,24 @@ class _Reading:
 
         risen_px : of the median, where that is known otherwise
         """
-        mean = found.slope + self.cells.bend
+        height, evenly = self._height(found.slope, found.shadow)
+        if risen_px is None:
+            datum = find_datum(height, evenly)
+            return _known(datum.level(height)), not datum.is_relative
+        middle_px = height_of_rest_um(height, self.known)
+        return _known(HeightMap(height.z_um + np.float32(risen_px - middle_px), height.pitch_um)), False
+
+    def _height(self, slope: Float64Array, shadow: Float32Array) -> tuple[HeightMap, GradientField]:
+        """Heights in pixels, of cells as many pixels apart, and the slopes that they were integrated from."""
+        mean = slope + self.cells.bend
         p, q = (np.ascontiguousarray(mean[..., axis], np.float32) for axis in (0, 1))
         step_px, known = float(self.cells.cell), self.known
         evenly = GradientField(p, q, known, known.astype(np.float32))
-        weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * found.shadow)
+        weight = known * (np.float32(1.0) - np.float32(1.0 - SHADOW_WEIGHT) * shadow)
         height, _ = self.solver.integrate(replace(evenly, weight=weight.astype(np.float32)), step_px)
-        in_px = HeightMap(height.z_um, step_px)
-        if risen_px is None:
-            datum = find_datum(in_px, evenly)
-            level, has_zero = datum.level(in_px).z_um, not datum.is_relative
-        else:
-            middle_px = height_of_rest_um(in_px, known)
-            level, has_zero = in_px.z_um + np.float32(risen_px - middle_px), False
-        return np.where(np.isfinite(level), level, np.float32(0.0)).astype(np.float32), has_zero
+        return HeightMap(height.z_um, step_px), evenly
+
+
+def _known(height: HeightMap) -> Float32Array:
+    """Heights, zero where none is known."""
+    return np.where(np.isfinite(height.z_um), height.z_um, np.float32(0.0)).astype(np.float32)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from device.balls.sphere import Ball, gather_samples, sphere_slopes
+from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.model import InverseMap
 
 SHAPE = (240, 320)
 ROW, COLUMN = (axis.astype(float) for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
@@ -15,14 +18,23 @@ NOISE = 0.005
 DRIFT = np.array([-0.02, 0.0, 0.01])
 
 
-class LinearMap:
-    """Reads slopes of three channels as `ANSWER` has them."""
+def _press(ball: Ball, seed: int) -> NormalizedImage:
+    """What a ball shows, without drift."""
+    inside = np.hypot(COLUMN - ball.column, ROW - ball.row) <= ball.contact_radius_px
+    slopes = np.stack(sphere_slopes(ball, COLUMN.astype(np.float32), ROW.astype(np.float32)), axis=-1)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((*SHAPE, 3))
+    values = np.exp(np.where(inside[..., None], slopes, 0.0) @ ANSWER + noise).astype(np.float32)
+    return NormalizedImage(values, np.ones(SHAPE, np.bool_), np.zeros(SHAPE, np.bool_))
 
-    def on_grid(self, values: np.ndarray, _column: np.ndarray, _row: np.ndarray) -> np.ndarray:
-        return (np.log(values) @ np.linalg.pinv(ANSWER)).astype(np.float32)
+
+def _fitted() -> InverseMap:
+    balls = [Ball(column, row, 30.0, 50.0) for row in (60.0, 180.0) for column in (60.0, 160.0, 260.0)]
+    samples = gather_samples((_press(ball, 900 + seed), [ball]) for seed, ball in enumerate(balls))
+    return fit_inverse_map(samples, balls, SHAPE, max_samples=6_000).map
 
 
-MAP = LinearMap()
+MAP = _fitted()
+"""Fitted to balls whose channels answer as `ANSWER` has it."""
 
 
 def frame(drift: np.ndarray, seed: int = 0, *, dome: float = 1.0, clipped: bool = False) -> NormalizedImage:
