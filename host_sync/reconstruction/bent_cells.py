@@ -1,8 +1,8 @@
 """Cells of bent skin: what their mean light hides of their slope.
 
 A coat answers to the direction of its normal, and light adds up over a cell. The mean of unit normals, (-p, -q, 1) over
-w = √(1 + p² + q²), leans less than the mean slope says: by C s / w², where C is the covariance of slopes in the cell
-(Taylor's second order). On the edge of a step that is up to a micrometre of height, on a ball a thousandth of that.
+√(1 + p² + q²), leans less than the mean slope says. On the edge of a step that hides up to a micrometre of height, on a
+ball a thousandth of that.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from host_sync.kernels.parallel_rows import parallel_rows
 SAMPLES: Final = 4
 """Pixels along a cell whose slopes are asked, at least."""
 
+MAX_SHARE: Final = 0.1
+"""Share of a cell's slope that may be hidden; slopes that differ by more are misread."""
+
 
 def slopes_hidden_by_means(gradients: GradientField, size: tuple[int, int], cell: int) -> Float64Array:
     """By how much mean slopes of `size` (h, w) cells are steeper than their mean light shows: float64 array (h, w, 2).
@@ -28,38 +31,42 @@ def slopes_hidden_by_means(gradients: GradientField, size: tuple[int, int], cell
     gradients : slopes of pixels
     cell : pixels along a cell
     """
-    sums = np.zeros((6, *size), np.float32)
-    blur, step = np.float32(BLUR_PX**2), max(1, cell // SAMPLES)
-    parallel_rows(_add_squares, size, gradients.p, gradients.q, gradients.valid, cell, step, blur, sums)
-    p, q, pp, pq, qq = sums[:5] / np.maximum(sums[5], np.float32(1.0))
-    pp, pq, qq = pp - p * p, pq - p * q, qq - q * q
-    square = 1.0 + p * p + q * q
-    return np.stack([(pp * p + pq * q) / square, (pq * p + qq * q) / square], axis=-1).astype(np.float64)
+    sums = np.zeros((9, *size), np.float32)
+    step = max(1, cell // SAMPLES)
+    parallel_rows(_add_normals, size, gradients.p, gradients.q, gradients.valid, cell, step, sums)
+    p, q, p_normal, q_normal, normal, pp, pq, qq = sums[:8].astype(np.float64) / np.maximum(sums[8], 1.0)
+    square, normal = 1.0 + p * p + q * q, np.maximum(normal, 1e-6)
+    blur = 0.25 * BLUR_PX**2
+    p_hidden = p - p_normal / normal + blur * (pp * p + pq * q) / square
+    q_hidden = q - q_normal / normal + blur * (pq * p + qq * q) / square
+    share = np.hypot(p_hidden, q_hidden) / np.maximum(np.sqrt(square - 1.0), 1e-12)
+    believed = np.minimum(1.0, MAX_SHARE / np.maximum(share, 1e-12))
+    return np.stack([believed * p_hidden, believed * q_hidden], axis=-1)
 
 
 @njit(cache=True, nogil=True)
-def _add_squares(p: Any, q: Any, valid: Any, cell: int, step: int, blur: Any, sums: Any, first: int, last: int) -> None:
-    """Add up p, q, p², pq, q² (with what the blur hides) and the number of valid pixels over rows of cells."""
+def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, first: int, last: int) -> None:
+    """Add up slopes, normals, products of slopes' differences over two pixels, and valid pixels, in rows of cells."""
     rows, columns = valid.shape
-    quarter = np.float32(0.25) * blur
+    one = np.float32(1.0)
     for i in range(first, last):
         for r in range(i * cell + step // 2, min((i + 1) * cell, rows), step):
             for c in range(step // 2, columns, step):
                 if not valid[r, c]:
                     continue
+                j = c // cell
                 x, y = p[r, c], q[r, c]
-                pp, pq, qq = x * x, x * y, y * y
+                normal = one / np.sqrt(one + x * x + y * y)
+                sums[0, i, j] += x
+                sums[1, i, j] += y
+                sums[2, i, j] += x * normal
+                sums[3, i, j] += y * normal
+                sums[4, i, j] += normal
+                sums[8, i, j] += one
                 inner = 0 < r < rows - 1 and 0 < c < columns - 1
                 if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
                     px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]
                     qx, qy = q[r, c + 1] - q[r, c - 1], q[r + 1, c] - q[r - 1, c]
-                    pp += quarter * (px * px + py * py)
-                    pq += quarter * (px * qx + py * qy)
-                    qq += quarter * (qx * qx + qy * qy)
-                j = c // cell
-                sums[0, i, j] += x
-                sums[1, i, j] += y
-                sums[2, i, j] += pp
-                sums[3, i, j] += pq
-                sums[4, i, j] += qq
-                sums[5, i, j] += np.float32(1.0)
+                    sums[5, i, j] += px * px + py * py
+                    sums[6, i, j] += px * qx + py * qy
+                    sums[7, i, j] += qx * qx + qy * qy

@@ -79,7 +79,7 @@ def read_under_lamps(
     """
     cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
-    bend = slopes_hidden_by_means(gradients, known.shape, cell)
+    bend = slopes_hidden_by_means(gradients, (p.shape[0], p.shape[1]), cell)
     cells = LampCells.of(image, lamps.model, p.shape, cell, alone, bend)
     reading = _Reading(cells, Integrator(p.shape), np.stack([p, q], axis=-1).astype(np.float64) - bend, known)
     found = reading.begin()
@@ -87,6 +87,8 @@ def read_under_lamps(
         found = reading.improved(found, steps)
         if found.is_level:
             break
+    reading, found = reading.even_where_hidden(found)
+    cells = reading.cells
     if found.has_zero:
         found = reading.settled(found)
     rise, is_plate = None, reading.is_plate(found)
@@ -159,6 +161,14 @@ class _Reading:
         if told is None:
             return _Found(found.slope, found.shadow, z_px, has_zero, is_level=True)
         return _Found(told.slope, told.shadow, z_px, has_zero, told.lights)
+
+    def even_where_hidden(self, found: _Found) -> tuple[_Reading, _Found]:
+        """The same with nothing hidden by means where a light may not arrive: there pixels are misread."""
+        if found.lights is None or not found.lights.any_hidden.any():
+            return self, found
+        given_back = np.where(found.lights.any_hidden[..., None], self.cells.bend, 0.0)
+        cells = replace(self.cells, bend=self.cells.bend - given_back)
+        return replace(self, cells=cells, read=self.read + given_back), replace(found, slope=found.slope + given_back)
 
     def settled(self, found: _Found) -> _Found:
         """What is found once slopes where a light may be hidden agree with the surface that they make.

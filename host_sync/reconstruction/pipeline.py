@@ -15,7 +15,7 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.denoising.blur_correction import BLUR_PX, without_blur
-from host_sync.denoising.noise_waves import MAX_POWER, without_noise_waves
+from host_sync.denoising.noise_waves import CLEAR_POWER, NoiseWaves, noise_waves
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
@@ -126,16 +126,17 @@ def reconstruct(
         noise = msgspec.structs.replace(noise, blur_px=min(noise.blur_px, BLUR_PX), raw_blur_px=0.0)
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    power = None
-    if chosen == "direct" and reading.has_rest:
-        height, power = without_noise_waves(height, gradients)
+    waves = noise_waves(height, gradients) if chosen == "direct" and reading.has_rest else None
+    if waves is not None:
+        height = waves.off(height)
     found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
     unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
-    nothing = () if power is None else (FrameCheck("relief", "passed", power, MAX_POWER, "of the noise's power"),)
-    checks = (*reading.first.checks, *told, *nothing)
+    checks = (*reading.first.checks, *told)
+    if waves is not None:
+        checks = (*checks, FrameCheck("noise waves", "passed", waves.power, CLEAR_POWER[1], "times noise's power"))
     raise_on_warnings(warnings, name, force=force)
     if datum.is_relative:
         warnings += [NO_ZERO]
@@ -145,7 +146,7 @@ def reconstruct(
         z_px = np.nan_to_num(height.z_um / np.float32(height.pitch_um))
         gradients = seen_slopes(read, viewpoint, z_px, out=gradients)
     slopes = surface_slopes(height)
-    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum)
+    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -153,6 +154,8 @@ def reconstruct(
         if viewpoint is not None:
             raw_gradients = seen_slopes(raw_gradients, viewpoint, z_px)
         raw = solve(raw_gradients, calibration.pitch_um)[0]
+        if waves is not None:
+            raw = waves.off(raw)
         other = with_raw_detail(height, without_blur(raw, noise.raw_blur_px) if noise else raw)
         if noise is not None and detail == "shrunk":
             lost = lost_variance(surface_slopes(other), slopes, noise)
@@ -191,12 +194,14 @@ def _uncertainty(
     gradients: GradientField,
     reading: SlopeReading,
     datum: Datum,
+    waves: NoiseWaves | None,
 ) -> tuple[HeightUncertainty, Float32Array]:
     """What is not known of heights, and the standard uncertainty of either slope.
 
     height : with shrunk detail, levelled to the datum
     slopes : of it
     gradients : as they were integrated, of a camera nearby times what elevation changes
+    waves : of noise that were taken out of the height map
     """
     p, q = slopes
     first = reading.first
@@ -217,6 +222,8 @@ def _uncertainty(
         calibration=unsure,
         shadow=None if correction is None else correction.sigma(size),
     )
+    if waves is not None:
+        known = HeightUncertainty(*waves.doubted(known.sigma_um, known.samples_um))
     kept = noise.shrunk_kept if noise else NOISE_KEPT
     return known, slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
 

@@ -24,26 +24,27 @@ def calibration() -> Calibration:
     return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), PITCH_UM)
 
 
-def relief_checks(found: Reconstruction) -> list[float | None]:
-    return [check.value for check in found.frame_checks if check.name == "relief"]
+def wave_checks(found: Reconstruction) -> list[float | None]:
+    return [check.value for check in found.frame_checks if check.name == "noise waves"]
 
 
 def test_untouched_skin_is_flat_and_says_so(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = lit_by_ring(np.zeros(SHAPE), 3, 500)
+    frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
     found = reconstruct(frame, calibration, "nothing")
-    monkeypatch.setattr(pipeline, "without_noise_waves", lambda height, _: (height, None))
+    monkeypatch.setattr(pipeline, "noise_waves", lambda *_: None)
     before = reconstruct(frame, calibration, "nothing")
     flat_um, before_um = (float(np.sqrt((one.height.z_um**2).mean())) for one in (found, before))
     assert flat_um < 0.5 * before_um
-    assert relief_checks(found) == [pytest.approx(1.0, abs=0.5)]
-    assert not relief_checks(before)
-    assert found.sigma_um.mean() == pytest.approx(before.sigma_um.mean(), rel=0.2)
+    assert wave_checks(found) == [pytest.approx(4.0, abs=2.0)]
+    assert not wave_checks(before)
+    assert flat_um / float(found.sigma_um.mean()) < 1.3
+    assert found.sigma_um.mean() < before.sigma_um.mean()
 
 
 def test_a_ball_is_left_as_it_was(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = lit_by_ring(press_px(*balls()[5]), 3, 501)
     found = reconstruct(frame, calibration, "ball")
-    monkeypatch.setattr(pipeline, "without_noise_waves", lambda height, _: (height, None))
+    monkeypatch.setattr(pipeline, "noise_waves", lambda *_: None)
     before = reconstruct(frame, calibration, "ball")
     assert np.array_equal(found.height.z_um, before.height.z_um)
-    assert not relief_checks(found)
+    assert not wave_checks(found)
