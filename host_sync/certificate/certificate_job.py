@@ -110,7 +110,7 @@ def _surface(
             )
         return surface
     frame = FrameSpec(tuple(folder / image for image in _images(scan)), encoding)
-    reconstruction = reconstruct(read_frame(frame), calibration, frame.name)
+    reconstruction = reconstruct(read_frame(frame), calibration, frame.name, keep_noise=True)
     write_result(out, reconstruction, calibration, name)
     return read_result(out)
 

@@ -97,12 +97,14 @@ def reconstruct(
     force: bool = False,
     detail: DetailName = "shrunk",
     sequence: LightSequence | None = None,
+    keep_noise: bool = False,
 ) -> Reconstruction:
     """The surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
 
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
     detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
     sequence : frames of each light alone, of the same press: they show where a light is hidden
+    keep_noise : leave long waves of noise in a frame that shows nothing else, as an instrument's certificate asks
 
     Raises
     ------
@@ -126,7 +128,8 @@ def reconstruct(
         noise = msgspec.structs.replace(noise, blur_px=min(noise.blur_px, BLUR_PX), raw_blur_px=0.0)
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    waves = noise_waves(height, gradients) if chosen == "direct" and reading.has_rest else None
+    asked = chosen == "direct" and reading.has_rest and not keep_noise
+    waves = noise_waves(height, gradients) if asked else None
     if waves is not None:
         height = waves.off(height)
     found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import Float32Array, GradientField, HeightMap, surface_slopes
-from host_sync.denoising.noise_waves import CLEAR_POWER, noise_waves
+from host_sync.denoising.noise_waves import CLEAR_POWER, NoiseWaves, noise_waves
 from host_sync.integration.integrate import integrate
 
 SHAPE = (360, 480)
@@ -110,3 +110,38 @@ def test_fields_of_any_size(shape: tuple[int, int]) -> None:
 def test_a_field_without_any_noise_is_left_alone() -> None:
     _, found, _ = read(field(np.zeros(SHAPE), noise=0.0))
     assert long_um(found.z_um) == 0.0
+
+
+@pytest.mark.parametrize(("wide_px", "high_px"), [(4.0, 0.5), (7.0, 0.4), (12.0, 0.3), (25.0, 0.3)])
+def test_a_faint_dome_that_is_small_beside_the_field_keeps_all_of_its_height(wide_px: float, high_px: float) -> None:
+    square = (ROW - 150.0) ** 2 + (COLUMN - 300.0) ** 2
+    height, found, power = read(field(high_px * np.exp(-square / (2.0 * wide_px**2))))
+    assert power is None
+    assert found is height
+
+
+def test_pure_noise_is_hardly_ever_taken_for_something() -> None:
+    powers = [read(field(np.zeros(SHAPE), seed=seed))[2] for seed in range(100, 120)]
+    assert sum(power is None or power > CLEAR_POWER[0] for power in powers) <= 2
+
+
+def test_noise_that_is_louder_in_dim_corners_is_noise() -> None:
+    rng = np.random.default_rng(7)
+    loud = 1.0 + 3.0 * ((COLUMN / SHAPE[1] - 0.5) ** 2 + (ROW / SHAPE[0] - 0.5) ** 2)
+    p, q = (np.asarray(NOISE * loud * rng.standard_normal(SHAPE), np.float32) for _ in range(2))
+    gradients = GradientField(p, q, np.ones(SHAPE, np.bool_), np.ones(SHAPE, np.float32))
+    height, found, _ = read(gradients)
+    assert long_um(found.z_um) < 0.5 * long_um(height.z_um)
+
+
+def test_half_of_what_was_taken_is_doubted_and_what_is_left_of_noise_is_all_the_rest() -> None:
+    taken = np.full((8, 12), 3.0, np.float32)
+    sigma, samples = np.full((8, 12), 2.0, np.float32), np.ones((16, 4, 6), np.float32)
+    sigma[0, 0] = np.nan
+    found, drawn = NoiseWaves(taken, 3.0, 0.25).doubted(sigma, samples)
+    assert np.isnan(found[0, 0])
+    np.testing.assert_allclose(found[1:], np.hypot(0.5, 1.5), rtol=1e-6)
+    assert drawn.shape == samples.shape
+    apart = drawn[:, 0, 0] - 0.25
+    assert np.sqrt((apart**2).mean()) == pytest.approx(1.5, rel=0.5)
+    np.testing.assert_allclose(drawn, drawn[:, :1, :1] * np.ones_like(drawn), rtol=1e-6)

@@ -48,3 +48,10 @@ def test_a_ball_is_left_as_it_was(calibration: Calibration, monkeypatch: pytest.
     before = reconstruct(frame, calibration, "ball")
     assert np.array_equal(found.height.z_um, before.height.z_um)
     assert not wave_checks(found)
+
+
+def test_noise_is_kept_where_that_is_asked(calibration: Calibration) -> None:
+    frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
+    kept, without = (reconstruct(frame, calibration, "nothing", keep_noise=keep) for keep in (True, False))
+    assert not wave_checks(kept)
+    assert float(kept.height.z_um.std()) > 2.0 * float(without.height.z_um.std())
