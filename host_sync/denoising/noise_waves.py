@@ -49,7 +49,7 @@ BOWL_POWER: Final = 36.0
 counts for waves of one period along one side: lights stand around the field, so that what is misread of untouched skin
 is a bowl. Twelve rendered benches showed 12 of the former at most, 31 of the latter."""
 
-DOUBT: Final = 0.5
+DOUBT: Final = 1.0 / 3.0
 """Standard uncertainty of what is taken out, as a share: something faint may have been there."""
 
 

@@ -134,14 +134,14 @@ def test_noise_that_is_louder_in_dim_corners_is_noise() -> None:
     assert long_um(found.z_um) < 0.5 * long_um(height.z_um)
 
 
-def test_half_of_what_was_taken_is_doubted_and_what_is_left_of_noise_is_all_the_rest() -> None:
+def test_a_third_of_what_was_taken_is_doubted_and_what_is_left_of_noise_is_all_the_rest() -> None:
     taken = np.full((8, 12), 3.0, np.float32)
     sigma, samples = np.full((8, 12), 2.0, np.float32), np.ones((16, 4, 6), np.float32)
     sigma[0, 0] = np.nan
     found, drawn = NoiseWaves(taken, 3.0, 0.25).doubted(sigma, samples)
     assert np.isnan(found[0, 0])
-    np.testing.assert_allclose(found[1:], np.hypot(0.5, 1.5), rtol=1e-6)
+    np.testing.assert_allclose(found[1:], np.hypot(0.5, 1.0), rtol=1e-6)
     assert drawn.shape == samples.shape
     apart = drawn[:, 0, 0] - 0.25
-    assert np.sqrt((apart**2).mean()) == pytest.approx(1.5, rel=0.5)
+    assert np.sqrt((apart**2).mean()) == pytest.approx(1.0, rel=0.5)
     np.testing.assert_allclose(drawn, drawn[:, :1, :1] * np.ones_like(drawn), rtol=1e-6)
