@@ -9,7 +9,7 @@ their own drift is out (`press_drift`), counts as no drift.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -21,7 +21,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
-from host_sync.gradients.inverse_map_kernel import evaluate
+from host_sync.gradients.cell_slopes import slopes_of_means
 from host_sync.integration.zero_level import Datum, block_medians, find_datum, trimmed_mean
 from host_sync.lights.surroundings import ALL
 
@@ -178,15 +178,6 @@ class FieldCells:
         p, q = (np.where(self.known, slope, np.float32(0.0)) for slope in slopes_of_means(values, inverse_map))
         gradients = GradientField(p, q, self.known, self.known.astype(np.float32))
         return find_datum(HeightMap(integrate_dct(p, q, 1.0), 1.0), gradients)
-
-
-def slopes_of_means(values: Float32Array, inverse_map: InverseMap) -> tuple[Float32Array, Float32Array]:
-    """Slopes p and q (h, w) that a map reads of means (h, w, 3) over cells that cover its field."""
-    size = values.shape[0], values.shape[1]
-    everywhere = np.ones(size, np.bool_)
-    image = NormalizedImage(np.ascontiguousarray(values, np.float32), everywhere, ~everywhere)
-    read = evaluate(replace(inverse_map.quiet, shape=size), image)
-    return read.p, read.q
 
 
 def in_cells(samples: Float32Array, shape: tuple[int, int]) -> Float32Array:

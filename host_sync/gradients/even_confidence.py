@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from device.surface.fields import GradientField, MaskArray
-from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
+from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 
@@ -57,10 +57,7 @@ def _spread(sums: Any, valid: Any, clipped: Any, weight: Any, first: int, last: 
     upper, step = np.empty((2, weight.shape[1]), np.float32), np.empty((2, weight.shape[1]), np.float32)
     expanded = -1
     for row in range(first, last):
-        top, share = cells_above(row, CELL_PX, sums.shape[1])
-        if top != expanded:
-            expand_cells(sums, top, CELL_PX, 0, upper, step)
-            expanded = top
+        expanded, share = expanded_at(sums, row, CELL_PX, expanded, upper, step)
         for column in range(weight.shape[1]):
             if _counts(valid[row, column], clipped[row, column], weight[row, column]):
                 count = upper[1, column] + share * step[1, column]

@@ -55,6 +55,19 @@ def cells_above(row: int, cell: int, count: int) -> Any:
 
 
 @njit(cache=True)
+def expanded_at(planes: Any, row: int, cell: int, expanded: int, upper: Any, step: Any) -> Any:
+    """The bordered row of cells above a row of pixels, brought to all columns unless it is the one that is, and the
+    pixels' share of the way down.
+
+    expanded : the row that `upper` and `step`, as of `expand_cells`, hold; -1 for none
+    """
+    top, share = cells_above(row, cell, planes.shape[1])
+    if top != expanded:
+        expand_cells(planes, top, cell, 0, upper, step)
+    return top, share
+
+
+@njit(cache=True)
 def expand_cells(planes: Any, top: int, cell: int, first: int, upper: Any, step: Any) -> None:
     """Bring a bordered row of cells to the columns from `first` on.
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, GradientField
-from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells
+from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, gauss_newton_step
@@ -121,10 +121,7 @@ def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last
     upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
     expanded = -1
     for r in range(first, last):
-        top, share = cells_above(r, cell, planes.shape[1])
-        if top != expanded:
-            expand_cells(planes, top, cell, 0, upper, step)
-            expanded = top
+        expanded, share = expanded_at(planes, r, cell, expanded, upper, step)
         for c in range(p.shape[1]):
             p[r, c] += upper[0, c] + share * step[0, c]
             q[r, c] += upper[1, c] + share * step[1, c]
@@ -137,10 +134,7 @@ def _write_confidence(planes: Any, cell: int, weight: Any, out: Any, first: int,
     upper, step = np.empty((len(planes), out.shape[1]), np.float32), np.empty((len(planes), out.shape[1]), np.float32)
     expanded = -1
     for r in range(first, last):
-        top, share = cells_above(r, cell, planes.shape[1])
-        if top != expanded:
-            expand_cells(planes, top, cell, 0, upper, step)
-            expanded = top
+        expanded, share = expanded_at(planes, r, cell, expanded, upper, step)
         for c in range(out.shape[1]):
             had, has = upper[0, c] + share * step[0, c], upper[1, c] + share * step[1, c]
             out[r, c] = weight[r, c] * (np.float32(1.0) + has) / (np.float32(1.0) + had)

@@ -88,7 +88,6 @@ def read_under_lamps(
         if found.is_level:
             break
     reading, found = reading.even_where_hidden(found)
-    cells = reading.cells
     if found.has_zero:
         found = reading.settled(found)
     rise, is_plate = None, reading.is_plate(found)
@@ -96,13 +95,12 @@ def read_under_lamps(
         return None
     if is_plate or not found.has_zero:
         reading, found, rise = reading.raised(found)
-        cells = reading.cells
     change = (found.slope - reading.read).astype(np.float32)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     share = np.float32(HIDDEN_SIGMA) * (found.shadow > 0.0)
-    unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
+    unsure = reading.cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
-    left_alone = (~cells.faithful).astype(np.float32)
+    left_alone = (~reading.cells.faithful).astype(np.float32)
     return CellCorrection(
         p_change,
         q_change,
