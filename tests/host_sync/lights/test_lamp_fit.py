@@ -59,3 +59,5 @@ def test_balls_show_where_beams_point(aim: float) -> None:
     assert abs(np.log(fit.lamps.model.aim / aim)) < 0.5 * abs(np.log(aim))
     assert len(fit.lamps.folds) == FOLDS
     assert len({model.aim for model in fit.lamps.folds}) == FOLDS
+    # Nobody says where the camera stands: it is far away, whatever noise would have it take up.
+    assert {model.camera for model in (fit.lamps.model, *fit.lamps.folds)} == {0.0}
