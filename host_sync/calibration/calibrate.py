@@ -51,6 +51,7 @@ from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.stray_light import with_stray_light
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
+from host_sync.denoising.null_colour import NullColour, learn_null_colour
 from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
@@ -91,6 +92,7 @@ class Calibration:
     elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads untouched skin
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
+    null_colour : what takes part of it off slopes of raw frames; None where nothing tells it from detail
     shading : what each channel shows of a slope, None where the balls do not tell it well enough
     lamps : where the lamp of each channel stands, None where it is not known
     viewpoint : where the camera looks from, None where it is not known
@@ -123,6 +125,7 @@ class Calibration:
     fitted_lamps: FittedLamps | None = None
     quadric: FittedQuadric | None = None
     press_levels: PressLevels | None = None
+    null_colour: NullColour | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -264,9 +267,10 @@ def calibrate(
     if reference:
         images = [image for image, _ in kept]
         levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
-    noise = _slope_noise(shrinkage, inverse, training, demosaiced=presses[0].frame.demosaiced)
+    null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
+    noise = _slope_noise(shrinkage, inverse, training, null_colour, demosaiced=presses[0].frame.demosaiced)
     digest = _digest(
-        inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint, noise
+        inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint, noise, null_colour
     )
     return Calibration(
         calibration_id=digest,
@@ -290,6 +294,7 @@ def calibrate(
         fitted_lamps=fitted_lamps,
         quadric=quadric,
         press_levels=levels,
+        null_colour=null_colour,
     )
 
 
@@ -303,11 +308,17 @@ def _learn_shrinkage(
 
 
 def _slope_noise(
-    shrinkage: DetailShrinkage | None, inverse: InverseFit, training: BallSamples, *, demosaiced: bool
+    shrinkage: DetailShrinkage | None,
+    inverse: InverseFit,
+    training: BallSamples,
+    null_colour: NullColour | None,
+    *,
+    demosaiced: bool,
 ) -> SlopeNoise | None:
     if shrinkage is None:
         return None
-    return measure_slope_noise(shrinkage.noise, shrinkage.shrinkage, inverse.map, training, demosaiced=demosaiced)
+    noise, by = shrinkage.noise, shrinkage.shrinkage
+    return measure_slope_noise(noise, by, inverse.map, training, null_colour, demosaiced=demosaiced)
 
 
 def _without_noise(located: Sequence[UsedPress], shrinkage: DetailShrinkage | None) -> Sequence[UsedPress]:
@@ -340,6 +351,7 @@ def _digest(
     levels: PressLevels | None = None,
     viewpoint: Viewpoint | None = None,
     noise: SlopeNoise | None = None,
+    null_colour: NullColour | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -362,4 +374,8 @@ def _digest(
         digest.update(np.array([viewpoint.column, viewpoint.row, viewpoint.height_px]).tobytes())
     if noise is not None and noise.raw_blur_px > 0.0:
         digest.update(np.array([noise.blur_px, noise.raw_blur_px]).tobytes())
+    if null_colour is not None:
+        digest.update(
+            null_colour.channels.tobytes() + null_colour.slopes.tobytes() + np.float64(null_colour.limit).tobytes()
+        )
     return digest.hexdigest()[:12]

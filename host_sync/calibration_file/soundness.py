@@ -51,6 +51,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "NormalQuadric": {"coefficients": f"{TERMS} places 3"},
     "IlluminationMap": {"nodes": "h w 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
+    "NullColour": {"channels": "3 3 3", "slopes": "3 3 2"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
     "LightGroups": {"flat_field": "H W lights", "typical": "lights"},
     "MattLights": {"directions": "lights k 2", "tolerance": "lights"},
@@ -93,6 +94,8 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_viewpoint(one.viewpoint)
         _check_quadric(one)
         _check_levels(one.press_levels)
+        if one.null_colour is not None and not 0.0 < one.null_colour.limit < LARGEST_COEFFICIENT:
+            raise Unsound("a null colour without slopes")
     _check_lights(calibration)
 
 

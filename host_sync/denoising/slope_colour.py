@@ -39,14 +39,16 @@ class SlopeColour:
         """The colours that samples of balls on a full-size field of `shape` (H, W) show."""
         part = slice(None, None, max(1, len(samples.p) // MAX_SAMPLES))
         place = field_position(samples.column[part].astype(np.float64), samples.row[part].astype(np.float64), shape)
-        features = _features(samples.p[part].astype(np.float64), samples.q[part].astype(np.float64), place)
+        slope = stereographic_from_slope(samples.p[part].astype(np.float64), samples.q[part].astype(np.float64))
+        features = _features(slope, place)
         gram = features.T @ features + PENALTY * len(features) * np.eye(features.shape[1])
         root = root_of(samples.intensity[part]).astype(np.float64)
         return cls(np.asarray(np.linalg.solve(gram, features.T @ root)))
 
     def root(self, p: Float64Array, q: Float64Array, place: tuple[float, float]) -> Float32Array:
         """Root of intensity (h, w, 3) of slopes (h, w) at one place, two position variables."""
-        features = _features(p.ravel(), q.ravel(), np.broadcast_to(np.array(place), (p.size, 2)))
+        slope = stereographic_from_slope(p.ravel(), q.ravel())
+        features = _features(slope, np.broadcast_to(np.array(place), (p.size, 2)))
         return np.asarray((features @ self.coefficients).reshape(*p.shape, 3), np.float32)
 
     def change(self, place: tuple[float, float]) -> Float64Array:
@@ -58,8 +60,16 @@ class SlopeColour:
         ]
         return np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=-1).astype(np.float64) / (2.0 * STEP)
 
+    def intensity_change(self, u: Float64Array, place: Float64Array) -> Float64Array:
+        """Change of intensity with stereographic slope, float64 array of shape (N, 3, 2).
 
-def _features(p: Float64Array, q: Float64Array, place: Float64Array) -> Float64Array:
-    by_slope = monomials(stereographic_from_slope(p, q), SLOPE_DEGREE)
-    by_place = monomials(place, PLACE_DEGREE)
-    return np.asarray((by_slope[:, :, None] * by_place[:, None, :]).reshape(len(p), -1))
+        u, place : float64 arrays of shape (N, 2), stereographic slopes and position variables
+        """
+        steps = STEP * np.eye(2)
+        sides = [[(_features(u + sign * step, place) @ self.coefficients) ** 2 for sign in (1, -1)] for step in steps]
+        return np.stack([more - less for more, less in sides], axis=-1) / (2.0 * STEP)
+
+
+def _features(u: Float64Array, place: Float64Array) -> Float64Array:
+    by_slope, by_place = monomials(u, SLOPE_DEGREE), monomials(place, PLACE_DEGREE)
+    return np.asarray((by_slope[:, :, None] * by_place[:, None, :]).reshape(len(u), -1))

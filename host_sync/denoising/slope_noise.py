@@ -20,6 +20,7 @@ from device.surface.poisson_dct import integrate_dct
 from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 from host_sync.denoising.long_waves import shrink_but_long_waves
+from host_sync.denoising.null_colour import NullColour
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage
 from host_sync.results.record import SlopeNoise
 
@@ -33,10 +34,17 @@ MIN_SAMPLES: Final = 50
 
 
 def measure_slope_noise(
-    noise: FrameNoise, shrinkage: Shrinkage, inverse_map: InverseMap, samples: BallSamples, *, demosaiced: bool = False
+    noise: FrameNoise,
+    shrinkage: Shrinkage,
+    inverse_map: InverseMap,
+    samples: BallSamples,
+    null_colour: NullColour | None = None,
+    *,
+    demosaiced: bool = False,
 ) -> SlopeNoise:
     """The noise of slopes that a map reads at the places and colours of a calibration's samples.
 
+    null_colour : takes part of it off the slopes of raw frames
     demosaiced : as of `LinearFrame`
     """
     rng = np.random.default_rng(0)
@@ -44,55 +52,91 @@ def measure_slope_noise(
     everywhere = np.ones(raw.shape[:2], np.bool_)
     flat = NormalizedImage(np.asarray((1.0 + raw) ** 2, np.float32), everywhere, ~everywhere)
     shrunk = root_of(np.ascontiguousarray(shrink_but_long_waves(flat, shrinkage).values)) - np.float32(1.0)
+    drawn = raw.reshape(-1, 3), shrunk.reshape(-1, 3)
     tilt = np.degrees(np.arctan(np.hypot(samples.p, samples.q)))
     bands: list[tuple[float, float, float]] = []
     for low, high in pairwise(TILT_EDGES_DEG):
         inside = np.flatnonzero((tilt >= low) & (tilt < high))
         if inside.size >= MIN_SAMPLES:
             some = rng.choice(inside, min(inside.size, MAX_SAMPLES), replace=False)
-            both = [_angle_deg(inverse_map, samples, some, part, rng) for part in (raw, shrunk)]
+            both = _angles_deg(inverse_map, samples.select(some), drawn, null_colour, rng)
             bands.append((float(tilt[some].mean()), both[0], both[1]))
     tilts, raws, shrunks = zip(*(bands or [(0.0, 0.0, 0.0)]), strict=True)
     # Of raw detail what demosaicing took is given back however loud its noise is, which is known and told.
     raw_blur_px = DEMOSAIC_BLUR_PX if demosaiced else 0.0
-    raw_kept, raw_px = _in_height_map(inverse_map, raw, raw_blur_px)
+    raw_kept, raw_px = _in_height_map(_slopes_of_flat_skin(inverse_map, raw, shrunk, null_colour), raw_blur_px)
+    shrunk_slopes = _slopes_of_flat_skin(inverse_map, shrunk, shrunk, None)
     for blur_px in ((float(np.hypot(BLUR_PX, DEMOSAIC_BLUR_PX)),) if demosaiced else ()) + (BLUR_PX, 0.0):
-        shrunk_kept, shrunk_px = _in_height_map(inverse_map, shrunk, blur_px)
+        shrunk_kept, shrunk_px = _in_height_map(shrunk_slopes, blur_px)
         if shrunk_kept * shrunks[0] <= MAX_NOISE_DEG:
             break
     return SlopeNoise(tilts, raws, shrunks, raw_kept, shrunk_kept, raw_px, shrunk_px, blur_px, raw_blur_px)
 
 
-def _angle_deg(
+def _angles_deg(
     inverse_map: InverseMap,
     samples: BallSamples,
-    some: np.ndarray[tuple[int], np.dtype[np.intp]],
-    noise: Float32Array,
+    drawn: tuple[Float32Array, Float32Array],
+    null_colour: NullColour | None,
     rng: np.random.Generator,
-) -> float:
-    """Standard deviation of the normal's angle, either component, that noise causes at some samples."""
-    own = noise.reshape(-1, 3)[rng.integers(0, noise.shape[0] * noise.shape[1], some.size)]
-    root = root_of(samples.intensity[some])
-    place = samples.column[some], samples.row[some]
-    apart = inverse_map.predict((root + own) ** 2, *place) - inverse_map.predict(root**2, *place)
-    square = samples.p[some] ** 2 + samples.q[some] ** 2
-    return float(np.degrees((apart / (1.0 + square[:, None])).std()))
+) -> tuple[float, float]:
+    """Standard deviation of the normal's angle, either component, that raw and shrunk noise cause at samples.
+
+    drawn : float32 arrays of shape (M, 3), both noises of the same pixels
+    """
+    own = rng.integers(0, len(drawn[0]), len(samples.p))
+    root = root_of(samples.intensity)
+    place = samples.column, samples.row
+    raw, shrunk = ((root + noise[own]) ** 2 for noise in drawn)
+    square = samples.p**2 + samples.q**2
+    without = inverse_map.predict(root**2, *place)
+    loud, quiet = _read(inverse_map, raw, shrunk, place, null_colour), inverse_map.predict(shrunk, *place)
+    raw_deg, shrunk_deg = (
+        float(np.degrees(((read - without) / (1.0 + square[:, None])).std())) for read in (loud, quiet)
+    )
+    return raw_deg, shrunk_deg
 
 
-def _in_height_map(inverse_map: InverseMap, noise: Float32Array, blur_px: float) -> tuple[float, float]:
-    """Noise of a height map of flat skin in the middle of the field.
+def _read(
+    inverse_map: InverseMap,
+    seen: Float32Array,
+    shrunk: Float32Array,
+    place: tuple[Float32Array, Float32Array],
+    null_colour: NullColour | None,
+) -> Float64Array:
+    """Slopes (N, 2) of intensities (N, 3) at columns and rows, less what the null colour tells of their noise."""
+    if null_colour is None:
+        return inverse_map.predict(seen, *place)
+    return null_colour.read(inverse_map, seen, shrunk, *place)
+
+
+def _slopes_of_flat_skin(
+    inverse_map: InverseMap,
+    noise: Float32Array,
+    shrunk: Float32Array,
+    null_colour: NullColour | None,
+) -> Float32Array:
+    """Slopes of a tile (H, W, 2) that noise (H, W, 3) causes on flat skin in the middle of the field, of mean 0.
+
+    shrunk, null_colour : what is left of that noise when it is shrunk, and what takes part of it off slopes
+    """
+    rows, columns = inverse_map.shape
+    pixels = noise.shape[0] * noise.shape[1]
+    middle = np.full(pixels, 0.5 * columns, np.float32), np.full(pixels, 0.5 * rows, np.float32)
+    seen, quiet = (np.asarray((1.0 + part.reshape(-1, 3)) ** 2, np.float32) for part in (noise, shrunk))
+    slopes = _read(inverse_map, seen, quiet, middle, null_colour)
+    return np.asarray(slopes - slopes.mean(axis=0), np.float32).reshape(*noise.shape[:2], 2)
+
+
+def _in_height_map(slopes: Float32Array, blur_px: float) -> tuple[float, float]:
+    """Noise of a height map of a tile of flat skin whose slopes, shape (H, W, 2), are noise.
 
     Its slopes' share of the noise of slopes as they were read, and its heights' over its slopes', pixels; only what is
     finer than the split of raw from shrunk detail counts among heights.
 
     blur_px : standard deviation of the camera's blur that is taken out of such a height map
     """
-    rows, columns = inverse_map.shape
-    side = noise.shape[0]
-    middle = np.full(side * side, 0.5 * columns, np.float32), np.full(side * side, 0.5 * rows, np.float32)
-    slopes = inverse_map.predict(np.asarray((1.0 + noise.reshape(-1, 3)) ** 2, np.float32), *middle)
-    fields = (slopes - slopes.mean(axis=0)).astype(np.float32).reshape(side, side, 2)
-    p, q = fields[..., 0], fields[..., 1]
+    p, q = np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1])
     coarse_and_fine = integrate_dct(p, q, 1.0)
     coarse_and_fine = without_blur(HeightMap(coarse_and_fine, 1.0), blur_px).z_um
     heights = np.asarray(coarse_and_fine - cv2.GaussianBlur(coarse_and_fine, (0, 0), SPLIT_PX), np.float32)

@@ -142,6 +142,32 @@ def take_off_bump(colours: Any, start: int, above: Any, below: Any, share: Any, 
         down[k] += likeness * (above[1, at] + share * (below[1, at] - above[1, at]))
 
 
+@njit(cache=True, fastmath=_CONTRACT)
+def take_off_noise(seen: Any, shrunk: Any, here: Any, across: Any, limit: np.float32, run: Any) -> None:
+    """Take off the curves' mean the noise along the null colour (`NullColour.noise`).
+
+    seen, shrunk : three float32 arrays of shape (n,) each, intensity as seen and with its noise shrunk
+    here, across : float32 arrays of shape (5, 3), three channels and two slopes by terms of slope, at the middle of
+        this row and what a step of the column's position adds
+    limit : as of `NullColour`
+    """
+    red, green, blue = seen
+    quiet_red, quiet_green, quiet_blue = shrunk
+    first, second, column = run[_SUM], run[_SUM + 1], run[_ACROSS]
+    for k in range(red.size):
+        x, u, v = column[k], min(max(first[k], -limit), limit), min(max(second[k], -limit), limit)
+        residual = (red[k] - quiet_red[k]) * _plane(here[0], across[0], x, u, v)
+        residual += (green[k] - quiet_green[k]) * _plane(here[1], across[1], x, u, v)
+        residual += (blue[k] - quiet_blue[k]) * _plane(here[2], across[2], x, u, v)
+        first[k] -= residual * _plane(here[3], across[3], x, u, v)
+        second[k] -= residual * _plane(here[4], across[4], x, u, v)
+
+
+@njit(inline="always")
+def _plane(here: Any, across: Any, x: Any, u: Any, v: Any) -> Any:
+    return here[0] + x * across[0] + u * (here[1] + x * across[1]) + v * (here[2] + x * across[2])
+
+
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
 def load_near(colours: Any, near: Any, least: np.float32, run: Any) -> None:
     """Write p, q and brightness of a matt skin under near lights (`NearLightModel.seen`); 1 beyond the row's end.

@@ -18,6 +18,7 @@ from device.inverse_map.near_light import PLACE_DEGREE
 from device.inverse_map.polynomial_features import colour_exponents, position_exponents
 from device.inverse_map.regressor import FeatureRegressor
 from device.surface.fields import Float32Array, GradientField, MaskArray
+from host_sync.denoising.null_colour import NullColour
 from host_sync.gradients.block_kernels import (
     EXCESS,
     ONE,
@@ -38,6 +39,7 @@ from host_sync.gradients.block_kernels import (
     run_length,
     take_off_bias,
     take_off_bump,
+    take_off_noise,
     take_slopes,
     take_variables,
     write_confidence,
@@ -52,26 +54,39 @@ POWERS: Final = 3
 """Powers 0 to 2 of a position variable."""
 
 
-def evaluate(inverse_map: InverseMap, image: NormalizedImage) -> GradientField:
+def evaluate(
+    inverse_map: InverseMap,
+    image: NormalizedImage,
+    null_colour: NullColour | None = None,
+    shrunk: NormalizedImage | None = None,
+) -> GradientField:
     """Slope, validity and confidence of every pixel of a full-size image, equal to the portable evaluation.
+
+    null_colour : of the image's noise, which is taken off slopes as `NullColour.read` does
+    shrunk : the image with its noise shrunk, which the null colour needs
 
     Raises
     ------
     CalibrationMismatch
         The image is not of the map's field.
     """
-    return SlopeKernel(inverse_map).evaluate(image)
+    return SlopeKernel(inverse_map, null_colour=null_colour).evaluate(image, shrunk)
 
 
 class SlopeKernel:
     """An inverse map as the compiled evaluation reads it, to be used for many images.
 
     out : receives slopes, validity and confidence each time; None for new arrays each time
+    null_colour : of the noise of images that are given with shrunk ones
     """
 
-    def __init__(self, inverse_map: InverseMap, out: GradientField | None = None) -> None:
+    def __init__(
+        self, inverse_map: InverseMap, out: GradientField | None = None, null_colour: NullColour | None = None
+    ) -> None:
         self._map = inverse_map
         self._out = out
+        self._null_colour = None if null_colour is None else _by_output(null_colour)
+        self._limit = np.float32(0.0 if null_colour is None else null_colour.limit)
         light, near, root = inverse_map.light, inverse_map.near, inverse_map.root
         self._limits = _limits(inverse_map.curve)
         self._own = _tabled(inverse_map.own, inverse_map.own_fraction)
@@ -86,10 +101,14 @@ class SlopeKernel:
         bump = inverse_map.rest_bump
         self._bump = _DARK if bump is None else _by_column(-bump, inverse_map.shape[1])
 
-    def evaluate(self, image: NormalizedImage) -> GradientField:
+    def evaluate(self, image: NormalizedImage, shrunk: NormalizedImage | None = None) -> GradientField:
         """As the function `evaluate`."""
         self._map.check_size(image.shape)
         out = self._out or empty_gradients(image.shape)
+        quiet, null_colour = image, _NO_NULL_COLOUR
+        if shrunk is not None and self._null_colour is not None:
+            self._map.check_size(shrunk.shape)
+            quiet, null_colour = shrunk, self._null_colour
         parallel_rows(
             _evaluate,
             image.shape,
@@ -106,6 +125,9 @@ class SlopeKernel:
             self._rest,
             self._bias,
             self._bump,
+            *as_stored(quiet.values),
+            null_colour,
+            self._limit,
             out.p,
             out.q,
             out.weight,
@@ -147,6 +169,9 @@ _DARK: Final = np.zeros((0, 3, 0), np.float32)
 _NO_BIAS: Final = np.zeros((2, 2, 2), np.float32)
 """Slopes of untouched skin of a map that has none."""
 
+_NO_NULL_COLOUR: Final = np.zeros((0, 3, 3), np.float32)
+"""Nothing is known of the image's noise."""
+
 _NO_LIGHTS: Final = np.zeros((0, 3, PLACE_DEGREE + 1, PLACE_DEGREE + 1), np.float32)
 """No directions of lights: the map has no curve that reads near lights' slopes."""
 
@@ -183,6 +208,11 @@ def _by_column(nodes: Float32Array, columns: int) -> Float32Array:
     return np.ascontiguousarray(np.moveaxis(rows_between_nodes(nodes, across, down), 2, 1))
 
 
+def _by_output(null_colour: NullColour) -> Float32Array:
+    """A null colour as the kernel reads it: float32 array of shape (5, 3, 3), first three channels, then two slopes."""
+    return np.ascontiguousarray(np.moveaxis(np.concatenate([null_colour.channels, null_colour.slopes], axis=-1), -1, 0))
+
+
 def _light_at_rest(inverse_map: InverseMap) -> Float32Array:
     """What the curve of light, its share in it, reads on untouched skin: nodes (n, m, 2)."""
     light = inverse_map.light
@@ -194,6 +224,7 @@ def _evaluate(
     values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, limits: Float32Array,
     own: _Curve, near: Float32Array, min_volume: np.float32, lit: _Curve, light: Float32Array, root: _Curve,
     rest: Float32Array, bias: Float32Array, bump: Float32Array,
+    quiet: Float32Array, quiet_by_plane: bool, null_colour: Float32Array, limit: np.float32,
     p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
@@ -206,12 +237,14 @@ def _evaluate(
     rest : minus what the curve `lit`, its share in it, reads on untouched skin, by places and columns
     bias : minus what noise adds to the curves' mean, likewise
     bump : minus what they read where intensity is 1, likewise, or empty: nothing
+    quiet, quiet_by_plane : the image with its noise shrunk
+    null_colour, limit : of that noise, as of `_by_output`, or empty: noise stays
     """
     rows, columns = p.shape
     length = run_length(columns)
     rooted = root.share > ZERO
     curves = 1 + int(len(light) > 0) + int(rooted)
-    run, spare = np.empty((PLANES, length), np.float32), np.empty((3, length), np.float32)
+    run, spare = np.empty((PLANES, length), np.float32), np.empty((2, 3, length), np.float32)
     for row in range(first, last):
         down = np.float32((2.0 * row + 1.0) / rows - 1.0)
         along, light_along = _at_row(own.coefficients, down), _at_row(lit.coefficients, down)
@@ -221,7 +254,7 @@ def _evaluate(
         for start in range(0, columns, length):
             end = min(start + length, columns)
             part = slice(start, end)
-            seen = colour_rows(values, by_plane, row, start, end, spare)
+            seen = colour_rows(values, by_plane, row, start, end, spare[0])
             begin(start, columns, run)
             if len(light):
                 top, share = _between(down, len(rest))
@@ -257,6 +290,11 @@ def _evaluate(
                 take_off_bump(seen, start, bump[top], bump[top + 1], share, run)
             top, share = _between(down, len(bias))
             take_off_bias(start, bias[top], bias[top + 1], share, run)
+            if len(null_colour):
+                shrunk = colour_rows(quiet, quiet_by_plane, row, start, end, spare[1])
+                take_off_noise(
+                    seen, shrunk, null_colour[..., 0] + down * null_colour[..., 2], null_colour[..., 1], limit, run
+                )
             take_slopes(run)
             _store(
                 run, usable[row, part], clipped[row, part], p[row, part], q[row, part], weight[row, part],

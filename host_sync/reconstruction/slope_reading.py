@@ -156,7 +156,7 @@ def _read_channels(
     gradients = estimate(intensity, calibration, method)
     raw_estimate = None
     if shrinkage is not None:
-        raw_estimate = BackgroundCall(estimate, raw, calibration, method)
+        raw_estimate = BackgroundCall(estimate, raw, calibration, method, intensity)
         raw_estimate.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = _correction(gradients, intensity, calibration, method, alone)
@@ -204,11 +204,16 @@ def _correction(
     return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).with_shadow(shadow)
 
 
-def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
-    """Slopes per pixel by the method."""
+def estimate(
+    intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
+) -> GradientField:
+    """Slopes per pixel by the method.
+
+    shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
+    """
     if method == "paper":
         return estimate_gradients(calibration.paper_model, intensity)
-    gradients = evaluate(calibration.inverse.map, intensity)
+    gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
     even_confidence(gradients, intensity.clipped)
     if calibration.elevation is not None:
         correct_elevation(gradients, calibration.elevation)

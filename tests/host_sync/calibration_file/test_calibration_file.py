@@ -36,6 +36,7 @@ from host_sync.calibration_file.kept_calibration import (
 from host_sync.calibration_file.soundness import Unsound, check_sound
 from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
 from host_sync.cli.main import main
+from host_sync.denoising.null_colour import NullColour
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.lights.lamp_model import FittedLamps
@@ -325,6 +326,12 @@ def with_quadric(calibration: Calibration, folds: int = 2, **changed: Any) -> Ca
     return replace(calibration, quadric=FittedQuadric(model, all_folds[2 - folds :]))
 
 
+def with_null_colour(calibration: Calibration, **changed: Any) -> Calibration:
+    """With a null colour that tells nothing, but for what is changed."""
+    null_colour = NullColour(np.zeros((3, 3, 3), np.float32), np.zeros((3, 3, 2), np.float32), 1.0)
+    return replace(calibration, null_colour=replace(null_colour, **changed))
+
+
 HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a table that points beyond its end": lambda one: with_table(one, bin_of=one.paper.table.bin_of + np.int32(10**6)),
     "candidates that end early": lambda one: with_table(one, candidates=one.paper.table.candidates[:-1]),
@@ -360,6 +367,11 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric without folds": lambda one: with_quadric(one, folds=0),
     "a quadric of one fold": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
+    "a null colour without slopes": lambda one: with_null_colour(one, limit=float("nan")),
+    "a null colour of two channels": lambda one: with_null_colour(one, channels=np.zeros((3, 3, 2), np.float32)),
+    "a null colour that is not finite": lambda one: with_null_colour(
+        one, slopes=np.full((3, 3, 2), np.nan, np.float32)
+    ),
     "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
     "a stray light below none": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, 0.0), 0.0, -1.0)),
     "levels of two lamps": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0), 0.0)),
@@ -383,6 +395,7 @@ def test_what_kernels_would_trust_is_checked(kept: KeptCalibration, harm: str) -
     check_sound(kept.calibration, "file")
     check_sound(with_lamps(kept.calibration), "file")
     check_sound(with_quadric(kept.calibration), "file")
+    check_sound(with_null_colour(kept.calibration), "file")
     with pytest.raises(Unsound):
         check_sound(HARMS[harm](kept.calibration), "file")
 

@@ -17,7 +17,10 @@ from device.inverse_map.near_light import NearLightModel
 from device.inverse_map.polynomial_features import colour_exponents, position_exponents
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
+from device.surface.stereographic import slope_from_stereographic
+from host_sync.denoising.null_colour import NullColour
 from host_sync.gradients.inverse_map_kernel import evaluate
+from host_sync.kernels.planes import in_planes
 
 SHAPE = (150, 300)
 
@@ -128,6 +131,40 @@ def test_every_degree_is_read_alike(degree: int) -> None:
     inverse = replace(map_of(), curve=curve_of(degree, 2, wavy=degree == 2))
     image = image_of()
     np.testing.assert_allclose(evaluate(inverse, image).p, inverse.gradients(image).p, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("by_plane", [False, True])
+@pytest.mark.parametrize("rooted", [False, True])
+def test_noise_that_a_witness_tells_is_taken_off_alike(rooted: bool, by_plane: bool) -> None:
+    random = np.random.default_rng(6)
+    null_colour = NullColour(
+        random.standard_normal((3, 3, 3)).astype(np.float32),
+        (0.1 * random.standard_normal((3, 3, 2))).astype(np.float32),
+        0.4,
+    )
+    inverse, image = map_of(lit=True, rooted=rooted), image_of()
+    shrunk = replace(image, values=image.values * np.float32(0.95) + np.float32(0.02))
+    stored = [replace(one, values=in_planes(one.values)) if by_plane else one for one in (image, shrunk)]
+    row, column = (place.ravel().astype(np.float32) for place in np.mgrid[: SHAPE[0], : SHAPE[1]])
+    seen, quiet = (one.values.reshape(-1, 3) for one in (image, shrunk))
+    found = evaluate(inverse, stored[0], null_colour, stored[1])
+    expected = null_colour.read(inverse, seen, quiet, column, row)
+    # Beyond the largest slope that is read, what is taken off is not seen.
+    limit = np.linalg.norm(slope_from_stereographic(np.array([1.5, 0.0])))
+    gentle = np.linalg.norm(inverse.predict(seen, column, row), axis=1) < limit
+    assert gentle.mean() > 0.5
+    for slope, other in ((found.p, expected[:, 0]), (found.q, expected[:, 1])):
+        np.testing.assert_allclose(slope.ravel()[gentle], other[gentle], rtol=1e-3, atol=1e-3)
+    plain = evaluate(inverse, image)
+    assert float(np.abs(found.p - plain.p).max()) > 0.01
+    np.testing.assert_array_equal(found.weight, plain.weight)
+    np.testing.assert_array_equal(evaluate(inverse, image, null_colour).p, plain.p)
+
+
+def test_a_shrunk_image_of_another_size_is_refused() -> None:
+    null_colour = NullColour(np.zeros((3, 3, 3), np.float32), np.zeros((3, 3, 2), np.float32), 1.0)
+    with pytest.raises(CalibrationMismatch, match="300x150"):
+        evaluate(map_of(), image_of(), null_colour, image_of((20, 30)))
 
 
 def test_one_and_two_threads_give_the_same_bits() -> None:

@@ -1,0 +1,150 @@
+"""The null colour: the change of three colours that no slope makes, and what noise along it does to slopes.
+
+Colours of a surface lie on a surface of their own: two slopes move them in two directions, noise in three. A map that
+was taught with colours without noise reads slopes in those two directions; what it makes of the third is chance. So
+what shrinkage took out of a pixel is asked how far it goes along the third direction, and the slope that noise of such
+a colour has on the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel
+by itself. Detail of the surface has nothing along that direction, and stays.
+
+Both the direction and what it says are polynomials of first degree in stereographic slope and in place. A matt skin's
+direction is one, but for a factor: its colours are linear in the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from device.balls.sphere import BallSamples
+from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import field_position
+from device.surface.fields import Float32Array, Float64Array
+from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
+from host_sync.denoising.frame_noise import FrameNoise, root_of
+from host_sync.denoising.slope_colour import SlopeColour
+
+MAX_SAMPLES: Final = 12_000
+MIN_SAMPLES: Final = 500
+STEP: Final = 6e-3
+"""Of intensity, over which the map's change is taken."""
+
+DETAIL_VARIANCES: Final = (0.01, 0.03, 0.1, 0.3)
+"""Variance of either slope of detail that must be read as it is, beside the noise: of 6 degrees, or of more where
+`MAX_MISREAD` asks for it."""
+
+MAX_MISREAD: Final = 0.03
+"""Root mean square change of slopes without noise, as a share of them."""
+
+PENALTY: Final = 1e-6
+PLACE_PENALTY: Final = 0.01
+"""Of terms that change over the field, of -1 to 1: a ball alone does not tell them."""
+
+STEEPEST_PERCENT: Final = 99.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NullColour:
+    """The change of colour that no slope makes, and what it says of noise in slopes.
+
+    channels : float32 array of shape (3, 3, 3), by terms of slope, terms of place, and channel: the changes of
+        intensity, times these, add up to the residual
+    slopes : float32 array of shape (3, 3, 2), likewise: stereographic slope that noise has for every unit of it
+    limit : slopes' components beyond it count as this
+    """
+
+    channels: Float32Array
+    slopes: Float32Array
+    limit: float
+
+    def noise(self, u: Float64Array, place: Float64Array, change: Float32Array) -> Float64Array:
+        """Stereographic slopes (N, 2) that are noise.
+
+        u : float64 array of shape (N, 2), stereographic slopes as read
+        place : float64 array of shape (N, 2), position variables
+        change : array of shape (N, 3), intensity as seen less intensity with its noise shrunk
+        """
+        terms = _terms(np.clip(u, -self.limit, self.limit), place)
+        residual = ((terms @ self.channels.reshape(-1, 3)) * change).sum(axis=1)
+        return np.asarray(residual[:, None] * (terms @ self.slopes.reshape(-1, 2)), np.float64)
+
+    def read(
+        self, inverse_map: InverseMap, seen: Float32Array, shrunk: Float32Array, column: Float32Array, row: Float32Array
+    ) -> Float64Array:
+        """Slopes of shape (N, 2) of single pixels at full-size coordinates, less the noise.
+
+        seen, shrunk : float32 arrays of shape (N, 3), intensities as seen and with their noise shrunk
+        """
+        u = stereographic_from_slope(*inverse_map.predict(seen, column, row).T)
+        place = field_position(column.astype(np.float64), row.astype(np.float64), inverse_map.shape)
+        return slope_from_stereographic(u - self.noise(u, place, seen - shrunk))
+
+
+def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: FrameNoise) -> NullColour | None:
+    """The null colour of a map, for noise of its frames; None where balls show too little, or slopes would change.
+
+    samples : of a calibration's balls, their noise shrunk
+    """
+    if len(samples.p) < MIN_SAMPLES:
+        return None
+    some = samples.select(np.arange(0, len(samples.p), max(1, len(samples.p) // MAX_SAMPLES)))
+    place = field_position(some.column.astype(np.float64), some.row.astype(np.float64), inverse_map.shape)
+    u = stereographic_from_slope(some.p.astype(np.float64), some.q.astype(np.float64))
+    terms, price = _terms(u, place), _price(u)
+    forward = SlopeColour.of(samples, inverse_map.shape).intensity_change(u, place)
+    reading = _reading_change(inverse_map, some.intensity, place)
+    channels = _unmoved(terms, price, np.cross(forward[..., 0], forward[..., 1]))
+    direction = terms @ channels
+    # The root's noise as that of intensity: what noise has in common with the residual, and the residual's own power.
+    doubled_root = 2.0 * root_of(some.intensity).astype(np.float64)
+    common = (direction * doubled_root) @ noise.covariance * doubled_root
+    power, read = (direction * common).sum(axis=1), np.einsum("nki,ni->nk", reading, common)
+    moved, detail = np.einsum("ni,nik->nk", direction, forward), np.einsum("nki,nij->nkj", reading, forward)
+    for variance in DETAIL_VARIANCES:
+        weight = power + variance * (moved**2).sum(axis=1)
+        gram = (terms * weight[:, None]).T @ terms + np.diag(weight.sum() * price)
+        slopes = np.linalg.solve(gram, terms.T @ read)
+        misread = (terms @ slopes)[:, :, None] * moved[:, None, :]
+        if (misread**2).sum() <= MAX_MISREAD**2 * (detail**2).sum():
+            unit = np.sqrt(power.mean())
+            limit = float(np.percentile(np.abs(u).max(axis=1), STEEPEST_PERCENT))
+            return NullColour(_by_terms(channels / unit), _by_terms(slopes * unit), limit)
+    return None
+
+
+def _terms(u: Float64Array, place: Float64Array) -> Float64Array:
+    """Terms of slope times terms of place: float64 array of shape (N, 9)."""
+    by_slope, by_place = (np.column_stack([np.ones(len(u)), one]) for one in (u, place))
+    return np.asarray((by_slope[:, :, None] * by_place[:, None, :]).reshape(len(u), -1))
+
+
+def _price(u: Float64Array) -> Float64Array:
+    """Price of the square of each term's coefficient, beside a sum of squares over samples of mean 1: shape (9,)."""
+    square = np.maximum([1.0, *(u**2).mean(axis=0)], 1e-9)
+    return np.outer(square, [PENALTY, PLACE_PENALTY, PLACE_PENALTY]).ravel()
+
+
+def _by_terms(coefficients: Float64Array) -> Float32Array:
+    return np.asarray(coefficients.reshape(3, 3, -1), np.float32)
+
+
+def _unmoved(terms: Float64Array, price: Float64Array, normal: Float64Array) -> Float64Array:
+    """Coefficients (9, 3) whose sum with terms (N, 9) is along normals (N, 3), however long."""
+    from scipy.linalg import eigh  # here, because only calibrating needs it
+
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    every = np.kron(terms.T @ terms + len(terms) * np.diag(price), np.eye(3))
+    along = (terms[:, :, None] * unit[:, None, :]).reshape(len(terms), -1)
+    _, vectors = eigh(every - along.T @ along, every, subset_by_index=(0, 0))
+    return np.asarray(vectors[:, 0].reshape(-1, 3))
+
+
+def _reading_change(inverse_map: InverseMap, intensity: Float32Array, place: Float64Array) -> Float64Array:
+    """Change of stereographic slope with intensity that a map reads: float64 array of shape (N, 2, 3)."""
+    steps = np.float32(STEP) * np.eye(3, dtype=np.float32)
+    more, less = (
+        np.stack([inverse_map.stereographic_at(intensity + sign * step, place) for step in steps], axis=-1)
+        for sign in (np.float32(1.0), np.float32(-1.0))
+    )
+    return np.asarray((more - less) / (2.0 * STEP))
