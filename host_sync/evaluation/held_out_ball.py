@@ -105,7 +105,7 @@ def _truth(
     everywhere = GradientField(p, q, np.ones(p.shape, np.bool_), np.ones(p.shape, np.float32))
     own = ball.viewpoint
     within = Viewpoint(own.column - float(column[0, 0]), own.row - float(row[0, 0]), own.height_px)
-    seen = seen_slopes(everywhere, within, z_px)
+    seen = seen_slopes(everywhere, within, HeightMap(z_px, 1.0))
     return seen.p, seen.q, np.asarray(z_px * pitch_um, np.float32)
 
 

@@ -38,27 +38,36 @@ def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
 @njit(cache=True)
 def _counts(valid: Any, clipped: Any, weight: Any) -> Any:
     """Whether a pixel counts in the mean, and takes it."""
-    return valid and not clipped and weight > MIN_OWN
+    return valid & (not clipped) & (weight > MIN_OWN)
 
 
 @njit(cache=True, nogil=True)
 def _sum(weight: Any, valid: Any, clipped: Any, sums: Any, first: int, last: int) -> None:
     """Add up weights, and count pixels, of rows of cells."""
-    for row in range(first * CELL_PX, min(last * CELL_PX, weight.shape[0])):
-        for column in range(weight.shape[1]):
-            if _counts(valid[row, column], clipped[row, column], weight[row, column]):
-                sums[0, row // CELL_PX, column // CELL_PX] += weight[row, column]
-                sums[1, row // CELL_PX, column // CELL_PX] += np.float32(1.0)
+    nothing, columns = np.float32(0.0), weight.shape[1]
+    for i in range(first, last):
+        for row in range(i * CELL_PX, min((i + 1) * CELL_PX, weight.shape[0])):
+            for j in range(sums.shape[2]):
+                for column in range(j * CELL_PX, min((j + 1) * CELL_PX, columns)):
+                    counted = _counts(valid[row, column], clipped[row, column], weight[row, column])
+                    sums[0, i, j] += weight[row, column] if counted else nothing
+                    sums[1, i, j] += np.float32(counted)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spread(sums: Any, valid: Any, clipped: Any, weight: Any, first: int, last: int) -> None:
     """Write means of cells over the weights of rows of pixels."""
     upper, step = np.empty((2, weight.shape[1]), np.float32), np.empty((2, weight.shape[1]), np.float32)
     expanded = -1
     for row in range(first, last):
         expanded, share = expanded_at(sums, row, CELL_PX, expanded, upper, step)
-        for column in range(weight.shape[1]):
-            if _counts(valid[row, column], clipped[row, column], weight[row, column]):
-                count = upper[1, column] + share * step[1, column]
-                weight[row, column] = (upper[0, column] + share * step[0, column]) / count
+        _spread_row(upper[0], step[0], upper[1], step[1], share, valid[row], clipped[row], weight[row])
+
+
+@njit(cache=True, error_model="numpy")
+def _spread_row(
+    total: Any, total_step: Any, count: Any, count_step: Any, share: Any, valid: Any, clipped: Any, weight: Any
+) -> None:
+    for c in range(weight.size):
+        mean = (total[c] + share * total_step[c]) / (count[c] + share * count_step[c])
+        weight[c] = mean if _counts(valid[c], clipped[c], weight[c]) else weight[c]

@@ -7,6 +7,7 @@ pixels.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
@@ -75,6 +76,95 @@ def cell_sums(
     sums = np.zeros((3, (rows + cell - 1) // cell, (columns + cell - 1) // cell), np.float32)
     parallel_rows(_add_cells, (sums.shape[1], columns), p, q, valid, cell, *sums)
     return sums[0], sums[1], sums[2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceCells:
+    """Sums over cells of a surface's pixels that have both a slope and a height: float32 arrays of shape (h, w).
+
+    z_px : of heights over a zero, pixels
+    p, q : of slopes
+    count : how many such pixels there are
+    skin : how many of them are skin that was asked for
+    """
+
+    z_px: Float32Array
+    p: Float32Array
+    q: Float32Array
+    count: Float32Array
+    skin: Float32Array
+
+    @classmethod
+    def of(
+        cls, height: HeightMap, gradients: GradientField, zero_um: float, skin: MaskArray, cell: int
+    ) -> SurfaceCells:
+        """Sums over cells of `cell` x `cell` pixels of a height map (H, W) and its slopes.
+
+        At the field's border cells may hold fewer pixels.
+
+        zero_um : height from which heights count
+        skin : bool array of shape (H, W), skin that is asked for
+        """
+        rows, columns = skin.shape
+        sums = np.zeros((5, -(-rows // cell), -(-columns // cell)), np.float32)
+        surface = height.z_um, gradients.p, gradients.q, gradients.valid, skin
+        scale = np.float32(zero_um), np.float32(height.pitch_um)
+        parallel_rows(_add_surface, (sums.shape[1], cell * columns), *surface, *scale, cell, sums)
+        return cls(*sums)
+
+
+@njit(cache=True, nogil=True)
+def _add_surface(
+    z: Any, p: Any, q: Any, valid: Any, skin: Any, zero: Any, pitch: Any, cell: int, sums: Any, first: int, last: int
+) -> None:
+    """Add up the rows `first` to `last` - 1 of cells."""
+    rows, columns = valid.shape
+    held, own = np.empty((5, cell, columns), np.float32), np.empty(cell * cell, np.float32)
+    for i in range(first, last):
+        top, bottom = i * cell, min((i + 1) * cell, rows)
+        for r in range(top, bottom):
+            to = held[:, r - top]
+            _hold_row(z[r], p[r], q[r], valid[r], skin[r], zero, pitch, to[0], to[1], to[2], to[3], to[4])
+        for part in range(5):
+            _sum_cells(held[part], bottom - top, cell, own, sums[part, i])
+
+
+@njit(cache=True, error_model="numpy")
+def _hold_row(
+    z: Any, p: Any, q: Any, valid: Any, skin: Any, zero: Any, pitch: Any,
+    to_z: Any, to_p: Any, to_q: Any, to_count: Any, to_skin: Any,
+) -> None:  # fmt: skip
+    """Write what each of a row's pixels adds to sums: nothing where it has no slope or no height."""
+    nothing = np.float32(0.0)
+    for c in range(z.size):
+        known = valid[c] & np.isfinite(z[c])
+        to_z[c] = (z[c] - zero) / pitch if known else nothing
+        to_p[c] = p[c] if known else nothing
+        to_q[c] = q[c] if known else nothing
+        to_count[c] = np.float32(known)
+        to_skin[c] = np.float32(known & skin[c])
+
+
+@njit(cache=True)
+def _sum_cells(held: Any, rows: int, cell: int, own: Any, sums: Any) -> None:
+    """Write sums of a row of cells; four pixels are added up before they join a sum, which then rounds less often.
+
+    held : what pixels add, shape (cell, columns), of which the first `rows` count
+    own : room for the pixels of a cell
+    """
+    columns = held.shape[1]
+    for j in range(sums.size):
+        size = 0
+        for r in range(rows):
+            for c in range(j * cell, min((j + 1) * cell, columns)):
+                own[size] = held[r, c]
+                size += 1
+        total, whole = np.float32(0.0), size - size % 4
+        for k in range(0, whole, 4):
+            total += own[k] + own[k + 1] + own[k + 2] + own[k + 3]
+        for k in range(whole, size):
+            total += own[k]
+        sums[j] = total
 
 
 @njit(cache=True, nogil=True)

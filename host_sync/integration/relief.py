@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
-from host_sync.integration.datum import cell_sums, height_of_rest_um
+from host_sync.integration.datum import SurfaceCells, height_of_rest_um
 
 ACROSS: Final = 240
 """Cells along the reduced field's columns."""
@@ -53,19 +53,17 @@ def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> b
     skin : bool array of shape (H, W)
     """
     cell = max(1, round(skin.shape[1] / ACROSS))
-    known = gradients.valid & np.isfinite(height.z_um)
-    z_sum, number, count = cell_sums(height.z_um, skin.astype(np.float32), known, cell)
-    z_sum -= np.float32(height_of_rest_um(height, skin)) * count
-    p_sum, q_sum, _ = cell_sums(gradients.p, gradients.q, known, cell)
+    cells = SurfaceCells.of(height, gradients, height_of_rest_um(height, skin), skin, cell)
+    count = cells.count
     if min(count.shape) < MIN_SIDE:
         return False
     whole = np.maximum(cv2.GaussianBlur(count, (0, 0), FINEST_CELLS), np.float32(1e-6))
-    z, p, q = (cv2.GaussianBlur(part, (0, 0), FINEST_CELLS) / whole for part in (z_sum, p_sum, q_sum))
+    z, p, q = (cv2.GaussianBlur(part, (0, 0), FINEST_CELLS) / whole for part in (cells.z_px, cells.p, cells.q))
     beside = _around(np.hypot(p, q) > STEEP, AWAY_CELLS) | _around(count < 1.0, HOLE_CELLS)
-    inner = (number >= 0.5 * cell * cell) & ~beside
+    inner = (cells.skin >= 0.5 * cell * cell) & ~beside
     if int(inner.sum()) < MIN_CELLS:
         return False
-    by_p, by_q = (np.gradient(z, cell * height.pitch_um, axis=axis) for axis in (1, 0))
+    by_p, by_q = (np.gradient(z, cell, axis=axis) for axis in (1, 0))
     kept, removed = _power(np.stack([by_p, by_q])), _power(np.stack([p - by_p, q - by_q]))
     ratio = np.sqrt(kept[inner] / np.maximum(removed[inner], np.float32(1e-12)))
     return bool(np.quantile(ratio, QUIETEST) > MAX_KEPT and np.quantile(kept[inner], QUIETEST) > MIN_KEPT**2)

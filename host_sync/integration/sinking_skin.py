@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from host_sync.integration.datum import SurfaceCells
 
 ACROSS: Final = 160
 """Cells along the reduced field's columns."""
@@ -43,16 +44,18 @@ def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArr
     resting : bool array of shape (H, W), skin from which the zero was taken
     zero_um : that zero
     """
-    cell = max(1, round(gradients.p.shape[1] / ACROSS))
-    known = np.isfinite(height.z_um) & gradients.valid
-    z_px = (height.z_um - np.float32(zero_um)) / np.float32(height.pitch_um)
-    z, across, down = (
-        _smooth(_reduced(np.where(known, part, np.float32(0.0)), cell)) for part in (z_px, gradients.p, gradients.q)
-    )
+    rows, columns = gradients.p.shape
+    cell = max(1, round(columns / ACROSS))
+    if min(rows, columns) < 2 * cell:
+        return 0.0
+    cells = SurfaceCells.of(height, gradients, zero_um, resting, cell)
+    # Cells that the field's border cuts are left out.
+    whole, pixels = (slice(rows // cell), slice(columns // cell)), cell * cell
+    z, across, down = (_smooth(part[whole] * np.float32(1.0 / pixels)) for part in (cells.z_px, cells.p, cells.q))
     bend = np.gradient(across, cell, axis=1) + np.gradient(down, cell, axis=0)
     top_px = float(np.percentile(z, 99.0))
-    low = (z < LOW_SHARE * top_px) & (_reduced(known.astype(np.float32), cell) > 1.0 - 1e-6)
-    free = _joined_to(low, _reduced(resting.astype(np.float32), cell) > 0.5)
+    low = (z < LOW_SHARE * top_px) & (cells.count[whole] == pixels)
+    free = _joined_to(low, cells.skin[whole] > 0.5 * pixels)
     if int(free.sum()) < MIN_CELLS:
         return 0.0
     left_px = _unbent_at(z[free].astype(np.float64), bend[free].astype(np.float64))
@@ -80,12 +83,6 @@ def _joined_to(low: MaskArray, resting: MaskArray) -> MaskArray:
     _, labels = cv2.connectedComponents(inner)
     numbers = np.unique(labels[resting & (inner > 0)])
     return np.asarray(np.isin(labels, numbers[numbers > 0]))
-
-
-def _reduced(values: Float32Array, cell: int) -> Float32Array:
-    size = (max(values.shape[1] // cell, 1), max(values.shape[0] // cell, 1))
-    whole = np.ascontiguousarray(values[: size[1] * cell, : size[0] * cell], np.float32)
-    return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _smooth(values: Float32Array) -> Float32Array:

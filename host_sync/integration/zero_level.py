@@ -155,7 +155,7 @@ def _datum_on(height: HeightMap, skin: MaskArray) -> Datum:
     blocks_um = block_medians(height.z_um, skin)
     zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, skin)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
-    return Datum(skin, zero_um, spread_um, float(skin.mean()), blocks_um.size)
+    return Datum(skin, zero_um, spread_um, float(np.count_nonzero(skin)) / skin.size, blocks_um.size)
 
 
 def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
@@ -194,7 +194,7 @@ def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskA
         distance = distance_px(other)
         away = resting & (distance >= FAR_SHARE * float(distance[resting].max(initial=0.0)))
         resting = away if away.mean() >= MIN_SHARE else resting
-    full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     return np.asarray(full & flat)
 
 

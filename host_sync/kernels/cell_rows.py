@@ -7,6 +7,7 @@ that a pixel costs one product a value.
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any, Final
 
 import cv2
@@ -32,13 +33,30 @@ def middles_of_cells(size: tuple[int, ...], cell: int) -> tuple[Float64Array, Fl
 
 def means_of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
     """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
-    below, right = (count * cell - have for count, have in zip(size, values.shape[:2], strict=True))
-    channels = []
-    for channel in range(values.shape[2]):
-        plane = np.ascontiguousarray(values[..., channel])
-        whole = cv2.copyMakeBorder(plane, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        channels.append(cv2.resize(whole, size[::-1], interpolation=cv2.INTER_AREA))
+    channels = [_means(np.ascontiguousarray(plane), size, cell) for plane in np.moveaxis(values, -1, 0)]
     return np.stack(channels, axis=-1).astype(np.float64)
+
+
+def _means(plane: Float32Array, size: tuple[int, int], cell: int) -> Float32Array:
+    """Means over cells of a plane (H, W), whose last row and column are repeated to the end of a cell."""
+    found = np.empty(size, np.float32)
+    cells = (_whole_and_cut(pixels, count, cell) for pixels, count in zip(plane.shape, size, strict=True))
+    for down, across in product(*cells):
+        part = plane[down.start * cell : down.stop * cell, across.start * cell : across.stop * cell]
+        rows, columns = down.stop - down.start, across.stop - across.start
+        below, right = rows * cell - part.shape[0], columns * cell - part.shape[1]
+        if below or right:
+            part = np.asarray(cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
+        found[down, across] = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    return found
+
+
+def _whole_and_cut(pixels: int, count: int, cell: int) -> list[slice]:
+    """Of `count` cells along so many pixels those that lie within, and those that the border cuts: only these need a
+    copy of their pixels.
+    """
+    whole = pixels // cell
+    return [part for part in (slice(0, whole), slice(whole, count)) if part.stop > part.start]
 
 
 def bordered(planes: Float32Array) -> Float32Array:

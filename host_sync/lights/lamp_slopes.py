@@ -14,7 +14,9 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, Float64Array
+from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.step_kernel import write_shown, write_step
 from host_sync.lights.surroundings import Surroundings
 
 INTENSITY_SIGMA: Final = 0.01
@@ -30,6 +32,10 @@ SURFACE_SIGMA: Final = 0.15
 """Standard uncertainty of slopes as they are known before lamps tell them."""
 
 READER_STEPS: Final = 4
+
+WORK: Final = 16
+"""Pixels of a field whose kernels take as long as the arithmetic of one place."""
+
 MAX_MOVE: Final = 0.3
 """Slope, at most, by which one step of the search moves."""
 
@@ -73,16 +79,25 @@ class LampSkin:
         p, q = np.ascontiguousarray(slope.T)
         if model is not None:
             return model.shown(p, q, self.column, self.row, z_px, self.close)
-        own = self.model.own_light(p, q, self.column, self.row, z_px)
-        return np.asarray(self.model.mixed(own) / self.rest + self.model.bounced(p, q, self.close))
+        return self._shown(p[:, None], q[:, None], z_px)[:, 0]
 
     def shown_and_changes(self, slope: Float64Array, z_px: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Intensity (N, 3) as `shown`, and what it changes with both slopes: shape (N, 3, 2)."""
         p, q = (slope[:, axis, None] + STEP * BESIDE[axis] for axis in (0, 1))
-        own = self.model.own_light(p, q, self.column, self.row, z_px)
-        direct = self.model.mixed(own) / self.rest[:, None, :]
-        here, by_p, by_q = np.moveaxis(direct, 1, 0) + self.model.bounced(p.T, q.T, self.close)
-        return here, np.stack([by_p - here, by_q - here], axis=-1) / STEP
+        here, by_p, by_q = np.moveaxis(self._shown(p, q, z_px), 1, 0)
+        change = np.empty((*here.shape, 2))
+        np.subtract(by_p, here, out=change[..., 0])
+        np.subtract(by_q, here, out=change[..., 1])
+        change /= STEP
+        return np.ascontiguousarray(here), change
+
+    def _shown(self, p: Float64Array, q: Float64Array, z_px: Float64Array) -> Float64Array:
+        """Intensity (N, K, 3) of K slopes (N, K) at each place, at elevations (N,)."""
+        model, own = self.model, self.model.own_light(p, q, self.column, self.row, z_px)
+        shown, bounce = np.empty_like(own), np.array([model.bounce_afar, model.bounce_close])
+        light = own, model.mixing, model.haze, self.rest, self.close, bounce
+        parallel_rows(write_shown, (len(own), WORK * p.shape[1]), *light, p, q, shown)
+        return shown
 
     def without(self, lost: Float64Array) -> Float64Array:
         """What channels lack of other lamps' light where they lack `lost` (N, 3) of their own: shape (N, 3)."""
@@ -141,16 +156,9 @@ def gauss_newton_step(
     weight : of channels, shape (N, 3)
     back : to slopes that are known beforehand with the standard uncertainty `sigma`, shape (N, 2)
     """
-    known = sigma**-2
-    by_p, by_q = change[..., 0], change[..., 1]
-    pp, pq, qq, along_p, along_q = (
-        np.einsum("nc,nc,nc->n", weight, one, other)
-        for one, other in ((by_p, by_p), (by_p, by_q), (by_q, by_q), (missing, by_p), (missing, by_q))
-    )
-    along_p, along_q = along_p + known * back[:, 0], along_q + known * back[:, 1]
-    pp, qq = pp + known, qq + known
-    move = np.stack([qq * along_p - pq * along_q, pp * along_q - pq * along_p], axis=-1)
-    return np.asarray(move / (pp * qq - pq * pq)[:, None])
+    step = np.empty((len(back), 2))
+    parallel_rows(write_step, (len(step), WORK), change, weight, missing, back, sigma**-2, step)
+    return step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

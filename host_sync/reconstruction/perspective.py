@@ -23,17 +23,18 @@ be seen edge on, and no height map holds what lies behind."""
 
 
 def seen_slopes(
-    gradients: GradientField, viewpoint: Viewpoint, z_px: Float32Array | None = None, out: GradientField | None = None
+    gradients: GradientField, viewpoint: Viewpoint, height: HeightMap | None = None, out: GradientField | None = None
 ) -> GradientField:
-    """How steeply heights rise over pixels, of skin with these slopes; without `z_px` less the factor of elevation.
+    """How steeply heights rise over pixels, of skin with these slopes; without heights less the factor of elevation.
 
-    z_px : elevation over untouched skin, pixels, float32 array of shape (H, W)
+    height : over untouched skin, arrays of shape (H, W); where it is not known skin counts as untouched
     out : receives p and q; may be `gradients`
     """
     p, q = (np.empty_like(gradients.p), np.empty_like(gradients.q)) if out is None else (out.p, out.q)
-    nowhere = np.empty((0, 0), np.float32) if z_px is None else z_px
+    z_um = np.empty((0, 0), np.float32) if height is None else height.z_um
+    pitch_um = np.float32(1.0 if height is None else height.pitch_um)
     place = np.array([viewpoint.column, viewpoint.row, 1.0 / viewpoint.height_px], np.float32)
-    parallel_rows(_write_seen, p.shape, gradients.p, gradients.q, nowhere, place, p, q)
+    parallel_rows(_write_seen, p.shape, gradients.p, gradients.q, z_um, pitch_um, place, p, q)
     return replace(gradients, p=p, q=q)
 
 
@@ -49,7 +50,9 @@ def seen_elevation(height: HeightMap, viewpoint: Viewpoint, out: Float32Array | 
 
 
 @njit(cache=True, nogil=True)
-def _write_seen(p: Any, q: Any, z: Any, place: Any, seen_p: Any, seen_q: Any, first: int, last: int) -> None:
+def _write_seen(
+    p: Any, q: Any, z: Any, pitch: Any, place: Any, seen_p: Any, seen_q: Any, first: int, last: int
+) -> None:
     column, row, nearness = place
     one, least = np.float32(1.0), np.float32(MIN_FACING)
     for r in range(first, last):
@@ -58,7 +61,8 @@ def _write_seen(p: Any, q: Any, z: Any, place: Any, seen_p: Any, seen_q: Any, fi
             x = (np.float32(c) - column) * nearness
             share = one / max(one + x * p[r, c] + y * q[r, c], least)
             if z.size:
-                share *= one - z[r, c] * nearness
+                elevation = z[r, c] / pitch
+                share *= one - (elevation if elevation == elevation else np.float32(0.0)) * nearness
             seen_p[r, c] = share * p[r, c]
             seen_q[r, c] = share * q[r, c]
 

@@ -84,7 +84,7 @@ class Reconstruction:
     @property
     def masked_share(self) -> float:
         """Share of pixels without a height."""
-        return float(np.isnan(self.height.z_um).mean())
+        return float(np.count_nonzero(np.isnan(self.height.z_um))) / self.height.z_um.size
 
 
 @kept_memory()
@@ -146,8 +146,7 @@ def reconstruct(
     height = datum.level(height)
     if viewpoint is not None:
         height = seen_elevation(height, viewpoint)
-        z_px = np.nan_to_num(height.z_um / np.float32(height.pitch_um))
-        gradients = seen_slopes(read, viewpoint, z_px, out=gradients)
+        gradients = seen_slopes(read, viewpoint, height, out=gradients)
     slopes = surface_slopes(height)
     uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves)
     uncertainty.start()
@@ -155,7 +154,7 @@ def reconstruct(
     if shrinkage is not None:
         raw_gradients = reading.raw_gradients()
         if viewpoint is not None:
-            raw_gradients = seen_slopes(raw_gradients, viewpoint, z_px)
+            raw_gradients = seen_slopes(raw_gradients, viewpoint, height)
         raw = solve(raw_gradients, calibration.pitch_um)[0]
         if waves is not None:
             raw = waves.off(raw)
@@ -182,7 +181,7 @@ def reconstruct(
         gradients=gradients,
         integration=integration,
         extrapolated=strange,
-        clipped_share=float(intensity.clipped.mean()),
+        clipped_share=float(np.count_nonzero(intensity.clipped)) / intensity.clipped.size,
         warnings=tuple(warnings),
         frame_checks=checks,
         datum=datum,

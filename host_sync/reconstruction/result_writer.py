@@ -146,7 +146,7 @@ def result_record(name: str, reconstruction: Reconstruction, calibration: Calibr
         height_zero_skin_share=datum.share,
         masked_share=reconstruction.masked_share,
         clipped_share=reconstruction.clipped_share,
-        extrapolated_share=float(reconstruction.extrapolated.mean()),
+        extrapolated_share=float(np.count_nonzero(reconstruction.extrapolated)) / reconstruction.extrapolated.size,
         warnings=tuple(reconstruction.warnings),
         frame_checks=tuple(reconstruction.frame_checks),
         **calibration_facts(calibration),

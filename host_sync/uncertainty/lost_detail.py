@@ -71,15 +71,15 @@ def with_lost_detail(sigma: Float32Array, lost: Float32Array) -> Float32Array:
 def _write_energies(p: Any, q: Any, own_p: Any, own_q: Any, planes: Any, first: int, last: int) -> None:
     """Write mean squares of fine raw slopes, of what both differ by, and p² + q², for cells' rows from `first` on."""
     rows, columns = p.shape
-    lines = np.empty((3, columns), np.float32)
+    lines, detail = np.empty((3, columns), np.float32), np.empty(columns, np.float32)
     fine, apart, square = lines[0], lines[1], lines[2]
     for i in range(first, last):
         top, bottom = i * CELL_PX, min((i + 1) * CELL_PX, rows)
         lines[:] = np.float32(0.0)
         for r in range(top, bottom):
             above, below = max(r - REACH, 0), min(r + REACH, rows - 1)
-            _add_row(p[above], p[r], p[below], own_p[r], fine, apart, square)
-            _add_row(q[above], q[r], q[below], own_q[r], fine, apart, square)
+            _add_row(p[above], p[r], p[below], own_p[r], detail, fine, apart, square)
+            _add_row(q[above], q[r], q[below], own_q[r], detail, fine, apart, square)
         for j in range(planes.shape[2]):
             end = min((j + 1) * CELL_PX, columns)
             pixels = np.float32((bottom - top) * (end - j * CELL_PX))
@@ -90,16 +90,39 @@ def _write_energies(p: Any, q: Any, own_p: Any, own_q: Any, planes: Any, first: 
 
 
 @njit(cache=True)
-def _add_row(above: Any, here: Any, below: Any, own: Any, fine: Any, apart: Any, square: Any) -> None:
-    """Add a row's squares; what is no number, or has a neighbour that is none, counts as nothing."""
-    last = here.size - 1
-    for c in range(here.size):
-        around = above[c] + below[c] + here[max(c - REACH, 0)] + here[min(c + REACH, last)]
-        detail, difference = here[c] - np.float32(0.25) * around, here[c] - own[c]
-        if detail == detail and difference == difference:
-            fine[c] += detail * detail
-            apart[c] += difference * difference
-            square[c] += own[c] * own[c]
+def _add_row(above: Any, here: Any, below: Any, own: Any, detail: Any, fine: Any, apart: Any, square: Any) -> None:
+    """Add a row's squares; beyond the border the outermost pixels repeat.
+
+    detail : receives the row's fine slopes
+    """
+    columns = here.size
+    end = max(columns - REACH, REACH)
+    if end > REACH:
+        inner = slice(REACH, end)
+        _write_fine(above[inner], here[: end - REACH], here[inner], here[2 * REACH :], below[inner], detail[inner])
+    for c in range(columns):
+        if c < REACH or c >= end:
+            around = above[c] + below[c] + here[max(c - REACH, 0)] + here[min(c + REACH, columns - 1)]
+            detail[c] = here[c] - np.float32(0.25) * around
+    _add_squares(detail, here, own, fine, apart, square)
+
+
+@njit(cache=True)
+def _write_fine(above: Any, left: Any, here: Any, right: Any, below: Any, detail: Any) -> None:
+    for c in range(detail.size):
+        detail[c] = here[c] - np.float32(0.25) * (above[c] + below[c] + left[c] + right[c])
+
+
+@njit(cache=True)
+def _add_squares(detail: Any, here: Any, own: Any, fine: Any, apart: Any, square: Any) -> None:
+    """Add squares; what is no number, or has a neighbour that is none, counts as nothing."""
+    nothing = np.float32(0.0)
+    for c in range(detail.size):
+        difference = here[c] - own[c]
+        known = (detail[c] == detail[c]) & (difference == difference)
+        fine[c] += detail[c] * detail[c] if known else nothing
+        apart[c] += difference * difference if known else nothing
+        square[c] += own[c] * own[c] if known else nothing
 
 
 @njit(cache=True, nogil=True)

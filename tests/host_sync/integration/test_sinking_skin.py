@@ -76,3 +76,27 @@ def test_bends_that_follow_heights_loosely_tell_nothing(correlation: float) -> N
     z, noise = random.standard_normal((2, 3000))
     bend = correlation * z + np.sqrt(1.0 - correlation**2) * noise
     assert _unbent_at(z, bend - 1.0) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 320), (3, 320), (320, 1), (7, 800)])
+def test_a_field_of_few_cells_tells_nothing(shape: tuple[int, int]) -> None:
+    flat, everywhere = np.zeros(shape, np.float32), np.ones(shape, bool)
+    gradients = GradientField(flat, flat, everywhere, np.ones(shape, np.float32))
+    assert height_left_um(HeightMap(flat, PITCH_UM), gradients, everywhere, 1.0) == 0.0
+
+
+def test_cells_that_the_border_cuts_do_not_count() -> None:
+    z_um, gradients = ridge()
+    rows, columns = SHAPE[0] - 1, SHAPE[1] - 1
+    spoilt, whole = z_um.astype(np.float32), z_um.astype(np.float32)[: rows - 1, : columns - 1]
+    spoilt = spoilt[:rows, :columns]
+    spoilt[-1], spoilt[:, -1] = 9e3, 9e3
+
+    def left(z: np.ndarray) -> float:
+        own = (
+            part[: z.shape[0], : z.shape[1]] for part in (gradients.p, gradients.q, gradients.valid, gradients.weight)
+        )
+        resting = z_um[: z.shape[0], : z.shape[1]] < 2.0 * z_um.min()
+        return height_left_um(HeightMap(z, PITCH_UM), GradientField(*own), resting, 20.0)
+
+    assert left(spoilt) == left(whole) > 0.0

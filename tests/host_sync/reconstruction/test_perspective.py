@@ -33,7 +33,7 @@ def seen() -> tuple[np.ndarray, GradientField]:
 
 def test_heights_rise_over_pixels_as_seen_slopes_say() -> None:
     z, slopes = seen()
-    found = seen_slopes(slopes, VIEW, z.astype(np.float32))
+    found = seen_slopes(slopes, VIEW, HeightMap(z.astype(np.float32), 1.0))
     q, p = np.gradient(z)
     inner = (slice(2, -2), slice(2, -2))
     np.testing.assert_allclose(found.p[inner], p[inner], atol=2e-3)
@@ -54,9 +54,9 @@ def test_elevation_need_not_be_known_to_integrate() -> None:
 
 def test_results_may_replace_what_they_come_from() -> None:
     z, slopes = seen()
-    apart = seen_slopes(slopes, VIEW, z.astype(np.float32))
+    apart = seen_slopes(slopes, VIEW, HeightMap(z.astype(np.float32), 1.0))
     own = replace(slopes, p=slopes.p.copy(), q=slopes.q.copy())
-    np.testing.assert_array_equal(seen_slopes(own, VIEW, z.astype(np.float32), out=own).p, apart.p)
+    np.testing.assert_array_equal(seen_slopes(own, VIEW, HeightMap(z.astype(np.float32), 1.0), out=own).p, apart.p)
     heights = z.astype(np.float32)
     expected = seen_elevation(HeightMap(heights, 1.0), VIEW).z_um
     np.testing.assert_array_equal(seen_elevation(HeightMap(heights, 1.0), VIEW, out=heights).z_um, expected)
@@ -66,3 +66,13 @@ def test_invalid_heights_stay_invalid() -> None:
     heights = np.full(SHAPE, 5.0, np.float32)
     heights[3, 4] = np.nan
     assert np.isnan(seen_elevation(HeightMap(heights, 1.0), VIEW).z_um).sum() == 1
+
+
+def test_skin_whose_height_is_not_known_counts_as_untouched() -> None:
+    z, slopes = seen()
+    holed, level = z.astype(np.float32), z.astype(np.float32)
+    holed[140:150, 100:120], level[140:150, 100:120] = np.nan, 0.0
+    found = seen_slopes(slopes, VIEW, HeightMap(holed * np.float32(PITCH_UM), PITCH_UM))
+    wanted = seen_slopes(slopes, VIEW, HeightMap(level * np.float32(PITCH_UM), PITCH_UM))
+    np.testing.assert_array_equal(found.p, wanted.p)
+    np.testing.assert_array_equal(found.q, wanted.q)

@@ -65,3 +65,16 @@ def test_where_slopes_are_no_numbers_nothing_is_missing() -> None:
     np.testing.assert_array_equal(np.isnan(more), np.isnan(sigma))
     assert (more[110:] >= np.float32(0.005)).all()
     np.testing.assert_allclose(more[140, 140], np.hypot(0.005, np.sqrt(lost[34:36, 34:36].mean())), rtol=0.2)
+
+
+@pytest.mark.parametrize("shape", [(40, 7), (41, 60), (22, 3)])
+def test_rows_and_columns_count_alike_on_any_field(shape: tuple[int, int]) -> None:
+    raw = [one[: shape[0], : shape[1]].copy() for one in white(2, 4.0 * NOISE, smooth_px=1.0)]
+    raw[0][2, 1] = np.nan
+    shrunk = [np.float32(0.3) * one for one in raw]
+    found = lost_variance((raw[0], raw[1]), (shrunk[0], shrunk[1]), RECORD)
+    turned = [np.ascontiguousarray(one.T) for one in (*raw, *shrunk)]
+    assert found.max() > 0.0
+    np.testing.assert_allclose(
+        lost_variance((turned[0], turned[1]), (turned[2], turned[3]), RECORD).T, found, rtol=1e-4
+    )
