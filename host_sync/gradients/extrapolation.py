@@ -30,14 +30,22 @@ STEEPER: Final = 1.05
 _CHUNK: Final = 8192
 
 
-def extrapolated(intensity: NormalizedImage, inverse: InverseMap, p: Float32Array, q: Float32Array) -> MaskArray:
+def extrapolated(
+    intensity: NormalizedImage,
+    inverse: InverseMap,
+    p: Float32Array,
+    q: Float32Array,
+    strange: MaskArray | None = None,
+) -> MaskArray:
     """True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
+    strange : what `strange_blocks` tells of the image, where that was asked before
     """
     out = np.empty(intensity.shape, np.bool_)
     limit = np.float32((STEEPER * inverse.max_trained_slope) ** 2)
-    parallel_rows(_mark, out.shape, p, q, limit, _strange(intensity, inverse), _step(intensity.shape), out)
+    blocks = strange_blocks(intensity, inverse) if strange is None else strange
+    parallel_rows(_mark, out.shape, p, q, limit, blocks, _step(intensity.shape), out)
     return out
 
 
@@ -59,8 +67,8 @@ def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
         out[c] = (steep | block[c]) & np.isfinite(p[c])
 
 
-def _strange(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
-    """Leverage beyond the training data, at one point of every block of pixels."""
+def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
+    """Whether leverage lies beyond the training data at one point of every block of pixels: bool array (h, w)."""
     step = _step(intensity.shape)
     rows, columns = intensity.shape
     values = intensity.values[step // 2 :: step, step // 2 :: step]

@@ -18,7 +18,7 @@ from host_sync.denoising.blur_correction import BLUR_PX, without_blur
 from host_sync.denoising.noise_waves import CLEAR_POWER, NoiseWaves, noise_waves
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
-from host_sync.gradients.extrapolation import extrapolated
+from host_sync.gradients.extrapolation import extrapolated, strange_blocks
 from host_sync.gradients.surface_slope_kernel import surface_slopes
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum, no_datum
@@ -39,6 +39,7 @@ from host_sync.uncertainty.height_error import (
     slope_sigma,
 )
 from host_sync.uncertainty.lost_detail import lost_variance, with_lost_detail
+from host_sync.uncertainty.slope_draws import SlopeDraws, slope_draws
 from host_sync.uncertainty.slope_error import SlopeError
 
 
@@ -116,6 +117,8 @@ def reconstruct(
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, warnings = reading.first.intensity, reading.warnings
+    foreknown = BackgroundCall(_Foreknown.of, reading)
+    foreknown.start()
     gradients = read = reading.gradients
     shrinkage, viewpoint = calibration.shrinkage, calibration.viewpoint
     if viewpoint is not None:
@@ -148,7 +151,7 @@ def reconstruct(
         height = seen_elevation(height, viewpoint)
         gradients = seen_slopes(read, viewpoint, height, out=gradients)
     slopes = surface_slopes(height)
-    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves)
+    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves, foreknown)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -164,7 +167,7 @@ def reconstruct(
         if detail == "raw":
             shown, other, gradients = other, height, raw_gradients
     p, q = slopes if shown is height else surface_slopes(shown)
-    strange = extrapolated(intensity, calibration.inverse.map, p, q)
+    strange = extrapolated(intensity, calibration.inverse.map, p, q, foreknown.result().strange)
     known, slopes_sigma = uncertainty.result()
     if lost is not None:
         slopes_sigma = with_lost_detail(slopes_sigma, lost)
@@ -190,6 +193,31 @@ def reconstruct(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Foreknown:
+    """What is known of a result's uncertainty before its slopes are integrated.
+
+    unsure : what the calibration does not know, on the reduced field
+    draws : random numbers behind the samples of height errors
+    strange : as `strange_blocks` returns it
+    """
+
+    unsure: CalibrationUncertainty
+    draws: SlopeDraws
+    strange: MaskArray
+
+    @classmethod
+    def of(cls, reading: SlopeReading) -> _Foreknown:
+        """What a reading tells."""
+        first, shape = reading.first, reading.first.intensity.shape
+        size = reduced_size(shape)
+        unsure = _calibration_uncertainty(reading, size)
+        fields = len(unsure.p) + (first.correction is not None)
+        error = slope_error_of(first.calibration, reading.method)
+        draws = slope_draws(error, size, shape[1], fields)
+        return cls(unsure, draws, strange_blocks(first.intensity, first.calibration.inverse.map))
+
+
 def _uncertainty(
     height: HeightMap,
     slopes: tuple[Float32Array, Float32Array],
@@ -197,6 +225,7 @@ def _uncertainty(
     reading: SlopeReading,
     datum: Datum,
     waves: NoiseWaves | None,
+    foreknown: BackgroundCall[_Foreknown],
 ) -> tuple[HeightUncertainty, Float32Array]:
     """What is not known of heights, and the standard uncertainty of either slope.
 
@@ -204,6 +233,7 @@ def _uncertainty(
     slopes : of it
     gradients : as they were integrated, of a camera nearby times what elevation changes
     waves : of noise that were taken out of the height map
+    foreknown : of the same reading
     """
     p, q = slopes
     first = reading.first
@@ -213,7 +243,7 @@ def _uncertainty(
     size = reduced_size(p.shape)
     error = slope_error_of(calibration, reading.method)
     contradiction = nonintegrable_residual(gradients, p, q)
-    unsure = _calibration_uncertainty(reading, size)
+    before = foreknown.result()
     known = height_uncertainty(
         height,
         gradients,
@@ -221,13 +251,14 @@ def _uncertainty(
         error,
         datum,
         known_scale_share(calibration),
-        calibration=unsure,
+        calibration=before.unsure,
         shadow=None if correction is None else correction.sigma(size),
+        draws=before.draws,
     )
     if waves is not None:
         known = HeightUncertainty(*waves.doubted(known.sigma_um, known.samples_um))
     kept = noise.shrunk_kept if noise else NOISE_KEPT
-    return known, slope_sigma(gradients, p, q, contradiction, error, unsure.with_unresolved(p, q), kept)
+    return known, slope_sigma(gradients, p, q, contradiction, error, before.unsure.with_unresolved(p, q), kept)
 
 
 def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:

@@ -151,9 +151,15 @@ def _read_channels(
     raw, shrinkage = intensity, calibration.shrinkage
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)
-    warnings = refusals(checks) or check_frame(intensity, calibration.flat_field, calibration.inverse.map)
+    warnings = refusals(checks)
     raise_on_warnings(warnings, name, force=force)
+    colours = BackgroundCall(check_frame, intensity, calibration.flat_field, calibration.inverse.map)
+    if not warnings:
+        colours.start()
     gradients = estimate(intensity, calibration, method)
+    if not warnings:
+        warnings = colours.result()
+        raise_on_warnings(warnings, name, force=force)
     raw_estimate = None
     if shrinkage is not None:
         raw_estimate = BackgroundCall(estimate, raw, calibration, method, intensity)

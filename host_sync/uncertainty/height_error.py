@@ -18,7 +18,7 @@ from device.calibration.candidates import NOISE_KEPT
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_medians
-from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, local_normals, shared_and_local
+from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, shared_and_local
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
@@ -27,9 +27,9 @@ from host_sync.uncertainty.kernels import (
     squared_tilt,
     with_scale,
 )
+from host_sync.uncertainty.slope_draws import SAMPLES, SlopeDraws, slope_draws
 from host_sync.uncertainty.slope_error import SlopeError
 
-SAMPLES: Final = 16
 WIDEST_PX: Final = 512
 """Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
 
@@ -43,9 +43,6 @@ CONTRADICTION_CELL_PX: Final = 4
 
 HALF: Final = 0.5
 """A pixel of the reduced field is untouched skin where more than this share of it is."""
-
-PLACES: Final = 48
-"""Places along the field's columns at which gains of slopes are drawn."""
 
 SlopePair = tuple[Float32Array, Float32Array]
 
@@ -119,9 +116,9 @@ def height_uncertainty(
     error: SlopeError,
     datum: Datum,
     scale_share: float = 0.0,
-    seed: int = 0,
     calibration: CalibrationUncertainty | None = None,
     shadow: SlopePair | None = None,
+    draws: SlopeDraws | None = None,
 ) -> HeightUncertainty:
     """Standard uncertainty of the height, and the samples it comes from.
 
@@ -132,6 +129,7 @@ def height_uncertainty(
     calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
     shadow : standard uncertainties of slopes of p and q where a light is hidden, wrong all at once, on a field of
         `reduced_size`; None where none is
+    draws : as `slope_draws` returns them for this error and all fields of `calibration` and `shadow`; None to draw them
     """
     rows, columns = gradients.p.shape
     size = reduced_size(gradients.p.shape)
@@ -160,19 +158,20 @@ def height_uncertainty(
     ]
     skin = _shrunk(datum.skin, size)
     zero = skin / max(float(skin.sum()), 1e-6)
-    rng = np.random.default_rng(seed)
-    normal = _normals(rng, len(common[0]) + 2)
-    places = local_normals(rng, (SAMPLES, len(local), PLACES * size[1] // size[0] + 1, PLACES))
+    if draws is None:
+        draws = slope_draws(error, size, columns, len(common[0]) - len(everywhere) - 1)
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
-    for sample_um, own, at_places in zip(samples_um, normal, places, strict=True):
-        steeper = _local_gain(local, at_places, size)
+    for number, sample_um in enumerate(samples_um):
+        steeper = _local_gain(local, draws.local[number], size)
         p, q = (
-            _slope_draw(rng, spread, error.patch_px / reduction) + np.tensordot(own[2:], part, axes=1) + steeper * slope
-            for part, slope in zip(common, seen, strict=True)
+            _slope_draw(draws, (number, axis), spread)
+            + np.tensordot(draws.shared[number, 2:], common[axis], axes=1)
+            + steeper * slope
+            for axis, slope in enumerate(seen)
         )
         sample_um[:] = integrate_dct(p, q, height.pitch_um * reduction)
         sample_um -= np.float32((sample_um * zero).sum())
-    zero_um, shared = _unexplained_zero_um(datum, samples_um, skin), normal[:, :2, None, None]
+    zero_um, shared = _unexplained_zero_um(datum, samples_um, skin), draws.shared[:, :2, None, None]
     samples_um += np.float32(zero_um) * shared[:, 0]
     sigma = cv2.resize(np.sqrt((samples_um**2).mean(axis=0)), (columns, rows), interpolation=cv2.INTER_LINEAR)
     samples_um += np.float32(scale_share) * shared[:, 1] * z_small
@@ -194,20 +193,6 @@ def _local_gain(gains: Sequence[Float32Array], at_places: Float32Array, size: tu
 def _fields(values: Float32Array) -> Float32Array:
     """A field (h, w), or several (n, h, w), as several."""
     return values.reshape(-1, *values.shape[-2:])
-
-
-def _normals(rng: np.random.Generator, count: int) -> Float32Array:
-    """Random numbers for every sample, mean 0 and variance 1: float32 array of shape (SAMPLES, count).
-
-    Over the samples the first SAMPLES - 1 columns have exactly that mean and variance, and no correlation: of what errs
-    over the whole field at once, 16 independent draws would tell σ to 18 % only.
-    """
-    normal = rng.standard_normal((SAMPLES, count))
-    some = min(count, SAMPLES - 1)
-    basis, sizes = np.linalg.qr(np.column_stack([np.ones(SAMPLES), normal[:, :some]]))
-    # QR leaves the signs to the library; with those of the sizes every orthogonal set is as likely.
-    normal[:, :some] = (basis * np.sign(np.diag(sizes)))[:, 1:] * np.sqrt(SAMPLES)
-    return normal.astype(np.float32)
 
 
 def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Array) -> float:
@@ -262,9 +247,8 @@ def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Ar
     return np.asarray(cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _slope_draw(rng: np.random.Generator, spread: SlopePair, patch_px: float) -> Float32Array:
-    """One slope component's error on the reduced field."""
+def _slope_draw(draws: SlopeDraws, own: tuple[int, int], spread: SlopePair) -> Float32Array:
+    """One slope component's error on the reduced field, of a sample and an axis."""
     pixel, patch = spread
-    noise = rng.standard_normal(pixel.shape, dtype=np.float32)
-    smooth = cv2.GaussianBlur(rng.standard_normal(pixel.shape, dtype=np.float32), (0, 0), max(patch_px, 0.5))
-    return np.asarray(noise * pixel + smooth * (patch / max(float(smooth.std()), 1e-6)), np.float32)
+    smooth = draws.patches[own] * (patch / max(float(draws.spread[own]), 1e-6))
+    return np.asarray(draws.pixels[own] * pixel + smooth, np.float32)

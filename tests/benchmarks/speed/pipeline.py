@@ -54,9 +54,10 @@ STAGES = {
         "height_error.nonintegrable_residual",
         "calibration_uncertainty.calibration_uncertainty",
         "height_error.height_uncertainty",
+        "slope_draws.slope_draws",
     ),
     "sigma of slopes": ("height_error.slope_sigma",),
-    "extrapolation": ("extrapolation.extrapolated",),
+    "extrapolation": ("extrapolation.extrapolated", "extrapolation.strange_blocks"),
     "results on disk": ("result_writer.write_result",),
 }
 """Stages by the functions that do them, with their modules.
@@ -119,7 +120,7 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights known already."""
     sigma = HeightUncertainty(known.sigma_um, known.samples_um)
-    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma}
+    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma, "slope_draws": None}
     with ExitStack() as stack:
         for name, value in spared.items():
             stack.enter_context(patch.object(stages, name, return_value=value))

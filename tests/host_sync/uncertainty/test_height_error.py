@@ -8,13 +8,16 @@ from device.surface.fields import GradientField, HeightMap, surface_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 from host_sync.integration.integrate import integrate
 from host_sync.integration.zero_level import Datum, block_medians
+from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.elevation import ElevationCorrection
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
     height_uncertainty,
     nonintegrable_residual,
+    reduced_size,
     slope_sigma,
 )
+from host_sync.uncertainty.slope_draws import slope_draws
 from host_sync.uncertainty.slope_error import SlopeError
 
 SHAPE = (200, 256)
@@ -180,6 +183,19 @@ def test_the_draws_spread_as_sigma_says() -> None:
     spread = np.sqrt((known.samples_um**2).mean(axis=0))
     assert known.samples_um.shape[1:] == SHAPE
     assert np.median(spread / known.sigma_um) == pytest.approx(1.0, abs=0.15)
+
+
+def test_numbers_drawn_before_give_the_samples_of_those_drawn_within() -> None:
+    gradients, error = gradients_of(bump(), 0.0), error_of(1.0, 0.5, 6.0, 0.02)
+    ramp = np.full(SHAPE, 0.01, np.float32)
+    height, datum = HeightMap(bump().astype(np.float32), PITCH_UM), Datum(bump() < 1e-4, 0.0, 0.0, 0.5)
+    surface = height, gradients, 0.0 * ramp, error, datum
+    replicas = CalibrationUncertainty(*(np.stack([part, -part, ramp]) for part in (ramp, 2.0 * ramp)))
+    within = height_uncertainty(*surface, calibration=replicas, shadow=(ramp, ramp))
+    draws = slope_draws(error, reduced_size(SHAPE), SHAPE[1], fields=4)
+    before = height_uncertainty(*surface, calibration=replicas, shadow=(ramp, ramp), draws=draws)
+    np.testing.assert_array_equal(before.samples_um, within.samples_um)
+    np.testing.assert_array_equal(before.sigma_um, within.sigma_um)
 
 
 def test_slopes_are_less_sure_where_the_skin_is_steep_or_the_colour_strange() -> None:
