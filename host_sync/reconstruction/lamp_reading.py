@@ -57,7 +57,7 @@ HIDDEN_SIGMA: Final = 0.2
 """Standard uncertainty of what slopes gain where a light is hidden, as a share of it, wrong all at once: of 70 rendered
 objects the gain was off by up to 0.3 of it where that was large, and by more where it was small."""
 
-SHADOW_WEIGHT: Final = 0.3
+SHADOW_WEIGHT: Final = 0.1
 """Weight in integration of slopes that two lights tell."""
 
 SHADOW_CONFIDENCE: Final = 0.6
@@ -70,8 +70,8 @@ def read_under_lamps(
     image: NormalizedImage,
     lamps: FittedLamps,
     alone: Float32Array | None = None,
-) -> CellCorrection | None:
-    """What the slopes of an image (H, W), read as if every light arrived, gain; None where all is level and at rest.
+) -> CellCorrection:
+    """What the slopes of an image (H, W), read as if every light arrived, gain.
 
     lamps : that explain the calibration's balls
     alone : what each channel shows under its own light alone, over the same of untouched skin, shape (H, W, 3); None
@@ -90,17 +90,17 @@ def read_under_lamps(
     reading, found = reading.even_where_hidden(found)
     if found.has_zero:
         found = reading.settled(found)
-    rise, is_plate = None, reading.is_plate(found)
-    if found.is_level and not is_plate:
-        return None
-    if is_plate or not found.has_zero:
+    rise = None
+    if reading.is_plate(found) or not found.has_zero:
         reading, found, rise = reading.raised(found)
+    cells = reading.cells
+    found = replace(found, slope=cells.linearised(found.slope, reading.known, found.z_px, found.lights))
     change = (found.slope - reading.read).astype(np.float32)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     share = np.float32(HIDDEN_SIGMA) * (found.shadow > 0.0)
-    unsure = reading.cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
+    unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
-    left_alone = (~reading.cells.faithful).astype(np.float32)
+    left_alone = (~cells.faithful).astype(np.float32)
     return CellCorrection(
         p_change,
         q_change,
@@ -161,10 +161,10 @@ class _Reading:
         return _Found(told.slope, told.shadow, z_px, has_zero, told.lights)
 
     def even_where_hidden(self, found: _Found) -> tuple[_Reading, _Found]:
-        """The same with nothing hidden by means where a light may not arrive: there pixels are misread."""
-        if found.lights is None or not found.lights.any_hidden.any():
+        """The same with nothing hidden by means where some of a light does not arrive: there pixels are misread."""
+        if found.lights is None or not found.lights.dimmed.any():
             return self, found
-        given_back = np.where(found.lights.any_hidden[..., None], self.cells.bend, 0.0)
+        given_back = np.where(found.lights.dimmed[..., None], self.cells.bend, 0.0)
         cells = replace(self.cells, bend=self.cells.bend - given_back)
         return replace(self, cells=cells, read=self.read + given_back), replace(found, slope=found.slope + given_back)
 
