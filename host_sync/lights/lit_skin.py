@@ -15,8 +15,9 @@ PENUMBRA: Final = 0.3
 OBSTRUCTED: Final = 0.85
 """The same as a share of what clears level skin: a lamp that stands low is not hidden for that."""
 
-GRAZED: Final = 0.09
-"""Tangent by which the ray to a light clears the skin from which on it is counted on: lamps are not points."""
+GRAZED: Final = (0.03, 0.09)
+"""Tangents by which the ray to a light clears the skin: up to the first the light is not counted on, from the second it
+is. Lamps are not points, and cells round edges off."""
 
 Pixels = Float32Array | Float64Array
 
@@ -42,5 +43,5 @@ def is_lit_by_all(model: LampModel, p: Pixels, q: Pixels, column: Pixels, row: P
         across, along = right - x, down - y
         distance = np.maximum(np.hypot(across, along), 1e-6)
         clear = (above - p * across - q * along) / distance
-        lit &= clear >= np.minimum(GRAZED, OBSTRUCTED * above / distance)
+        lit &= clear >= np.minimum(GRAZED[1], OBSTRUCTED * above / distance)
     return lit

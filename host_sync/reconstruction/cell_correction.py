@@ -19,7 +19,8 @@ from host_sync.uncertainty.calibration_uncertainty import jackknifed
 SlopePair = tuple[Float32Array, Float32Array]
 
 LEVEL: Final = (0.005, 0.015)
-"""Slopes up to the first are left as they are read, from the second on they are corrected in full."""
+"""Slopes up to the first are left as they are read, from the second on they are corrected in full; under fitted lamps
+level skin is read at the end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Which lights do not reach the skin: rays over a height map, and channels that are not as bright as predicted."""
+"""Which lights do not reach the skin: rays over a height map, and channels that are darker than predicted."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from device.surface.fields import Float32Array, Float64Array
 
 SET: Final = (0.16, 0.08)
 """Predicted intensity below which a light is about to set, and at which it has."""
-
-HALF_SHADOW: Final = (-0.03, 0.07)
-"""Tangents by which the ray to a point of a lamp clears cells: up to the first none of its light arrives, from the
-second all of it. Lamps are not points, and cells round edges off: of cells of rendered benches half arrives at 0.02."""
 
 ARRIVES: Final = (0.03, 0.12)
 """What a light alone shows, over what it shows of untouched skin: up to the first it does not arrive, from the second
@@ -51,11 +47,6 @@ def trust_in(intensity: Float64Array, predicted: Float64Array, darker: tuple[flo
     missing = np.clip((predicted - intensity - darker[0]) / (darker[1] - darker[0]), 0.0, 1.0)
     setting = np.clip((SET[0] - predicted) / (SET[0] - SET[1]), 0.0, 1.0)
     return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
-
-
-def visible_share(clear: Float32Array) -> Float64Array:
-    """How much light of points arrives, 0 to 1, whose rays clear the skin by so much."""
-    return np.clip((clear.astype(np.float64) - HALF_SHADOW[0]) / (HALF_SHADOW[1] - HALF_SHADOW[0]), 0.0, 1.0)
 
 
 def arriving_share(alone: Float64Array) -> Float64Array:

@@ -1,8 +1,7 @@
 """Cells of a frame under lamps that explain the balls of a calibration: slopes where all lights arrive, and where not.
 
-Where rays from a cell to a lamp meet the skin, or may, its light is that of the points of the lamp that are seen from
-there, and the channel counts as far as it is as bright as they say; the slopes of such cells are known beforehand from
-the surface around.
+Where a ray from a cell to a lamp meets the skin, or may, that channel counts as far as it is as bright as the lamps
+say; the slopes of such cells are known beforehand from the surface around.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray, surface_slopes
 from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
 from host_sync.lights.known_lamps import KnownLamps
-from host_sync.lights.lamp_model import POINT_SHARES, LampModel
-from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
-from host_sync.lights.lit_skin import may_be_hidden
+from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.lamp_slopes import SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
+from host_sync.lights.lit_skin import GRAZED, may_be_hidden
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cell_correction import LEVEL, SlopePair, moved_cells, steepness, unsure_cells
-from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in, visible_share
+from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
 from host_sync.reconstruction.light_elevation import Rise, rise_told_by_light
 
 HIDDEN_STEPS: Final = 8
@@ -33,19 +32,10 @@ FREE_STEPS: Final = 3
 AGAIN_STEPS: Final = 2
 """The same where such slopes are found again from a surface that hardly moves any more."""
 
-APART: Final = (0.03, 0.08)
-"""Intensity by which a channel is darker or brighter than predicted: from the first its weight falls, at the second it
-is zero. Where rays say what arrives of a light, less is missing than what cells round off of texture."""
+DARKER: Final = (0.03, 0.08)
+"""Intensity by which a channel is darker than predicted: from the first its weight falls, at the second it is zero.
 
-HALF_SHADOW_SIGMA: Final = 0.35
-"""Standard uncertainty of how much of a point's light arrives where half of it does."""
-
-SEEN_POWER: Final = 4.0
-"""Power of the share of a lamp that is seen, up to which its channel counts: what it tells in the dark is what other
-skin and other lamps send there, of which less is known."""
-
-DIMMED: Final = 0.97
-"""Share of a point's light below which a cell is dimmed."""
+Where rays say that a light arrives, less is missing than what cells round off of texture."""
 
 LINEAR_CELLS: Final = 6.0
 """Standard deviation of the Gaussian over slopes at which the light is linearised, cells: noise has to average out."""
@@ -63,34 +53,16 @@ class HiddenLights:
     """What keeps lights from cells.
 
     hidden : whether a light may be hidden, bool array of shape (h, w, 3)
-    arriving : how much each is seen to arrive alone, 0 to 1, float64 array of shape (h, w, 3)
-    visible : how much arrives of each point of a lamp, as rays say, 0 to 1, float64 array of shape (h, w, 3, points)
+    arriving : how much of each arrives at most, 0 to 1, float64 array of shape (h, w, 3)
     """
 
     hidden: MaskArray
     arriving: Float64Array
-    visible: Float64Array
 
     @property
     def any_hidden(self) -> MaskArray:
         """Where any light may be: bool array of shape (h, w)."""
         return np.asarray(self.hidden.any(axis=-1))
-
-    @property
-    def dimmed(self) -> MaskArray:
-        """Where some of a light does not arrive: bool array of shape (h, w)."""
-        least = np.minimum(self.arriving, self.visible.min(axis=-1)).min(axis=-1)
-        return np.asarray(self.any_hidden & (least < DIMMED))
-
-    def weight(self, own: Float64Array, here: np.ndarray) -> tuple[Float64Array, Float64Array]:
-        """Weight of each channel of cells `here`, and how much of its lamp is seen: shapes (N, 3).
-
-        own : share of its lamp in what each channel shows of untouched skin, shape (N, 3)
-        """
-        visible, shares = self.visible.reshape(-1, *self.visible.shape[2:])[here], np.array(POINT_SHARES)
-        seen = np.minimum(visible @ shares, self.arriving.reshape(-1, 3)[here])
-        doubt = HALF_SHADOW_SIGMA * own * (2.0 * np.sqrt(visible * (1.0 - visible)) @ shares)
-        return np.minimum(seen**SEEN_POWER, 1.0 / (1.0 + (doubt / INTENSITY_SIGMA) ** 2)), seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,21 +228,11 @@ class LampCells:
         """Which lights may be hidden where, of known skin."""
         model = self.skin.model
         slants = KnownLamps(model.position * model.shape[1]).slants(z_px, self.cell, model.shape)
+        clear = np.stack([clearance(z_px, self.cell, slants[..., lamp, :]) for lamp in range(3)], axis=-1)
         level = 1.0 / np.maximum(np.linalg.norm(slants, axis=-1), 1e-3)
-        clear = self._clearance(z_px)
-        hidden = (may_be_hidden(clear.min(axis=-1), level) | (self.arriving < 1.0)) & known[..., None]
-        return HiddenLights(np.asarray(hidden), self.arriving, visible_share(clear))
-
-    def _clearance(self, z_px: Float32Array) -> Float32Array:
-        """By how much rays to points of the lamps clear the skin: float32 array of shape (h, w, 3, points)."""
-        model = self.skin.model
-        places = model.points()[..., :3] * model.shape[1]
-        clear = np.empty((*z_px.shape, *places.shape[:2]), np.float32)
-        for point in range(places.shape[1]):
-            slants = KnownLamps(places[:, point]).slants(z_px, self.cell, model.shape)
-            for lamp in range(3):
-                clear[..., lamp, point] = clearance(z_px, self.cell, slants[..., lamp, :])
-        return clear
+        hidden = (may_be_hidden(clear, level) | (self.arriving < 1.0)) & known[..., None]
+        passes = np.clip((clear - GRAZED[0]) / (GRAZED[1] - GRAZED[0]), 0.0, 1.0)
+        return HiddenLights(np.asarray(hidden), np.minimum(self.arriving, passes))
 
     def _surface(self, z_px: Float32Array) -> Float64Array:
         """Slopes of a surface as its mean light shows them, shape (h w, 2)."""
@@ -300,14 +262,11 @@ class LampCells:
         steps, free_steps : from the surface, and how many of them, the first, leave such lights out
         """
         skin, seen, before = self.skin.select(here), self.intensity[here], KnownBefore(surface, HIDDEN_SURFACE_SIGMA)
-        hidden = lights.hidden.reshape(-1, 3)[here]
-        counts, arriving = lights.weight(np.einsum("ncc->nc", skin.shares), here)
-        skin = replace(skin, visible=lights.visible.reshape(-1, *lights.visible.shape[2:])[here])
+        hidden, arriving = (part.reshape(-1, 3)[here] for part in (lights.hidden, lights.arriving))
         slope, weight = surface, np.where(hidden, 0.0, 1.0)
         for step in range(steps):
             shown = skin.shown_and_changes(slope, z_px)
             if step >= free_steps:
-                darker = shown[0] - np.abs(shown[0] - seen)
-                weight = np.where(hidden, np.minimum(counts, trust_in(darker, shown[0], APART)), 1.0)
+                weight = np.where(hidden, np.minimum(arriving, trust_in(seen, shown[0], DARKER)), 1.0)
             slope = move_towards(skin, seen, slope, z_px, before, weight, shown)
-        return slope, np.minimum(weight, arriving).min(axis=1)
+        return slope, weight.min(axis=1)

@@ -112,7 +112,7 @@ def test_the_noise_that_is_stated_is_what_is_left(
     assert better.raw_kept == pytest.approx(plain.raw_kept, rel=0.05)
 
 
-def test_quiet_frames_need_no_witness(samples: BallSamples, two_colours: InverseMap) -> None:
+def test_quiet_frames_need_no_null_colour(samples: BallSamples, two_colours: InverseMap) -> None:
     silent = FrameNoise(1e-10 * np.eye(3), NOISE.ratios)
     found = learn_null_colour(samples, two_colours, silent)
     assert found is not None

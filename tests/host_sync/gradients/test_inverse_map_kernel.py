@@ -135,7 +135,7 @@ def test_every_degree_is_read_alike(degree: int) -> None:
 
 @pytest.mark.parametrize("by_plane", [False, True])
 @pytest.mark.parametrize("rooted", [False, True])
-def test_noise_that_a_witness_tells_is_taken_off_alike(rooted: bool, by_plane: bool) -> None:
+def test_noise_along_the_null_colour_is_taken_off_alike(rooted: bool, by_plane: bool) -> None:
     random = np.random.default_rng(6)
     null_colour = NullColour(
         random.standard_normal((3, 3, 3)).astype(np.float32),

@@ -31,14 +31,14 @@ def test_level_skin_is_lit_everywhere_however_low_the_lamps_stand() -> None:
 
 
 def test_skin_that_rises_towards_a_lamp_hides_it_from_itself() -> None:
-    limit = LEVEL - GRAZED
+    limit = LEVEL - GRAZED[1]
     assert lit_at_middle(limit - 0.01)
     assert not lit_at_middle(limit + 0.01)
 
 
 def test_far_from_a_lamp_less_slope_hides_it() -> None:
     far, near = (int(edge) for edge in (COLUMN.argmin(), COLUMN.argmax()))
-    slope = np.full(1, LEVEL - GRAZED - 0.05)
+    slope = np.full(1, LEVEL - GRAZED[1] - 0.05)
     lit = [is_lit_by_all(MODEL, slope, 0.0 * slope, COLUMN[[at]], ROW[[at]])[0] for at in (far, near)]
     assert lit == [False, True]
 
