@@ -14,11 +14,13 @@ GRAZING: Final = 0.05
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_light(
-    points: Any, axes: Any, coat: Any, p: Any, q: Any, x: Any, y: Any, z: Any, own: Any, first: int, last: int
-) -> None:
+    points: Any, visible: Any, axes: Any, coat: Any, p: Any, q: Any, x: Any, y: Any, z: Any, own: Any,
+    first: int, last: int,
+) -> None:  # fmt: skip
     """Write what skin shows of each channel's own lamp into the rows `first` to `last` - 1 of `own`, (N, K, 3).
 
     points : of each lamp, where it is and how bright, shape (3, points, 4), in widths of the field
+    visible : share of each point's light that arrives, shape (N, 3, points), or (0, 3, points) where all of it does
     axes : of the lamps' beams, shape (3, 3)
     coat : fall-off, even and uneven share of the rough coat, gloss, squared width of its lobe, tail, gain with tilt,
         beam and camera
@@ -48,6 +50,8 @@ def write_light(
                 between = l0 * v0 + l1 * v1 + l2 * v2
                 facing = max(axes[channel, 0] * l0 + axes[channel, 1] * l1 + axes[channel, 2] * l2, 0.0)
                 bright = points[channel, point, 3] * ((1.0 - beam) + beam * facing) * square ** (-0.5 * fall_off)
+                if len(visible):
+                    bright *= visible[i, channel, point]
                 for k in range(slopes):
                     seen = normal[k, 3]
                     lit = max(normal[k, 0] * l0 + normal[k, 1] * l1 + normal[k, 2] * l2, 0.0)

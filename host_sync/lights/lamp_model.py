@@ -95,11 +95,20 @@ class LampModel:
         return np.asarray(tilted[..., None] * (self.bounce_afar + self.bounce_close * close))
 
     def own_light(
-        self, p: Float64Array, q: Float64Array, column: Float64Array, row: Float64Array, z_px: Float64Array
+        self,
+        p: Float64Array,
+        q: Float64Array,
+        column: Float64Array,
+        row: Float64Array,
+        z_px: Float64Array,
+        visible: Float64Array | None = None,
     ) -> Float64Array:
         """What skin shows of each channel's own lamp directly, up to a factor of its own: shape (N, 3).
 
         For K slopes at each place, p and q of shape (N, K), it is of shape (N, K, 3).
+
+        visible : share of the light of each of a lamp's points that arrives, float64 array of shape (N, 3, points);
+            None where all of it does
         """
         rows, columns = self.shape
         x, y = (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns
@@ -112,7 +121,9 @@ class LampModel:
         own = np.empty((len(x), count, 3))
         axes = self.position * np.array([1.0, 1.0, self.aim])
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        parallel_rows(write_light, (len(x), WORK), self._points(), axes, coat, *slopes, x, y, z_px / columns, own)
+        seen = np.empty((0, 3, len(POINTS))) if visible is None else visible
+        skin = (*slopes, x, y, z_px / columns)
+        parallel_rows(write_light, (len(x), WORK), self.points(), seen, axes, coat, *skin, own)
         return own.reshape(*p.shape, 3)
 
     def mixed(self, own: Float64Array) -> Float64Array:
@@ -123,8 +134,8 @@ class LampModel:
         """Intensity up to a factor of place and channel, of skin as in `shown`."""
         return self.mixed(self.own_light(*skin))
 
-    def _points(self) -> Float64Array:
-        """Where the points of each lamp are, and how bright: shape (3, points, 4)."""
+    def points(self) -> Float64Array:
+        """Where the points of each lamp are, in widths of the field, and how bright: float64 array (3, points, 4)."""
         right, down, above = self.position.T
         reach = np.maximum(np.hypot(right, down), 1e-6)
         along = self.strip * np.stack([-down / reach, right / reach, np.zeros(3)], axis=-1)

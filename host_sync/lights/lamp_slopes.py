@@ -49,6 +49,7 @@ class LampSkin:
     rest : intensity of untouched skin there up to the model's factor, shape (N, 3)
     shares : of it, what each channel shows of each lamp, shape (N, 3, 3)
     close : what skin close by shows, shape (N, 3)
+    visible : of each of a lamp's points, how much of its light arrives, shape (N, 3, points); None where all of it does
     """
 
     model: LampModel
@@ -57,6 +58,7 @@ class LampSkin:
     rest: Float64Array
     shares: Float64Array
     close: Float64Array
+    visible: Float64Array | None = None
 
     @classmethod
     def at(
@@ -71,11 +73,15 @@ class LampSkin:
 
     def select(self, rows: np.ndarray) -> LampSkin:
         """The places of these numbers."""
-        parts = (part[rows] for part in (self.column, self.row, self.rest, self.shares, self.close))
-        return LampSkin(self.model, *parts)
+        column, row, rest, shares, close = (
+            part[rows] for part in (self.column, self.row, self.rest, self.shares, self.close)
+        )
+        return LampSkin(
+            self.model, column, row, rest, shares, close, None if self.visible is None else self.visible[rows]
+        )
 
     def shown(self, slope: Float64Array, z_px: Float64Array, model: LampModel | None = None) -> Float64Array:
-        """Intensity (N, 3) of slopes (N, 2) at elevations (N,), under other lamps where they are given."""
+        """Intensity (N, 3) of slopes (N, 2) at elevations (N,), under other lamps, all of which arrive, where given."""
         p, q = np.ascontiguousarray(slope.T)
         if model is not None:
             return model.shown(p, q, self.column, self.row, z_px, self.close)
@@ -93,7 +99,7 @@ class LampSkin:
 
     def _shown(self, p: Float64Array, q: Float64Array, z_px: Float64Array) -> Float64Array:
         """Intensity (N, K, 3) of K slopes (N, K) at each place, at elevations (N,)."""
-        model, own = self.model, self.model.own_light(p, q, self.column, self.row, z_px)
+        model, own = self.model, self.model.own_light(p, q, self.column, self.row, z_px, self.visible)
         shown, bounce = np.empty_like(own), np.array([model.bounce_afar, model.bounce_close])
         light = own, model.mixing, model.haze, self.rest, self.close, bounce
         parallel_rows(write_shown, (len(own), WORK * p.shape[1]), *light, p, q, shown)

@@ -1,7 +1,8 @@
 """Cells of a frame under lamps that explain the balls of a calibration: slopes where all lights arrive, and where not.
 
-Where a ray from a cell to a lamp meets the skin, or may, that channel counts as far as it is as bright as the lamps
-say; the slopes of such cells are known beforehand from the surface around.
+Where rays from a cell to a lamp meet the skin, or may, its light is that of the points of the lamp that are seen from
+there, and the channel counts as far as it is as bright as they say; the slopes of such cells are known beforehand from
+the surface around.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray, surface_slopes
 from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
 from host_sync.lights.known_lamps import KnownLamps
-from host_sync.lights.lamp_model import LampModel
-from host_sync.lights.lamp_slopes import SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
-from host_sync.lights.lit_skin import GRAZED, may_be_hidden
+from host_sync.lights.lamp_model import POINT_SHARES, LampModel
+from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
+from host_sync.lights.lit_skin import may_be_hidden
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cell_correction import LEVEL, SlopePair, moved_cells, steepness, unsure_cells
-from host_sync.reconstruction.hidden_lights import arriving_share, clearance, trust_in
+from host_sync.reconstruction.hidden_lights import arriving_share, clearance, own_clearance, trust_in, visible_share
 from host_sync.reconstruction.light_elevation import Rise, rise_told_by_light
 
 HIDDEN_STEPS: Final = 8
@@ -32,10 +33,23 @@ FREE_STEPS: Final = 3
 AGAIN_STEPS: Final = 2
 """The same where such slopes are found again from a surface that hardly moves any more."""
 
-DARKER: Final = (0.03, 0.08)
-"""Intensity by which a channel is darker than predicted: from the first its weight falls, at the second it is zero.
+APART: Final = (0.03, 0.08)
+"""Intensity by which a channel is darker or brighter than predicted: from the first its weight falls, at the second it
+is zero. Where rays say what arrives of a light, less is missing than what cells round off of texture."""
 
-Where rays say that a light arrives, less is missing than what cells round off of texture."""
+HALF_SHADOW_SIGMA: Final = 0.35
+"""Standard uncertainty of how much of a point's light arrives where half of it does."""
+
+SEEN_POWER: Final = 4.0
+"""Power of the share of a lamp that is seen, up to which its channel counts: what it tells in the dark is what other
+skin and other lamps send there, of which less is known."""
+
+TURNED_AWAY: Final = 0.06
+"""Tangent by which a light stands over a cell's own plane from which on it counts in full: what is dark there tells
+only that the skin turns away."""
+
+DIMMED: Final = 0.97
+"""Share of a point's light below which a cell is dimmed."""
 
 LINEAR_CELLS: Final = 6.0
 """Standard deviation of the Gaussian over slopes at which the light is linearised, cells: noise has to average out."""
@@ -53,16 +67,35 @@ class HiddenLights:
     """What keeps lights from cells.
 
     hidden : whether a light may be hidden, bool array of shape (h, w, 3)
-    arriving : how much of each arrives at most, 0 to 1, float64 array of shape (h, w, 3)
+    arriving : how much of each is seen to arrive alone, or less where skin turns away from it: 0 to 1, float64 array of
+        shape (h, w, 3)
+    visible : how much arrives of each point of a lamp, as rays say, 0 to 1, float64 array of shape (h, w, 3, points)
     """
 
     hidden: MaskArray
     arriving: Float64Array
+    visible: Float64Array
 
     @property
     def any_hidden(self) -> MaskArray:
         """Where any light may be: bool array of shape (h, w)."""
         return np.asarray(self.hidden.any(axis=-1))
+
+    @property
+    def dimmed(self) -> MaskArray:
+        """Where some of a light does not arrive: bool array of shape (h, w)."""
+        least = np.minimum(self.arriving, self.visible.min(axis=-1)).min(axis=-1)
+        return np.asarray(self.any_hidden & (least < DIMMED))
+
+    def weight(self, own: Float64Array, here: np.ndarray) -> Float64Array:
+        """Weight of each channel of cells `here`, as far as what arrives of its lamp is known: shape (N, 3).
+
+        own : share of its lamp in what each channel shows of untouched skin, shape (N, 3)
+        """
+        visible, shares = self.visible.reshape(-1, *self.visible.shape[2:])[here], np.array(POINT_SHARES)
+        arriving = np.minimum((visible @ shares) ** SEEN_POWER, self.arriving.reshape(-1, 3)[here])
+        doubt = HALF_SHADOW_SIGMA * own * (2.0 * np.sqrt(visible * (1.0 - visible)) @ shares)
+        return np.asarray(np.minimum(arriving, 1.0 / (1.0 + (doubt / INTENSITY_SIGMA) ** 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,13 +259,21 @@ class LampCells:
 
     def _may_be_hidden(self, z_px: Float32Array, known: MaskArray) -> HiddenLights:
         """Which lights may be hidden where, of known skin."""
-        model = self.skin.model
-        slants = KnownLamps(model.position * model.shape[1]).slants(z_px, self.cell, model.shape)
-        clear = np.stack([clearance(z_px, self.cell, slants[..., lamp, :]) for lamp in range(3)], axis=-1)
-        level = 1.0 / np.maximum(np.linalg.norm(slants, axis=-1), 1e-3)
-        hidden = (may_be_hidden(clear, level) | (self.arriving < 1.0)) & known[..., None]
-        passes = np.clip((clear - GRAZED[0]) / (GRAZED[1] - GRAZED[0]), 0.0, 1.0)
-        return HiddenLights(np.asarray(hidden), np.minimum(self.arriving, passes))
+        model, slope = self.skin.model, np.stack(surface_slopes(HeightMap(z_px, float(self.cell))), axis=-1)
+        places = model.points()[..., :3] * model.shape[1]
+        hidden = self.arriving < 1.0
+        visible, facing = (np.empty((*z_px.shape, *places.shape[:2])) for _ in range(2))
+        for point in range(places.shape[1]):
+            slants = KnownLamps(places[:, point]).slants(z_px, self.cell, model.shape)
+            for lamp in range(places.shape[0]):
+                slant = slants[..., lamp, :]
+                clear, level = clearance(z_px, self.cell, slant), 1.0 / np.maximum(np.linalg.norm(slant, axis=-1), 1e-3)
+                hidden[..., lamp] |= may_be_hidden(clear, level)
+                own = own_clearance(slope, slant)
+                visible[..., lamp, point] = visible_share(clear, own)
+                facing[..., lamp, point] = np.clip(own / TURNED_AWAY, 0.0, 1.0)
+        arriving = np.minimum(self.arriving, facing @ np.array(POINT_SHARES))
+        return HiddenLights(np.asarray(hidden & known[..., None]), arriving, visible)
 
     def _surface(self, z_px: Float32Array) -> Float64Array:
         """Slopes of a surface as its mean light shows them, shape (h w, 2)."""
@@ -262,11 +303,14 @@ class LampCells:
         steps, free_steps : from the surface, and how many of them, the first, leave such lights out
         """
         skin, seen, before = self.skin.select(here), self.intensity[here], KnownBefore(surface, HIDDEN_SURFACE_SIGMA)
-        hidden, arriving = (part.reshape(-1, 3)[here] for part in (lights.hidden, lights.arriving))
+        hidden = lights.hidden.reshape(-1, 3)[here]
+        counts = lights.weight(np.einsum("ncc->nc", skin.shares), here)
+        skin = replace(skin, visible=lights.visible.reshape(-1, *lights.visible.shape[2:])[here])
         slope, weight = surface, np.where(hidden, 0.0, 1.0)
         for step in range(steps):
             shown = skin.shown_and_changes(slope, z_px)
             if step >= free_steps:
-                weight = np.where(hidden, np.minimum(arriving, trust_in(seen, shown[0], DARKER)), 1.0)
+                darker = shown[0] - np.abs(shown[0] - seen)
+                weight = np.where(hidden, np.minimum(counts, trust_in(darker, shown[0], APART)), 1.0)
             slope = move_towards(skin, seen, slope, z_px, before, weight, shown)
         return slope, weight.min(axis=1)

@@ -2,9 +2,9 @@
 
 The inverse map reads every pixel; over cells of pixels, where lamps and coat are known as a whole, what it misreads is
 found from the cells' own intensity and added to the slopes of every pixel, on level skin too. Elevation counts as the
-lamps predict, and where a ray from a cell to a lamp meets the skin, its channel counts for nothing if it is as dark as
-that says: then the other two decide, and the surface around, in whose integration such slopes weigh little. Where no
-skin is untouched the light tells how high all of it stands.
+lamps predict, and where a ray from a cell to a lamp meets the skin, its channel counts as far as they say: where it
+counts for nothing the other two decide, and the surface around, in whose integration such slopes weigh little. Where
+no skin is untouched the light tells how high all of it stands.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ HIDDEN_SIGMA: Final = 0.2
 """Standard uncertainty of what slopes gain where a light is hidden, as a share of it, wrong all at once: of 70 rendered
 objects the gain was off by up to 0.3 of it where that was large, and by more where it was small."""
 
-SHADOW_WEIGHT: Final = 0.3
+SHADOW_WEIGHT: Final = 0.1
 """Weight in integration of slopes that two lights tell."""
 
 SHADOW_CONFIDENCE: Final = 0.6
@@ -161,10 +161,10 @@ class _Reading:
         return _Found(told.slope, told.shadow, z_px, has_zero, told.lights)
 
     def even_where_hidden(self, found: _Found) -> tuple[_Reading, _Found]:
-        """The same with nothing hidden by means where a light may not arrive: there pixels are misread."""
-        if found.lights is None or not found.lights.any_hidden.any():
+        """The same with nothing hidden by means where some of a light does not arrive: there pixels are misread."""
+        if found.lights is None or not found.lights.dimmed.any():
             return self, found
-        given_back = np.where(found.lights.any_hidden[..., None], self.cells.bend, 0.0)
+        given_back = np.where(found.lights.dimmed[..., None], self.cells.bend, 0.0)
         cells = replace(self.cells, bend=self.cells.bend - given_back)
         return replace(self, cells=cells, read=self.read + given_back), replace(found, slope=found.slope + given_back)
 

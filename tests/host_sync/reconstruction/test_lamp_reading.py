@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from point_lamps import point_lamps
@@ -12,9 +13,9 @@ from scipy.ndimage import distance_transform_edt
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
-from host_sync.lights.lamp_model import FittedLamps
+from host_sync.lights.lamp_model import POINTS, FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import KnownBefore, LampSkin, move_towards
-from host_sync.reconstruction import lamp_reading
+from host_sync.reconstruction import lamp_cells, lamp_reading
 from host_sync.reconstruction.lamp_cells import LampCells
 from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
 from host_sync.reconstruction.light_elevation import Rise
@@ -43,10 +44,10 @@ def cone(flank: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return z, p, q
 
 
-def reaches(z: np.ndarray) -> np.ndarray:
-    """Whether each lamp reaches the skin, ray by ray: shape (H, W, 3)."""
+def reaches(z: np.ndarray, places: np.ndarray = MODEL.position) -> np.ndarray:
+    """Whether each lamp, or a point of it, reaches the skin, ray by ray: shape (H, W, 3)."""
     lit = np.ones((*SHAPE, 3), bool)
-    for lamp, (right, down, up) in enumerate(SHAPE[1] * MODEL.position):
+    for lamp, (right, down, up) in enumerate(SHAPE[1] * places):
         to_x, to_y, to_z = right + 0.5 * (SHAPE[1] - 1) - COLUMN, down + 0.5 * (SHAPE[0] - 1) - ROW, up - z
         for share in np.linspace(0.004, 0.4, 120):
             at_x = np.clip(np.rint(COLUMN + share * to_x).astype(int), 0, SHAPE[1] - 1)
@@ -55,14 +56,19 @@ def reaches(z: np.ndarray) -> np.ndarray:
     return lit
 
 
-def image_of(z: np.ndarray, p: np.ndarray, q: np.ndarray, lit: np.ndarray | None = None) -> NormalizedImage:
+def image_of(
+    z: np.ndarray, p: np.ndarray, q: np.ndarray, lit: np.ndarray | None = None, model: LampModel = MODEL
+) -> NormalizedImage:
+    """lit : how much of lamps (H, W, 3), or of points of them (H, W, 3, points), reaches the skin."""
     flat = [part.ravel() for part in (p, q, COLUMN, ROW, z)]
-    own = MODEL.own_light(*flat)
+    visible = None
     if lit is not None:
-        own *= lit.reshape(-1, 3)
+        points = lit if lit.ndim == 4 else np.repeat(lit[..., None], len(POINTS), axis=-1)
+        visible = np.ascontiguousarray(points.reshape(-1, *points.shape[2:]), np.float64)
+    own = model.own_light(*flat, visible)
     level = np.zeros(z.size)
-    rest = MODEL.mixed(MODEL.own_light(level, level, flat[2], flat[3], level))
-    values = (MODEL.mixed(own) / rest).reshape(*SHAPE, 3)
+    rest = model.mixed(model.own_light(level, level, flat[2], flat[3], level))
+    values = (model.mixed(own) / rest).reshape(*SHAPE, 3)
     return NormalizedImage(values.astype(np.float32), EVERYWHERE, ~EVERYWHERE)
 
 
@@ -169,6 +175,46 @@ def test_noise_leans_level_skin_to_no_side() -> None:
     found = cells.linearised(one_by_one, np.ones(size, bool), np.zeros(size, np.float32), None)
     assert np.linalg.norm(one_by_one[left].mean(axis=(0, 1))) > 8e-4
     assert np.linalg.norm(found[left].mean(axis=(0, 1))) < 4e-4
+
+
+def test_a_strip_that_is_half_hidden_is_known_by_the_half_that_is_seen() -> None:
+    strip = replace(MODEL, strip=0.5)
+    skin = LampSkin.at(strip, np.array([160.0]), np.array([120.0]))
+    slope, level = np.array([[0.3, -0.1]]), np.zeros(1)
+    half = np.ones((1, 3, 3))
+    half[0, 1, 2] = 0.0
+    all_of_it, part = skin.shown(slope, level), replace(skin, visible=half).shown(slope, level)
+    gone = replace(skin, visible=1.0 - half).shown(slope, level)
+    none = replace(skin, visible=np.zeros((1, 3, 3))).shown(slope, level)
+    assert part[0, 1] < 0.9 * all_of_it[0, 1]
+    np.testing.assert_allclose(part + gone - none, all_of_it, rtol=1e-12)
+
+
+def test_skin_in_half_shadow_is_read_from_the_points_that_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read as if all of a lamp arrived, half-shadow is a slope, and what stands in the middle of it stands too high."""
+    strip = replace(MODEL, strip=0.5)
+    z = cv2.GaussianBlur(cone(0.6)[0], (0, 0), 3.0)
+    q, p = np.gradient(z)
+    points = np.moveaxis(strip.points()[..., :3], 1, 0)
+    along = np.cross(strip.position, [0.0, 0.0, 1.0])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    seen = [[reaches(z, point + step * along) for step in np.linspace(-0.12, 0.12, 5)] for point in points]
+    image = image_of(z, p, q, np.moveaxis(np.mean(seen, axis=1), 0, -1), strip)
+    skin, level = LampSkin.at(strip, COLUMN.ravel(), ROW.ravel()), np.zeros(z.size)
+    slope, values = np.zeros((z.size, 2)), image.values.reshape(-1, 3).astype(np.float64)
+    for _ in range(6):
+        slope = move_towards(skin, values, slope, level, KnownBefore(slope, 0.15))
+    as_if_lit = slope.reshape(*SHAPE, 2)
+
+    def too_high_px() -> float:
+        read = field(as_if_lit[..., 0], as_if_lit[..., 1])
+        assert height_px(read) > 1.05 * HEIGHT_PX
+        read_under_lamps(read, image, FittedLamps(strip, ())).apply(read)
+        return abs(height_px(read) - HEIGHT_PX)
+
+    known = too_high_px()
+    monkeypatch.setattr(lamp_cells, "visible_share", lambda clear, _: np.ones(clear.shape))
+    assert known < 0.4 * too_high_px()
 
 
 def test_level_skin_gains_nothing() -> None:
