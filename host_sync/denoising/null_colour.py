@@ -82,7 +82,8 @@ class NullColour:
 
 
 def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: FrameNoise) -> NullColour | None:
-    """The null colour of a map, for noise of its frames; None where balls show too little, or slopes would change.
+    """The null colour of a map, for noise of its frames; None where balls show too little, noise is zero, or slopes
+    would change.
 
     samples : of a calibration's balls, their noise shrunk
     """
@@ -100,6 +101,9 @@ def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: Fram
     doubled_root = 2.0 * root_of(some.intensity).astype(np.float64)
     common = (direction * doubled_root) @ noise.covariance * doubled_root
     power, read = (direction * common).sum(axis=1), np.einsum("nki,ni->nk", reading, common)
+    unit = np.sqrt(power.mean())
+    if not unit > 0.0:
+        return None
     moved, detail = np.einsum("ni,nik->nk", direction, forward), np.einsum("nki,nij->nkj", reading, forward)
     for variance in DETAIL_VARIANCES:
         weight = power + variance * (moved**2).sum(axis=1)
@@ -107,7 +111,6 @@ def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: Fram
         slopes = np.linalg.solve(gram, terms.T @ read)
         misread = (terms @ slopes)[:, :, None] * moved[:, None, :]
         if (misread**2).sum() <= MAX_MISREAD**2 * (detail**2).sum():
-            unit = np.sqrt(power.mean())
             limit = float(np.percentile(np.abs(u).max(axis=1), STEEPEST_PERCENT))
             return NullColour(_by_terms(channels / unit), _by_terms(slopes * unit), limit)
     return None

@@ -7,6 +7,7 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from host_sync.calibration_file.kept_calibration import (
     read_calibration_file,
 )
 from host_sync.calibration_file.soundness import Unsound, check_sound
-from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
+from host_sync.calibration_file.typed_members import READ_ERRORS, RECORDS_MEMBER, as_members, from_members
 from host_sync.cli.main import main
 from host_sync.denoising.null_colour import NullColour
 from host_sync.errors import CalibrationFileError
@@ -42,6 +43,7 @@ from host_sync.frames.frame_set import load_frame_set
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
 from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.slope_reading import read_slopes
 from host_sync.results.record import SlopeNoise
 
 MUTATIONS = 60
@@ -388,6 +390,47 @@ def test_a_camera_nearby_and_blurs_are_read_as_they_were_written(kept: KeptCalib
     found = from_members(as_members(known), Calibration)
     assert (found.viewpoint, found.slope_noise) == (known.viewpoint, noise)
     check_sound(found, "file")
+
+
+def drawn_null_colour() -> NullColour:
+    """A null colour that changes every slope."""
+    rng = np.random.default_rng(2)
+    channels, slopes = (0.1 * rng.standard_normal(shape).astype(np.float32) for shape in ((3, 3, 3), (3, 3, 2)))
+    return NullColour(channels, slopes, 0.4)
+
+
+def raw_slopes(calibration: Calibration, frame_set: Path) -> np.ndarray:
+    """Raw slopes of a press, shape (2, H, W)."""
+    frame = frames_of_set(load_frame_set(frame_set)).presses[0].frame
+    found = read_slopes(frame, calibration, "press", "direct", force=False).raw_gradients()
+    return np.stack([found.p, found.q])
+
+
+def test_a_null_colour_is_read_as_it_was_written(kept: KeptCalibration, frame_set: Path) -> None:
+    null_colour = drawn_null_colour()
+    known = KeptCalibration(replace(kept.calibration, null_colour=null_colour), kept.report, kept.facts)
+    read = read_calibration_file(known.as_file(), "file")
+    found = read.calibration.null_colour
+    assert found is not None
+    np.testing.assert_array_equal(found.channels, null_colour.channels)
+    np.testing.assert_array_equal(found.slopes, null_colour.slopes)
+    assert found.limit == null_colour.limit
+    assert read.as_file() == known.as_file()
+    np.testing.assert_array_equal(raw_slopes(read.calibration, frame_set), raw_slopes(known.calibration, frame_set))
+
+
+def test_a_file_from_before_null_colours_reads_slopes_as_before(kept: KeptCalibration, frame_set: Path) -> None:
+    without = replace(kept.calibration, null_colour=None)
+    facts, members = read_archive(KeptCalibration(without, kept.report, kept.facts).as_file(), "file")
+    records = msgspec.msgpack.decode(members[RECORDS_MEMBER])
+    del records["null_colour"]
+    stream = BytesIO()
+    write_archive(stream, facts, members | {RECORDS_MEMBER: msgspec.msgpack.encode(records)})
+    older = read_calibration_file(stream.getvalue(), "older").calibration
+    assert older.null_colour is None
+    slopes = raw_slopes(older, frame_set)
+    np.testing.assert_array_equal(slopes, raw_slopes(without, frame_set))
+    assert np.abs(slopes - raw_slopes(replace(older, null_colour=drawn_null_colour()), frame_set)).max() > 1e-4
 
 
 @pytest.mark.parametrize("harm", HARMS)

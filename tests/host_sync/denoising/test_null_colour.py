@@ -122,6 +122,13 @@ def test_quiet_frames_need_no_null_colour(samples: BallSamples, two_colours: Inv
     assert np.abs(noise).max() < 1e-3
 
 
+def test_without_noise_or_light_there_is_no_null_colour(samples: BallSamples, two_colours: InverseMap) -> None:
+    silent = FrameNoise(np.zeros((3, 3)), NOISE.ratios)
+    assert learn_null_colour(samples, two_colours, silent) is None
+    black = replace(samples, intensity=np.zeros_like(samples.intensity))
+    assert learn_null_colour(black, two_colours, NOISE) is None
+
+
 def test_few_pixels_tell_nothing(samples: BallSamples, two_colours: InverseMap) -> None:
     assert learn_null_colour(samples.select(np.arange(100)), two_colours, NOISE) is None
 
