@@ -33,13 +33,14 @@ from host_sync.results.record import FrameCheck
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
+    height_draws,
     height_uncertainty,
     nonintegrable_residual,
     reduced_size,
     slope_sigma,
 )
 from host_sync.uncertainty.lost_detail import lost_variance, with_lost_detail
-from host_sync.uncertainty.slope_draws import SlopeDraws, slope_draws
+from host_sync.uncertainty.slope_draws import SlopeDraws
 from host_sync.uncertainty.slope_error import SlopeError
 
 
@@ -117,8 +118,8 @@ def reconstruct(
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, warnings = reading.first.intensity, reading.warnings
-    foreknown = BackgroundCall(_Foreknown.of, reading)
-    foreknown.start()
+    before_heights = BackgroundCall(_BeforeHeights.of, reading)
+    before_heights.start()
     gradients = read = reading.gradients
     shrinkage, viewpoint = calibration.shrinkage, calibration.viewpoint
     if viewpoint is not None:
@@ -151,7 +152,7 @@ def reconstruct(
         height = seen_elevation(height, viewpoint)
         gradients = seen_slopes(read, viewpoint, height, out=gradients)
     slopes = surface_slopes(height)
-    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves, foreknown)
+    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves, before_heights)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -167,7 +168,7 @@ def reconstruct(
         if detail == "raw":
             shown, other, gradients = other, height, raw_gradients
     p, q = slopes if shown is height else surface_slopes(shown)
-    strange = extrapolated(intensity, calibration.inverse.map, p, q, foreknown.result().strange)
+    strange = extrapolated(intensity, calibration.inverse.map, p, q, before_heights.result().strange)
     known, slopes_sigma = uncertainty.result()
     if lost is not None:
         slopes_sigma = with_lost_detail(slopes_sigma, lost)
@@ -194,28 +195,30 @@ def reconstruct(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Foreknown:
-    """What is known of a result's uncertainty before its slopes are integrated.
+class _BeforeHeights:
+    """What a result needs beside its heights and does not take from them, so that both are made at once.
 
-    unsure : what the calibration does not know, on the reduced field
+    unsure : what the calibration does not know of slopes, on the reduced field (h, w)
+    shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
+        where nothing corrects slopes
     draws : random numbers behind the samples of height errors
     strange : as `strange_blocks` returns it
     """
 
     unsure: CalibrationUncertainty
+    shadow: tuple[Float32Array, Float32Array] | None
     draws: SlopeDraws
     strange: MaskArray
 
     @classmethod
-    def of(cls, reading: SlopeReading) -> _Foreknown:
-        """What a reading tells."""
+    def of(cls, reading: SlopeReading) -> _BeforeHeights:
+        """That of a reading's result."""
         first, shape = reading.first, reading.first.intensity.shape
         size = reduced_size(shape)
         unsure = _calibration_uncertainty(reading, size)
-        fields = len(unsure.p) + (first.correction is not None)
-        error = slope_error_of(first.calibration, reading.method)
-        draws = slope_draws(error, size, shape[1], fields)
-        return cls(unsure, draws, strange_blocks(first.intensity, first.calibration.inverse.map))
+        shadow = None if first.correction is None else first.correction.sigma(size)
+        draws = height_draws(slope_error_of(first.calibration, reading.method), shape, unsure, shadow)
+        return cls(unsure, shadow, draws, strange_blocks(first.intensity, first.calibration.inverse.map))
 
 
 def _uncertainty(
@@ -225,7 +228,7 @@ def _uncertainty(
     reading: SlopeReading,
     datum: Datum,
     waves: NoiseWaves | None,
-    foreknown: BackgroundCall[_Foreknown],
+    before_heights: BackgroundCall[_BeforeHeights],
 ) -> tuple[HeightUncertainty, Float32Array]:
     """What is not known of heights, and the standard uncertainty of either slope.
 
@@ -233,17 +236,16 @@ def _uncertainty(
     slopes : of it
     gradients : as they were integrated, of a camera nearby times what elevation changes
     waves : of noise that were taken out of the height map
-    foreknown : of the same reading
+    before_heights : of the same reading
     """
     p, q = slopes
     first = reading.first
     calibration, correction, noise = first.calibration, first.correction, first.calibration.slope_noise
     if correction is not None and len(reading.groups) == 1:
         gradients = correction.confidence_in(gradients)
-    size = reduced_size(p.shape)
     error = slope_error_of(calibration, reading.method)
     contradiction = nonintegrable_residual(gradients, p, q)
-    before = foreknown.result()
+    before = before_heights.result()
     known = height_uncertainty(
         height,
         gradients,
@@ -252,7 +254,7 @@ def _uncertainty(
         datum,
         known_scale_share(calibration),
         calibration=before.unsure,
-        shadow=None if correction is None else correction.sigma(size),
+        shadow=before.shadow,
         draws=before.draws,
     )
     if waves is not None:

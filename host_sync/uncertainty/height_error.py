@@ -84,6 +84,17 @@ def reduced_size(shape: tuple[int, ...]) -> tuple[int, int]:
     return max(columns // factor, 3), max(rows // factor, 3)
 
 
+def height_draws(
+    error: SlopeError, shape: tuple[int, int], calibration: CalibrationUncertainty | None, shadow: SlopePair | None
+) -> SlopeDraws:
+    """The random numbers behind the samples of `height_uncertainty` of a field of `shape` (H, W).
+
+    error, calibration, shadow : as of it
+    """
+    fields = sum(len(p) for p, _ in _fields_known(calibration, shadow))
+    return slope_draws(error, reduced_size(shape), shape[1], fields)
+
+
 def slope_sigma(
     gradients: GradientField,
     p: Float32Array,
@@ -129,7 +140,7 @@ def height_uncertainty(
     calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
     shadow : standard uncertainties of slopes of p and q where a light is hidden, wrong all at once, on a field of
         `reduced_size`; None where none is
-    draws : as `slope_draws` returns them for this error and all fields of `calibration` and `shadow`; None to draw them
+    draws : as `height_draws` returns them for this error, `calibration` and `shadow`; None to draw them
     """
     rows, columns = gradients.p.shape
     size = reduced_size(gradients.p.shape)
@@ -146,20 +157,15 @@ def height_uncertainty(
         [here * gain_at(curve, cosine, error.tilt_deg) for curve in curves]
         for curves in shared_and_local(error.ball_gains, error.ball_places)
     )
-    known = [shadow, None if calibration is None else (calibration.p, calibration.q)]
+    known = _fields_known(calibration, shadow)
     common = [
-        np.concatenate(
-            [
-                [gain * slope for gain in (higher, *everywhere)],
-                *(_fields(pair[axis]) for pair in known if pair is not None),
-            ]
-        )
+        np.concatenate([[gain * slope for gain in (higher, *everywhere)], *(pair[axis] for pair in known)])
         for axis, slope in enumerate(seen)
     ]
     skin = _shrunk(datum.skin, size)
     zero = skin / max(float(skin.sum()), 1e-6)
     if draws is None:
-        draws = slope_draws(error, size, columns, len(common[0]) - len(everywhere) - 1)
+        draws = height_draws(error, gradients.p.shape, calibration, shadow)
     samples_um = np.empty((SAMPLES, *z_small.shape), np.float32)
     for number, sample_um in enumerate(samples_um):
         steeper = _local_gain(local, draws.local[number], size)
@@ -190,9 +196,13 @@ def _local_gain(gains: Sequence[Float32Array], at_places: Float32Array, size: tu
     return total
 
 
-def _fields(values: Float32Array) -> Float32Array:
-    """A field (h, w), or several (n, h, w), as several."""
-    return values.reshape(-1, *values.shape[-2:])
+def _fields_known(calibration: CalibrationUncertainty | None, shadow: SlopePair | None) -> list[SlopePair]:
+    """Fields of slopes p and q, each wrong all at once, as pairs of float32 arrays of shape (n, h, w).
+
+    calibration, shadow : as of `height_uncertainty`
+    """
+    own = [] if shadow is None else [(shadow[0][None], shadow[1][None])]
+    return own if calibration is None else [*own, (calibration.p, calibration.q)]
 
 
 def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Array) -> float:

@@ -120,7 +120,7 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights known already."""
     sigma = HeightUncertainty(known.sigma_um, known.samples_um)
-    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma, "slope_draws": None}
+    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma, "height_draws": None}
     with ExitStack() as stack:
         for name, value in spared.items():
             stack.enter_context(patch.object(stages, name, return_value=value))

@@ -12,6 +12,7 @@ from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
 from host_sync.uncertainty.elevation import ElevationCorrection
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
+    height_draws,
     height_uncertainty,
     nonintegrable_residual,
     reduced_size,
@@ -192,7 +193,9 @@ def test_numbers_drawn_before_give_the_samples_of_those_drawn_within() -> None:
     surface = height, gradients, 0.0 * ramp, error, datum
     replicas = CalibrationUncertainty(*(np.stack([part, -part, ramp]) for part in (ramp, 2.0 * ramp)))
     within = height_uncertainty(*surface, calibration=replicas, shadow=(ramp, ramp))
-    draws = slope_draws(error, reduced_size(SHAPE), SHAPE[1], fields=4)
+    draws = height_draws(error, SHAPE, replicas, (ramp, ramp))
+    of_shadow_and_replicas = slope_draws(error, reduced_size(SHAPE), SHAPE[1], fields=1 + 3)
+    np.testing.assert_array_equal(draws.shared, of_shadow_and_replicas.shared)
     before = height_uncertainty(*surface, calibration=replicas, shadow=(ramp, ramp), draws=draws)
     np.testing.assert_array_equal(before.samples_um, within.samples_um)
     np.testing.assert_array_equal(before.sigma_um, within.sigma_um)
