@@ -21,6 +21,7 @@ from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.quadric_fit import DEGREES
+from host_sync.denoising.null_colour import NullColour
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.frames.frame_set_file import MAX_LIGHTS
@@ -94,8 +95,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_viewpoint(one.viewpoint)
         _check_quadric(one)
         _check_levels(one.press_levels)
-        if one.null_colour is not None and not 0.0 < one.null_colour.limit < LARGEST_COEFFICIENT:
-            raise Unsound("a null colour without slopes")
+        _check_null_colour(one.null_colour)
     _check_lights(calibration)
 
 
@@ -243,6 +243,12 @@ def _check_quadric(calibration: Calibration) -> None:
             and (model.light is None or (is_node_grid(model.light.nodes, 3) and float(model.light.nodes.min()) > 0.0))
         ):
             raise Unsound("a function of the normal that is not of its field")
+
+
+def _check_null_colour(null_colour: NullColour | None) -> None:
+    """Refuse a null colour that counts every slope as zero, or beyond measure."""
+    if null_colour is not None and not 0.0 < null_colour.limit < LARGEST_COEFFICIENT:
+        raise Unsound(f"its null colour holds for slopes up to {null_colour.limit:g}, which no skin has")
 
 
 def _check_levels(levels: PressLevels | None) -> None:

@@ -47,9 +47,10 @@ def clearance(z_px: Float32Array, cell: float, slant: Float64Array) -> Float32Ar
 
 
 def trust_in(intensity: Float64Array, predicted: Float64Array, darker: tuple[float, float]) -> Float64Array:
-    """Weight of channels (N, 3) that may be dark: 0 where darker than predicted, or where no light is predicted.
+    """Weight (N, 3) of lights that may be hidden: less than 1 where darker than predicted, or about to set.
 
-    darker : intensity by which one is darker than predicted: from the first its weight falls, at the second it is 0
+    intensity, predicted : float64 arrays of shape (N, 3), untouched skin reads 1
+    darker : intensity missing of the prediction: up to the first a light counts in full, from the second not at all
     """
     missing = np.clip((predicted - intensity - darker[0]) / (darker[1] - darker[0]), 0.0, 1.0)
     setting = np.clip((SET[0] - predicted) / (SET[0] - SET[1]), 0.0, 1.0)
@@ -57,9 +58,12 @@ def trust_in(intensity: Float64Array, predicted: Float64Array, darker: tuple[flo
 
 
 def own_clearance(slope: Float32Array, slant: Float64Array) -> Float32Array:
-    """The same of the plane of each cell alone: below 0 the skin turns away from the light.
+    """By how much the ray to a light clears each cell's own plane, as a tangent: float32 array (h, w).
+
+    Below 0 the skin turns away from the light.
 
     slope : of the cells, shape (h, w, 2)
+    slant : as of `clearance`
     """
     length = np.maximum(np.linalg.norm(slant, axis=-1), 1e-3)
     return np.asarray((1.0 + (slope * slant).sum(axis=-1)) / length, np.float32)

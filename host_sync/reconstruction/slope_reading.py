@@ -35,8 +35,11 @@ class ChannelReading:
     """What three channels of a frame say.
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
-    correction : what the slopes of both gain; None where that is nothing
-    raw_estimate : slopes of the former before they are corrected; None where both are the same
+    gradients : slopes of `intensity`, corrected
+    correction : what hidden lights, lamps or a quadric change in slopes of both, at the middles of cells; None where
+        they change nothing
+    raw_estimate : slopes of `raw` before they are corrected, less the noise that a null colour knows; None where
+        nothing was shrunk
     """
 
     calibration: Calibration
@@ -78,7 +81,10 @@ class SlopeReading:
         return all(group.correction is None or group.correction.has_rest for group in self.groups)
 
     def raw_gradients(self) -> GradientField:
-        """The same with the frame's noise in them, to be asked for once; the same arrays where nothing was shrunk."""
+        """Slopes of all groups together with the frame's noise in them, less what null colours know of it.
+
+        To be asked for once: corrections are added in place. Where nothing was shrunk they are `gradients`.
+        """
         found = []
         for group in self.groups:
             if group.raw_estimate is None:

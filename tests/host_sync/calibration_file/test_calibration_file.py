@@ -369,7 +369,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a quadric without folds": lambda one: with_quadric(one, folds=0),
     "a quadric of one fold": lambda one: with_quadric(one, folds=1),
     "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
-    "a null colour without slopes": lambda one: with_null_colour(one, limit=float("nan")),
+    "a null colour for no slope": lambda one: with_null_colour(one, limit=0.0),
+    "a null colour for slopes that are no number": lambda one: with_null_colour(one, limit=float("nan")),
     "a null colour of two channels": lambda one: with_null_colour(one, channels=np.zeros((3, 3, 2), np.float32)),
     "a null colour that is not finite": lambda one: with_null_colour(
         one, slopes=np.full((3, 3, 2), np.nan, np.float32)
@@ -417,6 +418,14 @@ def test_a_null_colour_is_read_as_it_was_written(kept: KeptCalibration, frame_se
     assert found.limit == null_colour.limit
     assert read.as_file() == known.as_file()
     np.testing.assert_array_equal(raw_slopes(read.calibration, frame_set), raw_slopes(known.calibration, frame_set))
+
+
+def test_a_null_colour_that_holds_for_no_slope_is_refused_in_a_sentence(kept: KeptCalibration) -> None:
+    damaged = KeptCalibration(with_null_colour(kept.calibration, limit=0.0), kept.report, kept.facts)
+    with pytest.raises(
+        CalibrationFileError, match=r"^gel: .*its null colour holds for slopes up to 0.*: calibrate again"
+    ):
+        read_calibration_file(damaged.as_file(), "gel")
 
 
 def test_a_file_from_before_null_colours_reads_slopes_as_before(kept: KeptCalibration, frame_set: Path) -> None:
