@@ -12,13 +12,6 @@ from device.surface.fields import Float32Array, Float64Array
 SET: Final = (0.16, 0.08)
 """Predicted intensity below which a light is about to set, and at which it has."""
 
-HALF_SHADOW: Final = 0.05
-"""Tangent by which the ray to a point of a lamp clears cells where all of its light arrives, and by which it fails to
-where none does: lamps are not points, and cells round edges off."""
-
-OVER_OWN_PLANE: Final = 0.05
-"""Tangent by which skin on the way stands over a cell's own plane where it hides as much of a light as rays say."""
-
 ARRIVES: Final = (0.03, 0.12)
 """What a light alone shows, over what it shows of untouched skin: up to the first it does not arrive, from the second
 it does."""
@@ -55,30 +48,6 @@ def trust_in(intensity: Float64Array, predicted: Float64Array, darker: tuple[flo
     missing = np.clip((predicted - intensity - darker[0]) / (darker[1] - darker[0]), 0.0, 1.0)
     setting = np.clip((SET[0] - predicted) / (SET[0] - SET[1]), 0.0, 1.0)
     return np.asarray(((1.0 - missing) * (1.0 - setting)) ** 2)
-
-
-def own_clearance(slope: Float32Array, slant: Float64Array) -> Float32Array:
-    """By how much the ray to a light clears each cell's own plane, as a tangent: float32 array (h, w).
-
-    Below 0 the skin turns away from the light.
-
-    slope : of the cells, shape (h, w, 2)
-    slant : as of `clearance`
-    """
-    length = np.maximum(np.linalg.norm(slant, axis=-1), 1e-3)
-    return np.asarray((1.0 + (slope * slant).sum(axis=-1)) / length, np.float32)
-
-
-def visible_share(clear: Float32Array, own: Float32Array) -> Float64Array:
-    """How much light of points arrives, 0 to 1: arrays of one shape.
-
-    What its own plane keeps from a cell is left to the cosine law, so that slopes read too steep hide no light.
-
-    clear, own : tangents by which rays to a point clear the skin, and the cell's own plane
-    """
-    passes = (clear.astype(np.float64) + HALF_SHADOW) / (2.0 * HALF_SHADOW)
-    in_the_way = np.clip((own - clear) / OVER_OWN_PLANE, 0.0, 1.0)
-    return np.asarray(1.0 - (1.0 - np.clip(passes, 0.0, 1.0)) * in_the_way)
 
 
 def arriving_share(alone: Float64Array) -> Float64Array:

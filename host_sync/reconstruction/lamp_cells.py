@@ -17,13 +17,12 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray, surface_slopes
 from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
-from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.half_shadow import arriving_light
 from host_sync.lights.lamp_model import POINT_SHARES, LampModel
 from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
-from host_sync.lights.lit_skin import may_be_hidden
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cell_correction import LEVEL, SlopePair, moved_cells, steepness, unsure_cells
-from host_sync.reconstruction.hidden_lights import arriving_share, clearance, own_clearance, trust_in, visible_share
+from host_sync.reconstruction.hidden_lights import arriving_share, trust_in
 from host_sync.reconstruction.light_elevation import Rise, rise_told_by_light
 
 HIDDEN_STEPS: Final = 8
@@ -43,10 +42,6 @@ HALF_SHADOW_SIGMA: Final = 0.35
 SEEN_POWER: Final = 4.0
 """Power of the share of a lamp that is seen, up to which its channel counts: what it tells in the dark is what other
 skin and other lamps send there, of which less is known."""
-
-TURNED_AWAY: Final = 0.06
-"""Tangent by which a light stands over a cell's own plane from which on it counts in full: what is dark there tells
-only that the skin turns away."""
 
 DIMMED: Final = 0.97
 """Share of a point's light below which a cell is dimmed."""
@@ -259,21 +254,9 @@ class LampCells:
 
     def _may_be_hidden(self, z_px: Float32Array, known: MaskArray) -> HiddenLights:
         """Which lights may be hidden where, of known skin."""
-        model, slope = self.skin.model, np.stack(surface_slopes(HeightMap(z_px, float(self.cell))), axis=-1)
-        places = model.points()[..., :3] * model.shape[1]
-        hidden = self.arriving < 1.0
-        visible, facing = (np.empty((*z_px.shape, *places.shape[:2])) for _ in range(2))
-        for point in range(places.shape[1]):
-            slants = KnownLamps(places[:, point]).slants(z_px, self.cell, model.shape)
-            for lamp in range(places.shape[0]):
-                slant = slants[..., lamp, :]
-                clear, level = clearance(z_px, self.cell, slant), 1.0 / np.maximum(np.linalg.norm(slant, axis=-1), 1e-3)
-                hidden[..., lamp] |= may_be_hidden(clear, level)
-                own = own_clearance(slope, slant)
-                visible[..., lamp, point] = visible_share(clear, own)
-                facing[..., lamp, point] = np.clip(own / TURNED_AWAY, 0.0, 1.0)
-        arriving = np.minimum(self.arriving, facing @ np.array(POINT_SHARES))
-        return HiddenLights(np.asarray(hidden & known[..., None]), arriving, visible)
+        light = arriving_light(z_px, self.cell, self.skin.model)
+        hidden = (light.hidden | (self.arriving < 1.0)) & known[..., None]
+        return HiddenLights(np.asarray(hidden), np.minimum(self.arriving, light.facing), light.visible)
 
     def _surface(self, z_px: Float32Array) -> Float64Array:
         """Slopes of a surface as its mean light shows them, shape (h w, 2)."""

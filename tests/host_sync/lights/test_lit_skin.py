@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from point_lamps import POSITION, point_lamps
 
-from host_sync.lights.lit_skin import GRAZED, is_lit_by_all, may_be_hidden
+from host_sync.lights.lit_skin import GRAZED, is_lit_by_all
 
 SHAPE = (300, 400)
 MODEL = point_lamps(SHAPE)
@@ -31,20 +30,13 @@ def test_level_skin_is_lit_everywhere_however_low_the_lamps_stand() -> None:
 
 
 def test_skin_that_rises_towards_a_lamp_hides_it_from_itself() -> None:
-    limit = LEVEL - GRAZED[1]
+    limit = LEVEL - GRAZED
     assert lit_at_middle(limit - 0.01)
     assert not lit_at_middle(limit + 0.01)
 
 
 def test_far_from_a_lamp_less_slope_hides_it() -> None:
     far, near = (int(edge) for edge in (COLUMN.argmin(), COLUMN.argmax()))
-    slope = np.full(1, LEVEL - GRAZED[1] - 0.05)
+    slope = np.full(1, LEVEL - GRAZED - 0.05)
     lit = [is_lit_by_all(MODEL, slope, 0.0 * slope, COLUMN[[at]], ROW[[at]])[0] for at in (far, near)]
     assert lit == [False, True]
-
-
-@pytest.mark.parametrize(
-    ("clear", "level", "hidden"), [(0.31, 1.0, False), (0.29, 1.0, True), (0.1, 0.1, False), (0.08, 0.1, True)]
-)
-def test_a_light_that_stands_low_is_not_hidden_for_that(clear: float, level: float, hidden: bool) -> None:
-    assert may_be_hidden(np.array([clear]), np.array([level]))[0] == hidden
