@@ -25,7 +25,8 @@ class ArrivingLight:
 
     hidden : whether a lamp may be hidden, in part or turned away from, bool array of shape (h, w, 3)
     visible : how much arrives of each point of a lamp, past other skin, 0 to 1, float64 array (h, w, 3, points)
-    facing : how far a lamp stands over the cell's own plane, 0 where it sets to 1, float64 array of shape (h, w, 3)
+    facing : 0 where a lamp sets behind the cell's own plane, 1 where it stands over it by enough to count in full,
+        float64 array of shape (h, w, 3)
     """
 
     hidden: MaskArray
@@ -34,9 +35,9 @@ class ArrivingLight:
 
 
 def arriving_light(z_px: Float32Array, cell: int, model: LampModel) -> ArrivingLight:
-    """The light of lamps over a surface.
+    """The light of lamps over a surface. Skin outside the field hides nothing.
 
-    z_px : elevation of cells of `cell` x `cell` pixels of the model's field, shape (h, w)
+    z_px : elevation of cells of `cell` x `cell` pixels of the model's field, shape (h, w), at least (2, 2); finite
     """
     p, q = surface_slopes(HeightMap(z_px, float(cell)))
     places = model.points()[..., :3] * model.shape[1]

@@ -34,14 +34,14 @@ AGAIN_STEPS: Final = 2
 
 APART: Final = (0.03, 0.08)
 """Intensity by which a channel is darker or brighter than predicted: from the first its weight falls, at the second it
-is zero. Where rays say what arrives of a light, less is missing than what cells round off of texture."""
+is zero. Texture that cells average away changes intensity by less."""
 
 HALF_SHADOW_SIGMA: Final = 0.35
 """Standard uncertainty of how much of a point's light arrives where half of it does."""
 
 SEEN_POWER: Final = 4.0
-"""Power of the share of a lamp that is seen, up to which its channel counts: what it tells in the dark is what other
-skin and other lamps send there, of which less is known."""
+"""A channel counts at most the seen share of its lamp to this power: what it tells in the dark is what other skin and
+other lamps send there, of which less is known. With 2 no rendered bench changes by more than 0.02 µm."""
 
 DIMMED: Final = 0.97
 """Share of a point's light below which a cell is dimmed."""
@@ -79,8 +79,8 @@ class HiddenLights:
     @property
     def dimmed(self) -> MaskArray:
         """Where some of a light does not arrive: bool array of shape (h, w)."""
-        least = np.minimum(self.arriving, self.visible.min(axis=-1)).min(axis=-1)
-        return np.asarray(self.any_hidden & (least < DIMMED))
+        least = np.minimum(self.arriving, self.visible.min(axis=-1))
+        return np.asarray((self.hidden & (least < DIMMED)).any(axis=-1))
 
     def weight(self, own: Float64Array, here: np.ndarray) -> Float64Array:
         """Weight of each channel of cells `here`, as far as what arrives of its lamp is known: shape (N, 3).

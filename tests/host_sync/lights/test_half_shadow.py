@@ -100,6 +100,38 @@ def test_points_of_a_strip_are_hidden_one_by_one() -> None:
     assert middle.max() == 1.0
 
 
+NEAR = point_lamps(SHAPE, np.array([[0.1, -0.15, 0.2], [-3.0, 0.0, 1.5], [0.0, 3.0, 1.5]]))
+NEAR_PX = np.array([0.1, -0.15, 0.2]) * SHAPE[1]
+"""A lamp over the field, off its middle."""
+
+MIDDLE = 0.5 * (CELL - 1)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_rays_go_to_where_the_lamp_is(axis: int) -> None:
+    wall, height_px = CELLS[axis] - 8, 8.0
+    z = np.zeros(CELLS, np.float32)
+    z.swapaxes(0, axis)[wall - 1 : wall + 1] = height_px
+    place, lamp = CELL * np.arange(CELLS[axis]) + MIDDLE - 0.5 * (SHAPE[axis] - 1), NEAR_PX[1 - axis]
+    passes_px = NEAR_PX[2] * (place - place[wall]) / (place - lamp)
+    beyond = np.arange(CELLS[axis]) > wall + 1
+    dark, lit = beyond & (passes_px < 0.7 * height_px), beyond & (passes_px > 1.3 * height_px)
+    seen = arriving_light(z, CELL, NEAR).visible[..., 0, 0].swapaxes(0, axis)
+    across = np.abs(np.arange(CELLS[1 - axis]) - CELLS[1 - axis] // 2) < 5
+    assert dark.any()
+    assert (seen[dark][:, across] == 0.0).all()
+    assert lit.any()
+    assert (seen[lit][:, across] == 1.0).all()
+
+
+def test_what_stands_beyond_a_lamp_hides_it_from_nothing() -> None:
+    z = np.zeros(CELLS, np.float32)
+    z[:, 48:50] = 80.0
+    seen = arriving_light(z, CELL, NEAR).visible[..., 0, 0]
+    assert (seen[:, :34] == 1.0).all()
+    assert (seen[:, 52:] == 0.0).all()
+
+
 def test_one_thread_finds_the_same() -> None:
     z = (20.0 * np.random.default_rng(2).random(CELLS)).astype(np.float32)
     threads = get_num_threads()

@@ -18,7 +18,7 @@ from host_sync.lights.half_shadow import ArrivingLight
 from host_sync.lights.lamp_model import POINTS, FittedLamps, LampModel
 from host_sync.lights.lamp_slopes import KnownBefore, LampSkin, move_towards
 from host_sync.reconstruction import lamp_cells, lamp_reading
-from host_sync.reconstruction.lamp_cells import LampCells
+from host_sync.reconstruction.lamp_cells import HiddenLights, LampCells
 from host_sync.reconstruction.lamp_reading import SHADOW_WEIGHT, read_under_lamps
 from host_sync.reconstruction.light_elevation import Rise
 
@@ -110,7 +110,7 @@ def test_skin_in_shadow_is_told_by_the_lamps_that_reach_it(flank: float) -> None
     found.apply(read)
     assert np.hypot(read.p - p, read.q - q)[dark].mean() < 0.2 * wrong
     assert abs(height_px(read) - HEIGHT_PX) < 0.04 * too_high_px
-    assert read.weight.min() < SHADOW_WEIGHT + 0.2
+    assert read.weight.min() < SHADOW_WEIGHT + 0.02
     beyond = distance_transform_edt(~dark) > GRAZED_PX
     assert (read.weight[beyond] > 0.9).mean() > 0.9
     sigma_p, _ = found.sigma((SHAPE[1], SHAPE[0]))
@@ -180,16 +180,46 @@ def test_noise_leans_level_skin_to_no_side() -> None:
 
 
 def test_a_strip_that_is_half_hidden_is_known_by_the_half_that_is_seen() -> None:
-    strip = replace(MODEL, strip=0.5)
+    strip = replace(MODEL, strip=0.5, roughness=0.0)
     skin = LampSkin.at(strip, np.array([160.0]), np.array([120.0]))
     slope, level = np.array([[0.3, -0.1]]), np.zeros(1)
-    half = np.ones((1, 3, 3))
-    half[0, 1, 2] = 0.0
-    all_of_it, part = skin.shown(slope, level), replace(skin, visible=half).shown(slope, level)
-    gone = replace(skin, visible=1.0 - half).shown(slope, level)
-    none = replace(skin, visible=np.zeros((1, 3, 3))).shown(slope, level)
-    assert part[0, 1] < 0.9 * all_of_it[0, 1]
-    np.testing.assert_allclose(part + gone - none, all_of_it, rtol=1e-12)
+    outer, lamp = np.ones((2, 1, 3, 3))
+    outer[0, 1, 2] = lamp[0, 1] = 0.0
+    all_of_it, part, none = (
+        replace(skin, visible=visible).shown(slope, level)[0, 1] for visible in (None, outer, lamp)
+    )
+    places = SHAPE[1] * strip.points()[1]
+    away = places[:, :3] - np.array([160.0 - 159.5, 120.0 - 119.5, 0.0])
+    distance = np.linalg.norm(away, axis=1)
+    lit = places[:, 3] * np.maximum(away @ np.array([-0.3, 0.1, 1.0]), 0.0) / distance**3
+    gone = (all_of_it - part) / (all_of_it - none)
+    assert gone == pytest.approx(lit[2] / lit.sum(), rel=0.01)
+    assert gone != pytest.approx(lit[0] / lit.sum(), rel=0.01)
+
+
+def test_a_channel_counts_as_far_as_what_arrives_of_its_lamp_is_known() -> None:
+    def weight(visible: float, arriving: float = 1.0) -> float:
+        lights = HiddenLights(
+            np.ones((1, 1, 3), bool), np.full((1, 1, 3), arriving), np.full((1, 1, 3, len(POINTS)), visible)
+        )
+        weights = lights.weight(np.full((1, 3), 0.8), np.array([0]))
+        assert (weights == weights[0, 0]).all()
+        return float(weights[0, 0])
+
+    assert weight(1.0) == 1.0
+    assert weight(0.0) == 0.0
+    assert weight(1.0, arriving=0.4) == 0.4
+    assert weight(0.5) < 0.01
+    assert weight(0.0, arriving=0.4) == 0.0
+
+
+def test_a_cell_is_dimmed_where_a_light_that_may_be_hidden_does_not_arrive() -> None:
+    hidden = np.zeros((1, 4, 3), bool)
+    hidden[0, 1:, 0] = True
+    arriving, visible = np.ones((1, 4, 3)), np.ones((1, 4, 3, len(POINTS)))
+    visible[0, 2, 0, 1] = 0.5
+    arriving[0, 3, 0] = visible[0, 0, 0, 0] = visible[0, 1, 2, 0] = 0.0
+    np.testing.assert_array_equal(HiddenLights(hidden, arriving, visible).dimmed, [[False, False, True, True]])
 
 
 def test_skin_in_half_shadow_is_read_from_the_points_that_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
