@@ -17,10 +17,11 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.kernels.cell_rows import cell_px, means_of_cells
 
-CLOSE_WIDTHS: Final = 0.015
+CLOSE_WIDTHS: Final = 0.02
 """Standard deviation of the Gaussian over skin close by, in widths of the field.
 
-On a bench without noise 0.015 and 0.02 leave the least of the balls (0.0020 against 0.0022 at 0.01, 0.0023 at 0.03).
+On a bench without noise 0.015 and 0.02 leave the least of the balls (0.0020 against 0.0022 at 0.01, 0.0023 at 0.03); of
+other objects 0.02 leaves less (decision 0034).
 """
 
 ALL: Final = 0.999
