@@ -12,7 +12,7 @@ TURNING: Final = 0.3
 """A light may be hidden where the tangent of its elevation clears a cell's own plane by less."""
 
 NEAR_SHADOW: Final = 0.15
-"""The same of other skin on the way, whose height is not sure; 0.06 is as good on rendered benches."""
+"""The same of other skin on the way, whose height is not sure."""
 
 OBSTRUCTED: Final = 0.85
 """Share of what clears level skin that bounds these tangents: a lamp that stands low is not hidden for that."""
@@ -23,7 +23,7 @@ where none does: lamps are not points, and cells round edges off."""
 
 OVER_OWN_PLANE: Final = 0.05
 """Tangent by which skin on the way stands over a cell's own plane where it hides as much of a light as rays say; twice
-as much changes no rendered bench by more than 0.02 µm."""
+as much changes near, low and short by up to 0.02 µm."""
 
 TURNED_AWAY: Final = 0.06
 """Tangent by which a light stands over a cell's own plane from which on it counts in full: what is dark there tells

@@ -41,7 +41,7 @@ HALF_SHADOW_SIGMA: Final = 0.35
 
 SEEN_POWER: Final = 4.0
 """A channel counts at most the seen share of its lamp to this power: what it tells in the dark is what other skin and
-other lamps send there, of which less is known. With 2 no rendered bench changes by more than 0.02 µm."""
+other lamps send there, of which less is known. With 2 near, low and short change by up to 0.02 µm."""
 
 DIMMED: Final = 0.97
 """Share of a point's light below which a cell is dimmed."""

@@ -56,14 +56,20 @@ def assert_same(found: Any, expected: Any) -> None:
             assert own == other, field.name
 
 
+def by_threads(set_threads: Callable[[int], None], work: Callable[[], Reconstruction]) -> list[Reconstruction]:
+    """What work gives on each count of threads."""
+    found = []
+    for count in THREADS:
+        set_threads(count)
+        found.append(work())
+    return found
+
+
 @pytest.mark.parametrize("detail", ["shrunk", "raw"])
 def test_one_and_two_threads_give_the_same_result(
     ring_calibration: Calibration, set_threads: Callable[[int], None], detail: Any
 ) -> None:
-    found: list[Reconstruction] = []
-    for count in THREADS:
-        set_threads(count)
-        found.append(reconstruct(ball(), ring_calibration, "ball", detail=detail))
+    found = by_threads(set_threads, lambda: reconstruct(ball(), ring_calibration, "ball", detail=detail))
     assert_same(*found)
     assert float(found[0].height.z_um.max()) > 100.0
     assert np.isfinite(found[0].samples_um).all()
@@ -110,10 +116,8 @@ def test_strange_colours_are_refused_in_the_same_words_by_one_and_two_threads(
 def test_force_keeps_the_warnings_on_one_and_two_threads(
     ring_calibration: Calibration, set_threads: Callable[[int], None]
 ) -> None:
-    found: list[Reconstruction] = []
-    for count in THREADS:
-        set_threads(count)
-        found.append(reconstruct(with_strange_colours(), ring_calibration, "strange", force=True))
+    frame = with_strange_colours()
+    found = by_threads(set_threads, lambda: reconstruct(frame, ring_calibration, "strange", force=True))
     assert_same(*found)
     assert "of its colours are unlike those of the balls" in found[0].warnings[0]
     assert found[0].extrapolated[:, :STRANGE_COLUMNS].mean() > 0.25
