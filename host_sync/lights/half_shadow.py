@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray, surface_slopes
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.lights.half_shadow_kernel import write_arriving
+from host_sync.lights.half_shadow_kernel import STRIDE, write_arriving
 from host_sync.lights.lamp_model import POINT_SHARES, LampModel
 
 WORK: Final = 200
@@ -44,7 +45,7 @@ def arriving_light(z_px: Float32Array, cell: int, model: LampModel) -> ArrivingL
     size = (*z_px.shape, *places.shape[:2])
     hidden, visible, facing = np.empty(size[:3], np.bool_), np.empty(size), np.empty(size[:3])
     grid = float(cell), 0.5 * (cell - model.shape[1]), 0.5 * (cell - model.shape[0])
-    skin = z_px, p, q, float(z_px.max())
+    skin = z_px, p, q, cv2.dilate(z_px, np.ones((2 * STRIDE + 3, 2 * STRIDE + 3), np.uint8))
     work = z_px.shape[0], WORK * z_px.shape[1]
     parallel_rows(write_arriving, work, *skin, places, np.array(POINT_SHARES), grid, hidden, visible, facing)
     return ArrivingLight(hidden, visible, facing)

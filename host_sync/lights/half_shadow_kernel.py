@@ -30,15 +30,19 @@ TURNED_AWAY: Final = 0.06
 only that the skin turns away. With 0.03 to 0.09 instead the twin's ball is read 0.5 % too steep (decision 0034)."""
 
 
+STRIDE: Final = 4
+"""Cells that a ray passes at once where no skin around comes near it: twice as fast as one by one, and as with 8."""
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_arriving(
-    z: Any, p: Any, q: Any, top: float, places: Any, shares: Any, grid: Any, hidden: Any, visible: Any, facing: Any,
+    z: Any, p: Any, q: Any, around: Any, places: Any, shares: Any, grid: Any, hidden: Any, visible: Any, facing: Any,
     first: int, last: int,
 ) -> None:  # fmt: skip
     """Write what arrives of lamps into the rows `first` to `last` - 1 of `hidden`, `visible` and `facing`.
 
     z, p, q : elevation of cells, pixels, and its slopes, shape (h, w); finite
-    top : the highest of them
+    around : the highest of cells up to `STRIDE` + 1 rows and columns away, shape (h, w)
     places : of each lamp's points, pixels from the middle of the field, shape (3, points, 3)
     shares : of a lamp's light that its points have, shape (points,)
     grid : pixels along a cell; column and row of the middle of the first one from the middle of the field
@@ -48,6 +52,7 @@ def write_arriving(
     """
     cell, left, upper = grid
     rows, columns = z.shape
+    top = around.max()
     for i in range(first, last):
         for j in range(columns):
             own_z, x, y = z[i, j], left + j * cell, upper + i * cell
@@ -66,6 +71,9 @@ def write_arriving(
                         if not (0.0 <= column <= columns - 1 and 0.0 <= row <= rows - 1):
                             break
                         c, r = min(int(column), columns - 2), min(int(row), rows - 2)
+                        if max(around[r, c] - own_z, 0.0) <= (rise - min(clear, NEAR_SHADOW)) * step * cell:
+                            step += STRIDE
+                            continue
                         u, v = column - c, row - r
                         met = (1.0 - v) * ((1.0 - u) * z[r, c] + u * z[r, c + 1])
                         met += v * ((1.0 - u) * z[r + 1, c] + u * z[r + 1, c + 1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -32,8 +32,8 @@ class CellCorrection:
     shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
     cell : pixels along a cell
     weight : of slopes in shadow in the integration, as a share of that of others
-    unsure : float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each wrong
-        all at once; None where nothing is known of them
+    unsure : gives float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each
+        wrong all at once; called where σ is asked, beside the integration; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
     has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light tells
@@ -47,7 +47,7 @@ class CellCorrection:
     shadow: Float32Array
     cell: int
     weight: float
-    unsure: SlopePair | None = None
+    unsure: Callable[[], SlopePair] | None = None
     left_alone: Float32Array | None = None
     has_rest: bool = True
     confidence: float | None = None

@@ -34,14 +34,21 @@ RUN: Final = 256
 """Columns at a time: what they are corrected by stays in the first-level cache."""
 
 
-def correct_elevation(gradients: GradientField, response: ElevationResponse) -> None:
-    """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W)."""
+def correct_elevation(
+    gradients: GradientField, response: ElevationResponse, z_px: Float32Array | None = None
+) -> Float32Array:
+    """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W).
+
+    z_px : elevation, as this returned it for other slopes of the same skin; None where they are the first
+    """
     rows, columns = gradients.p.shape
     cell = -(-columns // WIDEST_CELLS)
-    p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
-    factors = at_cells(response.as_slopes, p.shape)
-    z_px = elevation_px(p, q, known, float(cell), factors, response.nearness_per_px)
+    factors = at_cells(response.as_slopes, (-(-rows // cell), -(-columns // cell)))
+    if z_px is None:
+        p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
+        z_px = elevation_px(p, q, known, float(cell), factors, response.nearness_per_px)
     parallel_rows(_correct, (rows, columns), gradients.p, gradients.q, _by_term(z_px, factors), cell)
+    return z_px
 
 
 def elevation_px(

@@ -10,6 +10,7 @@ no skin is untouched the light tells how high all of it stands.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -98,7 +99,7 @@ def read_under_lamps(
     change = (found.slope - reading.read).astype(np.float32)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     share = np.float32(HIDDEN_SIGMA) * (found.shadow > 0.0)
-    unsure = cells.unsure(found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
+    unsure = partial(cells.unsure, found.slope, found.z_px, lamps.folds, rise) if lamps.folds else None
     sigma = share * p_change, share * q_change
     left_alone = (~cells.faithful).astype(np.float32)
     return CellCorrection(

@@ -18,7 +18,7 @@ from host_sync.denoising.blur_correction import BLUR_PX, without_blur
 from host_sync.denoising.noise_waves import CLEAR_POWER, NoiseWaves, noise_waves
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
-from host_sync.gradients.extrapolation import extrapolated, strange_blocks
+from host_sync.gradients.extrapolation import extrapolated
 from host_sync.gradients.surface_slope_kernel import surface_slopes
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum, no_datum
@@ -118,14 +118,15 @@ def reconstruct(
     chosen = method or calibration.preferred
     reading = read_slopes(frame, calibration, name, chosen, force=force, sequence=sequence)
     intensity, warnings = reading.first.intensity, reading.warnings
-    before_heights = BackgroundCall(_BeforeHeights.of, reading)
-    before_heights.start()
     gradients = read = reading.gradients
     shrinkage, viewpoint = calibration.shrinkage, calibration.viewpoint
     if viewpoint is not None:
         gradients = seen_slopes(read, viewpoint)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
+    # Integration keeps all threads at work, the search for its zero only one.
+    before_heights = BackgroundCall(_BeforeHeights.of, reading)
+    before_heights.start()
     noise = calibration.slope_noise
     if noise is not None and not (isinstance(frame, RawFrame) or frame.demosaiced):
         # What a calibration of raw frames gives back for demosaicing is not missing from images that came with colours.
@@ -152,7 +153,9 @@ def reconstruct(
         height = seen_elevation(height, viewpoint)
         gradients = seen_slopes(read, viewpoint, height, out=gradients)
     slopes = surface_slopes(height)
-    uncertainty = BackgroundCall(_uncertainty, height, slopes, gradients, reading, datum, waves, before_heights)
+    sure = reading.confidence_in(gradients)
+    contradiction = nonintegrable_residual(sure, *slopes)
+    uncertainty = BackgroundCall(_uncertainty, height, sure, contradiction, reading, datum, waves, before_heights)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -168,8 +171,11 @@ def reconstruct(
         if detail == "raw":
             shown, other, gradients = other, height, raw_gradients
     p, q = slopes if shown is height else surface_slopes(shown)
-    strange = extrapolated(intensity, calibration.inverse.map, p, q, before_heights.result().strange)
-    known, slopes_sigma = uncertainty.result()
+    strange = extrapolated(intensity, calibration.inverse.map, p, q, reading.first.beside.result().strange)
+    unsure = before_heights.result().unsure.with_unresolved(*slopes)
+    kept = noise.shrunk_kept if noise else NOISE_KEPT
+    slopes_sigma = slope_sigma(sure, *slopes, contradiction, slope_error_of(calibration, chosen), unsure, kept)
+    known = uncertainty.result()
     if lost is not None:
         slopes_sigma = with_lost_detail(slopes_sigma, lost)
     if shown is not height:
@@ -202,13 +208,11 @@ class _BeforeHeights:
     shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
         where nothing corrects slopes
     draws : random numbers behind the samples of height errors
-    strange : as `strange_blocks` returns it
     """
 
     unsure: CalibrationUncertainty
     shadow: tuple[Float32Array, Float32Array] | None
     draws: SlopeDraws
-    strange: MaskArray
 
     @classmethod
     def of(cls, reading: SlopeReading) -> _BeforeHeights:
@@ -218,49 +222,39 @@ class _BeforeHeights:
         unsure = _calibration_uncertainty(reading, size)
         shadow = None if first.correction is None else first.correction.sigma(size)
         draws = height_draws(slope_error_of(first.calibration, reading.method), shape, unsure, shadow)
-        return cls(unsure, shadow, draws, strange_blocks(first.intensity, first.calibration.inverse.map))
+        return cls(unsure, shadow, draws)
 
 
 def _uncertainty(
     height: HeightMap,
-    slopes: tuple[Float32Array, Float32Array],
     gradients: GradientField,
+    contradiction: Float32Array,
     reading: SlopeReading,
     datum: Datum,
     waves: NoiseWaves | None,
     before_heights: BackgroundCall[_BeforeHeights],
-) -> tuple[HeightUncertainty, Float32Array]:
-    """What is not known of heights, and the standard uncertainty of either slope.
+) -> HeightUncertainty:
+    """What is not known of heights.
 
     height : with shrunk detail, levelled to the datum
-    slopes : of it
-    gradients : as they were integrated, of a camera nearby times what elevation changes
+    gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
+    contradiction : as `nonintegrable_residual` returns it for them
     waves : of noise that were taken out of the height map
     before_heights : of the same reading
     """
-    p, q = slopes
-    first = reading.first
-    calibration, correction, noise = first.calibration, first.correction, first.calibration.slope_noise
-    if correction is not None and len(reading.groups) == 1:
-        gradients = correction.confidence_in(gradients)
-    error = slope_error_of(calibration, reading.method)
-    contradiction = nonintegrable_residual(gradients, p, q)
-    before = before_heights.result()
+    before, calibration = before_heights.result(), reading.first.calibration
     known = height_uncertainty(
         height,
         gradients,
         contradiction,
-        error,
+        slope_error_of(calibration, reading.method),
         datum,
         known_scale_share(calibration),
         calibration=before.unsure,
         shadow=before.shadow,
         draws=before.draws,
     )
-    if waves is not None:
-        known = HeightUncertainty(*waves.doubted(known.sigma_um, known.samples_um))
-    kept = noise.shrunk_kept if noise else NOISE_KEPT
-    return known, slope_sigma(gradients, p, q, contradiction, error, before.unsure.with_unresolved(p, q), kept)
+    return known if waves is None else HeightUncertainty(*waves.doubted(known.sigma_um, known.samples_um))
 
 
 def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:
@@ -270,7 +264,7 @@ def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> Ca
     correction = first.correction
     if correction is None or correction.unsure is None:
         return calibration_uncertainty(first.intensity, replicas, size)
-    of_correction = CalibrationUncertainty.of(correction.unsure, size)
+    of_correction = CalibrationUncertainty.of(correction.unsure(), size)
     if correction.left_alone is None or not correction.left_alone.any():
         return of_correction
     share = np.asarray(cv2.resize(correction.left_alone, size, interpolation=cv2.INTER_LINEAR), np.float32)

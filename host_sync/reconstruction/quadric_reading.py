@@ -16,7 +16,7 @@ from device.inverse_map.model import InverseMap
 from host_sync.kernels.cell_rows import cell_px, middles_of_cells
 from host_sync.lights.normal_quadric import FittedQuadric
 from host_sync.lights.surroundings import faithful_cells
-from host_sync.reconstruction.cell_correction import CellCorrection, steepness, unsure_cells
+from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair, steepness, unsure_cells
 
 EXPLAINED: Final = (0.08, 0.16)
 """Root mean square of what a quadric leaves of a cell's three channels, as a share of its contrast: up to the first it
@@ -42,6 +42,9 @@ def read_by_quadric(image: NormalizedImage, inverse_map: InverseMap, quadric: Fi
     counts.ravel()[here] = told * np.clip((EXPLAINED[1] - left) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
     change = np.zeros((2, *size), np.float32)
     change.reshape(2, -1)[:, here] = ((steep * counts).ravel()[here, None] * (found - before)).T
-    unsure = unsure_cells(here, size, changes, [shown - fold.at(*places).shown(found) for fold in quadric.folds])
+
+    def unsure() -> SlopePair:
+        return unsure_cells(here, size, changes, [shown - fold.at(*places).shown(found) for fold in quadric.folds])
+
     nothing, left_alone = np.zeros(size, np.float32), (1.0 - counts).astype(np.float32)
     return CellCorrection(change[0], change[1], nothing, nothing, nothing, cell, 1.0, unsure, left_alone)

@@ -15,6 +15,7 @@ from host_sync.calibration.stray_light import MAX_STRAY, take_stray_light_out
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.even_confidence import even_confidence
+from host_sync.gradients.extrapolation import strange_blocks
 from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
@@ -31,6 +32,37 @@ from host_sync.results.record import FrameCheck, refusals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BesideCorrection:
+    """What is found of a frame that needs no correction.
+
+    raw : slopes of the frame with its noise, before they are corrected, less the noise that a null colour knows; None
+        where nothing was shrunk
+    strange : as `strange_blocks` returns it; None of other lights than the first three, which tell it for all
+    """
+
+    raw: GradientField | None
+    strange: MaskArray | None
+
+    @classmethod
+    def of(
+        cls,
+        raw: NormalizedImage,
+        intensity: NormalizedImage,
+        calibration: Calibration,
+        method: Method,
+        z_px: Float32Array | None,
+        is_first: bool,
+    ) -> BesideCorrection:
+        """That of a frame as seen and with its noise shrunk, the same where none was.
+
+        z_px : elevation by which slopes of the latter were corrected
+        is_first : whether these are the first three lights
+        """
+        found = None if intensity is raw else slopes_and_elevation(raw, calibration, method, intensity, z_px)[0]
+        return cls(found, strange_blocks(intensity, calibration.inverse.map) if is_first else None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelReading:
     """What three channels of a frame say.
 
@@ -38,8 +70,7 @@ class ChannelReading:
     gradients : slopes of `intensity`, corrected
     correction : what hidden lights, lamps or a quadric change in slopes of both, at the middles of cells; None where
         they change nothing
-    raw_estimate : slopes of `raw` before they are corrected, less the noise that a null colour knows; None where
-        nothing was shrunk
+    beside : found while the correction is
     """
 
     calibration: Calibration
@@ -48,7 +79,7 @@ class ChannelReading:
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
     correction: CellCorrection | None
-    raw_estimate: BackgroundCall[GradientField] | None
+    beside: BackgroundCall[BesideCorrection]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +111,11 @@ class SlopeReading:
         """Whether some skin may be untouched; False where the light says that none is."""
         return all(group.correction is None or group.correction.has_rest for group in self.groups)
 
+    def confidence_in(self, gradients: GradientField) -> GradientField:
+        """These slopes of all groups, with weights that say how sure they are where integration does not."""
+        correction = self.first.correction
+        return gradients if correction is None or len(self.groups) > 1 else correction.confidence_in(gradients)
+
     def raw_gradients(self) -> GradientField:
         """Slopes of all groups together with the frame's noise in them, less what null colours know of it.
 
@@ -87,10 +123,10 @@ class SlopeReading:
         """
         found = []
         for group in self.groups:
-            if group.raw_estimate is None:
+            gradients = group.beside.result().raw
+            if gradients is None:
                 found.append(group.gradients)
                 continue
-            gradients = group.raw_estimate.result()
             if group.correction is not None:
                 group.correction.apply(gradients)
             found.append(gradients)
@@ -122,9 +158,9 @@ def read_slopes(
         return SlopeReading(method, (reading,), (), warnings)
     warnings = lights.check(frame, name)
     raise_on_warnings(warnings, name, force=force)
-    groups = []
+    groups: list[ChannelReading] = []
     for group, own in zip(lights.groups, (calibration, *calibration.beside), strict=True):
-        reading, against = _read_channels(in_group(frame, group), own, name, method, force=force)
+        reading, against = _read_channels(in_group(frame, group), own, name, method, force=force, is_first=not groups)
         groups.append(reading)
         warnings += [warning for warning in against if warning not in warnings]
     return SlopeReading(method, tuple(groups), tuple(lights.left_out(frame)), warnings)
@@ -138,8 +174,9 @@ def _read_channels(
     *,
     force: bool,
     sequence: LightSequence | None = None,
+    is_first: bool = True,
 ) -> tuple[ChannelReading, list[str]]:
-    """What three channels say, and what speaks against them."""
+    """What three channels say, the first ones or others, and what speaks against them."""
     if isinstance(frame, RawFrame):
         intensity = raw_intensity(frame, calibration.flat_field)
     else:
@@ -162,19 +199,17 @@ def _read_channels(
     colours = BackgroundCall(check_frame, intensity, calibration.flat_field, calibration.inverse.map)
     if not warnings:
         colours.start()
-    gradients = estimate(intensity, calibration, method)
+    gradients, z_px = slopes_and_elevation(intensity, calibration, method)
     if not warnings:
         warnings = colours.result()
         raise_on_warnings(warnings, name, force=force)
-    raw_estimate = None
-    if shrinkage is not None:
-        raw_estimate = BackgroundCall(estimate, raw, calibration, method, intensity)
-        raw_estimate.start()
+    beside = BackgroundCall(BesideCorrection.of, raw, intensity, calibration, method, z_px, is_first)
+    beside.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = _correction(gradients, intensity, calibration, method, alone)
     if correction is not None:
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, raw_estimate), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, beside), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
@@ -223,10 +258,24 @@ def estimate(
 
     shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
     """
+    return slopes_and_elevation(intensity, calibration, method, shrunk)[0]
+
+
+def slopes_and_elevation(
+    intensity: NormalizedImage,
+    calibration: Calibration,
+    method: Method,
+    shrunk: NormalizedImage | None = None,
+    z_px: Float32Array | None = None,
+) -> tuple[GradientField, Float32Array | None]:
+    """Slopes as of `estimate`, and the elevation by which they were corrected; None where they were not.
+
+    z_px : that elevation, where it is known
+    """
     if method == "paper":
-        return estimate_gradients(calibration.paper_model, intensity)
+        return estimate_gradients(calibration.paper_model, intensity), None
     gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
     even_confidence(gradients, intensity.clipped)
-    if calibration.elevation is not None:
-        correct_elevation(gradients, calibration.elevation)
-    return gradients
+    if calibration.elevation is None:
+        return gradients, None
+    return gradients, correct_elevation(gradients, calibration.elevation, z_px)

@@ -6,6 +6,7 @@ They do not depend on how large errors are anywhere, so that they can be drawn b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -40,23 +41,32 @@ class SlopeDraws:
 
 
 def slope_draws(error: SlopeError, size: tuple[int, int], columns: int, fields: int) -> SlopeDraws:
-    """The random numbers for a slope error on a reduced field of `size` (w, h): the same whenever they are drawn.
+    """The random numbers for a slope error on a reduced field of `size` (w, h): the same whenever they are drawn, and
+    kept for the next scan of a calibration. Nothing may be written to them.
 
     columns : of the field that was reduced
     fields : how many fields of slopes, each wrong all at once, are known beside what the error says
     """
     everywhere, local = shared_and_local(error.ball_gains, error.ball_places)
-    rng = np.random.default_rng(0)
+    patch_px = max(error.patch_px / (columns / size[0]), 0.5)
     # Beside those fields: elevation, gains everywhere, and the zero and the scale of heights.
-    shared = _normals(rng, fields + len(everywhere) + 3)
-    places = local_normals(rng, (SAMPLES, len(local), PLACES * size[1] // size[0] + 1, PLACES))
+    return _drawn(size, fields + len(everywhere) + 3, len(local), patch_px)
+
+
+@lru_cache(maxsize=1)
+def _drawn(size: tuple[int, int], shared_count: int, local_count: int, patch_px: float) -> SlopeDraws:
+    """So many numbers that are shared by the field of `size` (w, h), and curves that are local in it."""
+    rng = np.random.default_rng(0)
+    shared = _normals(rng, shared_count)
+    places = local_normals(rng, (SAMPLES, local_count, PLACES * size[1] // size[0] + 1, PLACES))
     pixels, patches = (np.empty((SAMPLES, 2, size[1], size[0]), np.float32) for _ in range(2))
     spread = np.empty((SAMPLES, 2), np.float32)
-    patch_px = max(error.patch_px / (columns / size[0]), 0.5)
     for own in np.ndindex(spread.shape):
         rng.standard_normal(dtype=np.float32, out=pixels[own])
         patches[own] = cv2.GaussianBlur(rng.standard_normal(size[::-1], dtype=np.float32), (0, 0), patch_px)
         spread[own] = patches[own].std()
+    for part in (shared, places, pixels, patches, spread):
+        part.flags.writeable = False
     return SlopeDraws(shared, places, pixels, patches, spread)
 
 

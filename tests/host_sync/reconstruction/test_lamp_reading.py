@@ -268,7 +268,8 @@ def test_slopes_are_as_unsure_as_lamps_of_fewer_balls_differ() -> None:
     found = read_under_lamps(field(p, q), image_of(z, p, q), FittedLamps(MODEL, (higher, lower)))
     assert found.unsure is not None
     flank = np.hypot(*(part[::2, ::2][: found.p.shape[0], : found.p.shape[1]] for part in (p, q))) > 0.2
-    sigma = np.sqrt((found.unsure[0] ** 2 + found.unsure[1] ** 2).sum(axis=0))
+    by_p, by_q = found.unsure()
+    sigma = np.sqrt((by_p**2 + by_q**2).sum(axis=0))
     assert 0.002 < sigma[flank].mean() < 0.02
     assert not sigma[:4].any()
 
@@ -322,7 +323,7 @@ def test_a_plate_under_the_whole_field_is_no_untouched_skin(tilt: float) -> None
     found = read_under_lamps(read, image, FittedLamps(MODEL, (MODEL, MODEL)))
     assert not found.has_rest
     assert found.unsure is not None
-    assert (np.abs(found.unsure[0]).max(axis=0) > 0.0).mean() > 0.95
+    assert (np.abs(found.unsure()[0]).max(axis=0) > 0.0).mean() > 0.95
     found.apply(read)
     assert (integrate(read, 1.0)[0].z_um - z).std() < 0.3 * off_px
 

@@ -20,9 +20,17 @@ def drawn(fields: int = 2) -> SlopeDraws:
 
 
 def test_they_are_the_same_each_time() -> None:
-    first, second = drawn(), drawn()
+    first, _, second = drawn(), drawn(3), drawn()
+    assert first is not second, "only the last draws are kept"
     for name in ("shared", "local", "pixels", "patches", "spread"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_they_are_kept_for_the_next_scan_and_nothing_may_be_written_to_them() -> None:
+    draws = drawn()
+    assert drawn() is draws
+    with pytest.raises(ValueError, match="read-only"):
+        draws.pixels[:] = 0.0
 
 
 def test_every_field_has_a_number_of_its_own() -> None:
