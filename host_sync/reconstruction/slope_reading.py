@@ -35,8 +35,7 @@ from host_sync.results.record import FrameCheck, refusals
 class BesideCorrection:
     """What is found of a frame that needs no correction.
 
-    raw : slopes of the frame with its noise, before they are corrected, less the noise that a null colour knows; None
-        where nothing was shrunk
+    raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
     strange : as `strange_blocks` returns it; None of other lights than the first three, which tell it for all
     """
 
@@ -50,15 +49,13 @@ class BesideCorrection:
         intensity: NormalizedImage,
         calibration: Calibration,
         method: Method,
-        z_px: Float32Array | None,
         is_first: bool,
     ) -> BesideCorrection:
         """That of a frame as seen and with its noise shrunk, the same where none was.
 
-        z_px : elevation by which slopes of the latter were corrected
         is_first : whether these are the first three lights
         """
-        found = None if intensity is raw else slopes_and_elevation(raw, calibration, method, intensity, z_px)[0]
+        found = None if intensity is raw else uncorrected(raw, calibration, method, intensity)
         return cls(found, strange_blocks(intensity, calibration.inverse.map) if is_first else None)
 
 
@@ -70,6 +67,7 @@ class ChannelReading:
     gradients : slopes of `intensity`, corrected
     correction : what hidden lights, lamps or a quadric change in slopes of both, at the middles of cells; None where
         they change nothing
+    z_px : elevation by which `gradients` were corrected before; None where they were not
     beside : found while the correction is
     """
 
@@ -79,6 +77,7 @@ class ChannelReading:
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
     correction: CellCorrection | None
+    z_px: Float32Array | None
     beside: BackgroundCall[BesideCorrection]
 
 
@@ -127,6 +126,8 @@ class SlopeReading:
             if gradients is None:
                 found.append(group.gradients)
                 continue
+            if group.calibration.elevation is not None and group.z_px is not None:
+                correct_elevation(gradients, group.calibration.elevation, group.z_px)
             if group.correction is not None:
                 group.correction.apply(gradients)
             found.append(gradients)
@@ -199,17 +200,18 @@ def _read_channels(
     colours = BackgroundCall(check_frame, intensity, calibration.flat_field, calibration.inverse.map)
     if not warnings:
         colours.start()
-    gradients, z_px = slopes_and_elevation(intensity, calibration, method)
+    gradients = uncorrected(intensity, calibration, method)
     if not warnings:
         warnings = colours.result()
         raise_on_warnings(warnings, name, force=force)
-    beside = BackgroundCall(BesideCorrection.of, raw, intensity, calibration, method, z_px, is_first)
+    beside = BackgroundCall(BesideCorrection.of, raw, intensity, calibration, method, is_first)
     beside.start()
+    z_px = _correct_elevation(gradients, calibration, method)
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = _correction(gradients, intensity, calibration, method, alone)
     if correction is not None:
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, beside), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, beside), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
@@ -254,28 +256,28 @@ def _correction(
 def estimate(
     intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
 ) -> GradientField:
-    """Slopes per pixel by the method.
+    """Slopes per pixel by the method, corrected for the skin's elevation.
 
     shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
     """
-    return slopes_and_elevation(intensity, calibration, method, shrunk)[0]
+    gradients = uncorrected(intensity, calibration, method, shrunk)
+    _correct_elevation(gradients, calibration, method)
+    return gradients
 
 
-def slopes_and_elevation(
-    intensity: NormalizedImage,
-    calibration: Calibration,
-    method: Method,
-    shrunk: NormalizedImage | None = None,
-    z_px: Float32Array | None = None,
-) -> tuple[GradientField, Float32Array | None]:
-    """Slopes as of `estimate`, and the elevation by which they were corrected; None where they were not.
-
-    z_px : that elevation, where it is known
-    """
+def uncorrected(
+    intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
+) -> GradientField:
+    """The same as if all skin stood where untouched skin does."""
     if method == "paper":
-        return estimate_gradients(calibration.paper_model, intensity), None
+        return estimate_gradients(calibration.paper_model, intensity)
     gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
     even_confidence(gradients, intensity.clipped)
-    if calibration.elevation is None:
-        return gradients, None
-    return gradients, correct_elevation(gradients, calibration.elevation, z_px)
+    return gradients
+
+
+def _correct_elevation(gradients: GradientField, calibration: Calibration, method: Method) -> Float32Array | None:
+    """Write slopes corrected for elevation, which this returns; None where the method or the calibration knows none."""
+    if method == "paper" or calibration.elevation is None:
+        return None
+    return correct_elevation(gradients, calibration.elevation)

@@ -44,7 +44,7 @@ STAGES = {
         "colour_check.check_datum",
     ),
     "shrinkage": ("bounded_shrinkage.shrunk",),
-    "slopes": ("slope_reading.slopes_and_elevation",),
+    "slopes": ("slope_reading.uncorrected", "elevation_correction.correct_elevation"),
     "lamps": ("lamp_reading.read_under_lamps",),
     "raw detail": ("raw_detail.with_raw_detail",),
     "integration": ("integrate.integrate",),
