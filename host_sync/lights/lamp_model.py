@@ -110,21 +110,28 @@ class LampModel:
         visible : share of the light of each of a lamp's points that arrives, float64 array of shape (N, 3, points);
             None where all of it does
         """
+        count = 1 if p.ndim == 1 else p.shape[1]
+        slopes = (np.ascontiguousarray(part.reshape(len(column), count)) for part in (p, q))
+        own = np.empty((len(column), count, 3))
+        points, axes, coat = self.lamps_and_coat()
+        skin = (*slopes, *self.places(column, row, z_px))
+        parallel_rows(write_light, (len(own), WORK), points, arriving_or_all(visible), axes, coat, *skin, own)
+        return own.reshape(*p.shape, 3)
+
+    def places(self, column: Float64Array, row: Float64Array, z_px: Float64Array) -> tuple[Float64Array, ...]:
+        """Places x, y and z of skin, shape (N,), in widths of the field from its middle."""
         rows, columns = self.shape
-        x, y = (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns
+        return (column - 0.5 * (columns - 1)) / columns, (row - 0.5 * (rows - 1)) / columns, z_px / columns
+
+    def lamps_and_coat(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Points, axes and coat as `write_light` takes them."""
+        axes = self.position * np.array([1.0, 1.0, self.aim])
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         square = self.roughness**2
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
         shine = (self.gloss, self.gloss_width**2, self.tail)
         coat = np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera])
-        count = 1 if p.ndim == 1 else p.shape[1]
-        slopes = (np.ascontiguousarray(part.reshape(len(x), count)) for part in (p, q))
-        own = np.empty((len(x), count, 3))
-        axes = self.position * np.array([1.0, 1.0, self.aim])
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        seen = np.empty((0, 3, len(POINTS))) if visible is None else visible
-        skin = (*slopes, x, y, z_px / columns)
-        parallel_rows(write_light, (len(x), WORK), self.points(), seen, axes, coat, *skin, own)
-        return own.reshape(*p.shape, 3)
+        return self.points(), axes, coat
 
     def mixed(self, own: Float64Array) -> Float64Array:
         """What the channels show of their own and the others' lamps: float64 array of shape (N, 3)."""
@@ -142,6 +149,11 @@ class LampModel:
         places = self.position[:, None] + np.array(POINTS)[:, None] * along[:, None]
         bright = np.array(POINT_SHARES) * above[:, None] ** self.fall_off
         return np.concatenate([places, bright[..., None]], axis=-1)
+
+
+def arriving_or_all(visible: Float64Array | None) -> Float64Array:
+    """What arrives of lamps' points as `write_light` takes it: shape (N, 3, points), (0, 3, points) where all does."""
+    return np.empty((0, 3, len(POINTS))) if visible is None else visible
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,9 +13,10 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, Float64Array
+from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.lights.lamp_model import LampModel
+from host_sync.lights.lamp_model import LampModel, arriving_or_all
+from host_sync.lights.search_kernel import write_search
 from host_sync.lights.step_kernel import write_shown, write_step
 from host_sync.lights.surroundings import Surroundings
 
@@ -35,6 +36,9 @@ READER_STEPS: Final = 4
 
 WORK: Final = 16
 """Pixels of a field whose kernels take as long as the arithmetic of one place."""
+
+SEARCH_WORK: Final = 64
+"""Pixels of a field whose kernels take as long as one step of the search at one place, or the rays before the first."""
 
 MAX_MOVE: Final = 0.3
 """Slope, at most, by which one step of the search moves."""
@@ -105,11 +109,6 @@ class LampSkin:
         parallel_rows(write_shown, (len(own), WORK * p.shape[1]), *light, p, q, shown)
         return shown
 
-    def without(self, lost: Float64Array) -> Float64Array:
-        """What channels lack of other lamps' light where they lack `lost` (N, 3) of their own: shape (N, 3)."""
-        own = np.einsum("ncc->nc", self.shares)
-        return np.asarray(np.einsum("nck,nk->nc", self.shares, lost / own) - lost)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownBefore:
@@ -123,28 +122,71 @@ class KnownBefore:
     sigma: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelTrust:
+    """How much channels count whose lamps may be hidden; all others count in full.
+
+    hidden : which, bool array of shape (N, 3)
+    counts : how much they count at most, 0 to 1, shape (N, 3)
+    apart : intensity by which one is darker or brighter than predicted: from the first on it counts less, from the
+        second on it does not count
+    setting : predicted intensity below which a light is about to set, and at which it has
+    free_steps : how many steps, the first, leave them out
+    """
+
+    hidden: MaskArray
+    counts: Float64Array
+    apart: tuple[float, float]
+    setting: tuple[float, float]
+    free_steps: int
+
+
+ALL_COUNT: Final = ChannelTrust(np.empty((0, 3), np.bool_), np.empty((0, 3)), (0.0, 1.0), (1.0, 0.0), 0)
+"""No channel is hidden anywhere."""
+
+
 def move_towards(
+    skin: LampSkin, intensity: Float64Array, slope: Float64Array, z_px: Float64Array, before: KnownBefore, steps: int
+) -> Float64Array:
+    """Gauss-Newton steps from slopes (N, 2) towards those that explain intensities (N, 3): the new slopes.
+
+    z_px : elevation, shape (N,)
+    """
+    return move_past_hidden(skin, intensity, slope, z_px, before, steps, ALL_COUNT)[0]
+
+
+def move_past_hidden(
     skin: LampSkin,
     intensity: Float64Array,
     slope: Float64Array,
     z_px: Float64Array,
     before: KnownBefore,
-    trust: Float64Array | None = None,
-    known: tuple[Float64Array, Float64Array] | None = None,
-) -> Float64Array:
-    """One Gauss-Newton step from slopes (N, 2) towards those that explain intensities (N, 3): the new slopes.
+    steps: int,
+    trust: ChannelTrust,
+) -> tuple[Float64Array, Float64Array]:
+    """Slopes as of `move_towards` where lamps may be hidden, and how much channels counted in the last step, (N, 3).
 
-    trust : how much each channel counts, 0 to 1, shape (N, 3); all of them fully where it is None
-    known : as of `LampSkin.shown_and_changes` for these slopes, where that was asked before
+    A channel that counts for less than the whole, and is darker than predicted, lacks its lamp's light, as others do as
+    far as their filters pass it.
     """
-    shown, change = skin.shown_and_changes(slope, z_px) if known is None else known
-    missing = intensity - shown
-    weight = np.full_like(shown, INTENSITY_SIGMA**-2)
-    if trust is not None:
-        weight *= trust
-        missing += skin.without((1.0 - trust) * np.maximum(-missing, 0.0))
-    move = gauss_newton_step(change, weight, missing, before.slope - slope, before.sigma)
-    return slope + bounded(move)
+    model = skin.model
+    lamps = (*model.lamps_and_coat(), model.mixing, model.haze, np.array([model.bounce_afar, model.bounce_close]))
+    places = model.places(skin.column, skin.row, z_px)
+    found, weight = np.array(slope, np.float64, order="C"), np.ones_like(trust.counts)
+    parallel_rows(
+        write_search,
+        (len(found), SEARCH_WORK * (1 + steps)),
+        lamps,
+        (*places, skin.rest, skin.shares, skin.close, arriving_or_all(skin.visible)),
+        intensity,
+        before.slope,
+        (trust.hidden, trust.counts, trust.apart, trust.setting, trust.free_steps),
+        (STEP, INTENSITY_SIGMA**-2, before.sigma**-2, MAX_MOVE),
+        steps,
+        found,
+        weight,
+    )
+    return found, weight
 
 
 def bounded(move: Float64Array) -> Float64Array:
@@ -187,7 +229,4 @@ class LampReader:
         read = self.inverse.predict(intensity, column, row)
         skin = LampSkin.at(self.model, column.astype(np.float64), row.astype(np.float64), self.around)
         seen, level = intensity.astype(np.float64), np.zeros(len(read))
-        before, slope = KnownBefore(read, SURFACE_SIGMA), read
-        for _ in range(READER_STEPS):
-            slope = move_towards(skin, seen, slope, level, before)
-        return slope
+        return move_towards(skin, seen, read, level, KnownBefore(read, SURFACE_SIGMA), READER_STEPS)

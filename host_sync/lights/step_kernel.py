@@ -1,4 +1,4 @@
-"""Steps of slopes under lamps, place by place: the kernels of `LampSkin` and of `gauss_newton_step`."""
+"""Steps of slopes under lamps, place by place: the kernels of `LampSkin` and of `gauss_newton_step`, and parts."""
 
 from __future__ import annotations
 
@@ -22,15 +22,13 @@ def write_shown(
     bounce : light from skin farther away, and from that close by over what it shows
     p, q : slopes, shape (N, K)
     """
-    afar, near = bounce
     for i in range(first, last):
         for k in range(p.shape[1]):
-            tilted = 1.0 - 1.0 / np.sqrt(1.0 + p[i, k] * p[i, k] + q[i, k] * q[i, k])
+            up = 1.0 / np.sqrt(1.0 + p[i, k] * p[i, k] + q[i, k] * q[i, k])
             for channel in range(3):
-                mixed = own[i, k, 0] * mixing[channel, 0] + own[i, k, 1] * mixing[channel, 1]
-                mixed += own[i, k, 2] * mixing[channel, 2]
-                direct = (mixed + haze[channel]) / rest[i, channel]
-                shown[i, k, channel] = direct + tilted * (afar + near * close[i, channel])
+                shown[i, k, channel] = shown_by(
+                    own[i, k], mixing[channel], haze[channel], rest[i, channel], close[i, channel], bounce, up
+                )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -55,6 +53,18 @@ def write_step(
         along_q += known * back[i, 1]
         pp += known
         qq += known
-        determinant = pp * qq - pq * pq
-        step[i, 0] = (qq * along_p - pq * along_q) / determinant
-        step[i, 1] = (pp * along_q - pq * along_p) / determinant
+        step[i, 0], step[i, 1] = solved(pp, pq, qq, along_p, along_q)
+
+
+@njit(cache=True, error_model="numpy")
+def shown_by(own: Any, mixing: Any, haze: Any, rest: Any, close: Any, bounce: Any, up: Any) -> Any:
+    """What one channel shows of the light of the lamps (3,), whose normal's cosine to the vertical is `up`."""
+    mixed = own[0] * mixing[0] + own[1] * mixing[1] + own[2] * mixing[2]
+    return (mixed + haze) / rest + (1.0 - up) * (bounce[0] + bounce[1] * close)
+
+
+@njit(cache=True, error_model="numpy")
+def solved(pp: Any, pq: Any, qq: Any, along_p: Any, along_q: Any) -> Any:
+    """The solution of two normal equations."""
+    determinant = pp * qq - pq * pq
+    return (qq * along_p - pq * along_q) / determinant, (pp * along_q - pq * along_p) / determinant

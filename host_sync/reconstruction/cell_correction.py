@@ -33,7 +33,7 @@ class CellCorrection:
     cell : pixels along a cell
     weight : of slopes in shadow in the integration, as a share of that of others
     unsure : gives float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each
-        wrong all at once; called where σ is asked, beside the integration; None where nothing is known of them
+        wrong all at once; called once, in the background; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
     has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light tells

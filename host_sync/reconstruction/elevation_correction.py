@@ -39,7 +39,9 @@ def correct_elevation(
 ) -> Float32Array:
     """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W).
 
-    z_px : elevation, as this returned it for other slopes of the same skin; None where they are the first
+    Returns the elevation of cells over untouched skin, pixels, float32 array of shape (h, w).
+
+    z_px : what this returned for other slopes of the same skin; None where they are the first
     """
     rows, columns = gradients.p.shape
     cell = -(-columns // WIDEST_CELLS)

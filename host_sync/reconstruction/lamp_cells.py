@@ -19,10 +19,18 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArr
 from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
 from host_sync.lights.half_shadow import arriving_light
 from host_sync.lights.lamp_model import POINT_SHARES, LampModel
-from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, KnownBefore, LampSkin, move_towards
+from host_sync.lights.lamp_slopes import (
+    INTENSITY_SIGMA,
+    SURFACE_SIGMA,
+    ChannelTrust,
+    KnownBefore,
+    LampSkin,
+    move_past_hidden,
+    move_towards,
+)
 from host_sync.lights.surroundings import Surroundings, faithful_cells
 from host_sync.reconstruction.cell_correction import LEVEL, SlopePair, moved_cells, steepness, unsure_cells
-from host_sync.reconstruction.hidden_lights import arriving_share, trust_in
+from host_sync.reconstruction.hidden_lights import SET, arriving_share
 from host_sync.reconstruction.light_elevation import Rise, rise_told_by_light
 
 HIDDEN_STEPS: Final = 8
@@ -267,10 +275,8 @@ class LampCells:
         self, slope: Float64Array, here: np.ndarray, surface: Float64Array, z_px: Float64Array, steps: int
     ) -> Float64Array:
         """Slopes of skin that all lights reach."""
-        skin, seen, before = self.skin.select(here), self.intensity[here], KnownBefore(surface, SURFACE_SIGMA)
-        for _ in range(steps):
-            slope = move_towards(skin, seen, slope, z_px, before)
-        return slope
+        before = KnownBefore(surface, SURFACE_SIGMA)
+        return move_towards(self.skin.select(here), self.intensity[here], slope, z_px, before, steps)
 
     def _dark(
         self,
@@ -285,15 +291,9 @@ class LampCells:
 
         steps, free_steps : from the surface, and how many of them, the first, leave such lights out
         """
-        skin, seen, before = self.skin.select(here), self.intensity[here], KnownBefore(surface, HIDDEN_SURFACE_SIGMA)
-        hidden = lights.hidden.reshape(-1, 3)[here]
+        skin, before = self.skin.select(here), KnownBefore(surface, HIDDEN_SURFACE_SIGMA)
         counts = lights.weight(np.einsum("ncc->nc", skin.shares), here)
+        trust = ChannelTrust(lights.hidden.reshape(-1, 3)[here], counts, APART, SET, free_steps)
         skin = replace(skin, visible=lights.visible.reshape(-1, *lights.visible.shape[2:])[here])
-        slope, weight = surface, np.where(hidden, 0.0, 1.0)
-        for step in range(steps):
-            shown = skin.shown_and_changes(slope, z_px)
-            if step >= free_steps:
-                darker = shown[0] - np.abs(shown[0] - seen)
-                weight = np.where(hidden, np.minimum(counts, trust_in(darker, shown[0], APART)), 1.0)
-            slope = move_towards(skin, seen, slope, z_px, before, weight, shown)
+        slope, weight = move_past_hidden(skin, self.intensity[here], surface, z_px, before, steps, trust)
         return slope, weight.min(axis=1)

@@ -124,7 +124,7 @@ def reconstruct(
         gradients = seen_slopes(read, viewpoint)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
-    # Integration keeps all threads at work, the search for its zero only one.
+    # Started only now: integration keeps all threads busy, the search for the zero one.
     before_heights = BackgroundCall(_BeforeHeights.of, reading)
     before_heights.start()
     noise = calibration.slope_noise
@@ -171,7 +171,7 @@ def reconstruct(
         if detail == "raw":
             shown, other, gradients = other, height, raw_gradients
     p, q = slopes if shown is height else surface_slopes(shown)
-    strange = extrapolated(intensity, calibration.inverse.map, p, q, reading.first.beside.result().strange)
+    strange = extrapolated(intensity, calibration.inverse.map, p, q, reading.first.meanwhile.result().strange)
     unsure = before_heights.result().unsure.with_unresolved(*slopes)
     kept = noise.shrunk_kept if noise else NOISE_KEPT
     slopes_sigma = slope_sigma(sure, *slopes, contradiction, slope_error_of(calibration, chosen), unsure, kept)

@@ -32,8 +32,8 @@ from host_sync.results.record import FrameCheck, refusals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BesideCorrection:
-    """What is found of a frame that needs no correction.
+class Meanwhile:
+    """What is found of a frame while its correction is looked for, and does not depend on it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
     strange : as `strange_blocks` returns it; None of other lights than the first three, which tell it for all
@@ -50,7 +50,7 @@ class BesideCorrection:
         calibration: Calibration,
         method: Method,
         is_first: bool,
-    ) -> BesideCorrection:
+    ) -> Meanwhile:
         """That of a frame as seen and with its noise shrunk, the same where none was.
 
         is_first : whether these are the first three lights
@@ -67,8 +67,9 @@ class ChannelReading:
     gradients : slopes of `intensity`, corrected
     correction : what hidden lights, lamps or a quadric change in slopes of both, at the middles of cells; None where
         they change nothing
-    z_px : elevation by which `gradients` were corrected before; None where they were not
-    beside : found while the correction is
+    z_px : elevation of cells by which `gradients` were corrected before, pixels, float32 array of shape (h, w); None
+        where they were not
+    meanwhile : found while the correction was looked for
     """
 
     calibration: Calibration
@@ -78,7 +79,7 @@ class ChannelReading:
     gradients: GradientField
     correction: CellCorrection | None
     z_px: Float32Array | None
-    beside: BackgroundCall[BesideCorrection]
+    meanwhile: BackgroundCall[Meanwhile]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +123,7 @@ class SlopeReading:
         """
         found = []
         for group in self.groups:
-            gradients = group.beside.result().raw
+            gradients = group.meanwhile.result().raw
             if gradients is None:
                 found.append(group.gradients)
                 continue
@@ -204,14 +205,14 @@ def _read_channels(
     if not warnings:
         warnings = colours.result()
         raise_on_warnings(warnings, name, force=force)
-    beside = BackgroundCall(BesideCorrection.of, raw, intensity, calibration, method, is_first)
-    beside.start()
+    meanwhile = BackgroundCall(Meanwhile.of, raw, intensity, calibration, method, is_first)
+    meanwhile.start()
     z_px = _correct_elevation(gradients, calibration, method)
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = _correction(gradients, intensity, calibration, method, alone)
     if correction is not None:
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, beside), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, meanwhile), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
@@ -253,14 +254,9 @@ def _correction(
     return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).with_shadow(shadow)
 
 
-def estimate(
-    intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
-) -> GradientField:
-    """Slopes per pixel by the method, corrected for the skin's elevation.
-
-    shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
-    """
-    gradients = uncorrected(intensity, calibration, method, shrunk)
+def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
+    """Slopes per pixel by the method, corrected for the skin's elevation."""
+    gradients = uncorrected(intensity, calibration, method)
     _correct_elevation(gradients, calibration, method)
     return gradients
 
@@ -268,7 +264,10 @@ def estimate(
 def uncorrected(
     intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
 ) -> GradientField:
-    """The same as if all skin stood where untouched skin does."""
+    """Slopes per pixel by the method, read as if all skin stood where untouched skin does.
+
+    shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
+    """
     if method == "paper":
         return estimate_gradients(calibration.paper_model, intensity)
     gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
@@ -277,7 +276,9 @@ def uncorrected(
 
 
 def _correct_elevation(gradients: GradientField, calibration: Calibration, method: Method) -> Float32Array | None:
-    """Write slopes corrected for elevation, which this returns; None where the method or the calibration knows none."""
+    """Correct slopes for the skin's elevation in place; returns what `correct_elevation` does, None where the method or
+    the calibration corrects nothing.
+    """
     if method == "paper" or calibration.elevation is None:
         return None
     return correct_elevation(gradients, calibration.elevation)

@@ -10,6 +10,7 @@ from numba import get_num_threads, set_num_threads
 from point_lamps import point_lamps
 
 from device.surface.fields import Float32Array
+from host_sync.lights import half_shadow
 from host_sync.lights.half_shadow import ArrivingLight, arriving_light
 from host_sync.lights.half_shadow_kernel import HALF_SHADOW, NEAR_SHADOW
 
@@ -130,6 +131,20 @@ def test_what_stands_beyond_a_lamp_hides_it_from_nothing() -> None:
     seen = arriving_light(z, CELL, NEAR).visible[..., 0, 0]
     assert (seen[:, :34] == 1.0).all()
     assert (seen[:, 52:] == 0.0).all()
+
+
+def test_rays_stride_over_nothing_that_comes_near_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(4)
+    z = np.zeros(CELLS, np.float32)
+    for row, column, height in zip(*random.integers(0, CELLS, (12, 2)).T, random.uniform(10.0, 60.0, 12), strict=True):
+        z[row : row + 3, column : column + 3] = height
+    strides = light_over(z)
+    # With skin of any height around it a ray takes every step of its way.
+    monkeypatch.setattr(half_shadow.cv2, "dilate", lambda z_px, _: np.full_like(z_px, 1e6))
+    steps = light_over(z)
+    assert (steps.visible < 1.0).mean() > 0.05
+    for name in ("hidden", "visible", "facing"):
+        np.testing.assert_array_equal(getattr(strides, name), getattr(steps, name), err_msg=name)
 
 
 def test_one_thread_finds_the_same() -> None:

@@ -9,7 +9,18 @@ import pytest
 from point_lamps import point_lamps
 
 from device.inverse_map.model import InverseMap
-from host_sync.lights.lamp_slopes import KnownBefore, LampReader, LampSkin, gauss_newton_step, move_towards
+from host_sync.lights.lamp_slopes import (
+    INTENSITY_SIGMA,
+    MAX_MOVE,
+    ChannelTrust,
+    KnownBefore,
+    LampReader,
+    LampSkin,
+    bounded,
+    gauss_newton_step,
+    move_past_hidden,
+    move_towards,
+)
 
 SHAPE = (300, 400)
 MODEL = replace(
@@ -24,6 +35,7 @@ MODEL = replace(
     bounce_afar=0.1,
     beam=0.5,
     camera=0.1,
+    tilt_gain=0.2,
 )
 RANDOM = np.random.default_rng(0)
 COUNT = 200
@@ -33,13 +45,38 @@ Z_PX = RANDOM.uniform(0.0, 25.0, COUNT)
 SKIN = LampSkin.at(MODEL, COLUMN, ROW)
 SEEN = SKIN.shown(TRUE, Z_PX)
 READ = 0.9 * TRUE + 0.01
+APART, SETTING = (0.03, 0.08), (0.9, 0.6)
+VISIBLE = RANDOM.uniform(0.0, 1.0, (COUNT, 3, 3))
 
 
-def found(seen: np.ndarray, before: KnownBefore, steps: int = 6, trust: np.ndarray | None = None) -> np.ndarray:
-    slope = READ
-    for _ in range(steps):
-        slope = move_towards(SKIN, seen, slope, Z_PX, before, trust)
-    return slope
+def found(seen: np.ndarray, before: KnownBefore, steps: int = 6) -> np.ndarray:
+    return move_towards(SKIN, seen, READ, Z_PX, before, steps)
+
+
+def hiding(hidden: list[bool], counts: float = 1.0, free_steps: int = 0) -> ChannelTrust:
+    """These channels hidden everywhere, perhaps, that count so much at most."""
+    everywhere = np.array(np.broadcast_to(hidden, SEEN.shape))
+    return ChannelTrust(everywhere, np.full(SEEN.shape, counts), APART, SETTING, free_steps)
+
+
+def by_formulas(
+    skin: LampSkin, seen: np.ndarray, before: KnownBefore, steps: int, trust: ChannelTrust
+) -> tuple[np.ndarray, np.ndarray]:
+    """The search by whole arrays, and how much channels counted in its last step."""
+    slope, weight = READ, np.ones(seen.shape)
+    for step in range(steps):
+        shown, change = skin.shown_and_changes(slope, Z_PX)
+        missing = seen - shown
+        apart = np.clip((np.abs(missing) - APART[0]) / (APART[1] - APART[0]), 0.0, 1.0)
+        setting = np.clip((SETTING[0] - shown) / (SETTING[0] - SETTING[1]), 0.0, 1.0)
+        counted = np.minimum(trust.counts, ((1.0 - apart) * (1.0 - setting)) ** 2)
+        weight = np.where(trust.hidden, 0.0 if step < trust.free_steps else counted, 1.0)
+        own = np.einsum("ncc->nc", skin.shares)
+        lost = (1.0 - weight) * np.maximum(-missing, 0.0)
+        missing = missing + np.einsum("nck,nk->nc", skin.shares, lost / own) - lost
+        move = gauss_newton_step(change, weight * INTENSITY_SIGMA**-2, missing, before.slope - slope, before.sigma)
+        slope = slope + bounded(move)
+    return slope, weight
 
 
 def test_skin_shows_what_the_model_says() -> None:
@@ -69,9 +106,7 @@ def test_changes_are_those_of_what_is_shown() -> None:
 def test_slopes_are_found_at_any_elevation() -> None:
     before = KnownBefore(READ, 10.0)
     np.testing.assert_allclose(found(SEEN, before), TRUE, atol=1e-4)
-    at_rest = READ
-    for _ in range(6):
-        at_rest = move_towards(SKIN, SEEN, at_rest, 0.0 * Z_PX, before)
+    at_rest = move_towards(SKIN, SEEN, READ, 0.0 * Z_PX, before, 6)
     assert np.abs(at_rest - TRUE)[Z_PX > 15.0].max() > 0.01, "elevation counts"
 
 
@@ -84,12 +119,45 @@ def test_two_channels_are_enough_where_the_third_is_dark() -> None:
     own = MODEL.own_light(TRUE[:, 0], TRUE[:, 1], COLUMN, ROW, Z_PX)
     own[:, 1] = 0.0
     dark = MODEL.mixed(own) / SKIN.rest + MODEL.bounced(TRUE[:, 0], TRUE[:, 1], SKIN.close)
-    trust = np.broadcast_to([1.0, 0.0, 1.0], SEEN.shape)
-    before = KnownBefore(READ, 0.15)
+    before, hidden = KnownBefore(READ, 0.15), [False, True, False]
     wrong = np.abs(found(dark, before, 12) - TRUE).mean()
-    mended = np.abs(found(dark, before, 12, trust) - TRUE).mean()
+    mended, weight = move_past_hidden(SKIN, dark, READ, Z_PX, before, 12, hiding(hidden, free_steps=12))
     assert wrong > 0.1
-    assert mended < 0.01
+    assert np.abs(mended - TRUE).mean() < 0.01
+    np.testing.assert_array_equal(weight, np.broadcast_to([1.0, 0.0, 1.0], weight.shape))
+
+
+@pytest.mark.parametrize("off", [-0.2, -0.05, 0.0, 0.05])
+def test_a_channel_that_may_be_hidden_counts_as_far_as_it_is_as_bright_as_predicted(off: float) -> None:
+    shown, before = SKIN.shown(READ, Z_PX), KnownBefore(READ, 0.15)
+    _, weight = move_past_hidden(
+        SKIN, shown + np.array([off, 0.0, 0.01]), READ, Z_PX, before, 1, hiding([True, True, False], 0.9)
+    )
+    setting = np.clip((0.9 - shown[:, :2]) / 0.3, 0.0, 1.0)
+    assert 0.05 < setting.mean() < 0.95, "some lights are about to set"
+    wanted = np.ones(shown.shape)
+    wanted[:, :2] = (1.0 - setting) ** 2
+    wanted[:, 0] *= np.clip(1.0 - (abs(off) - 0.03) / 0.05, 0.0, 1.0) ** 2
+    np.testing.assert_allclose(weight, np.minimum([0.9, 0.9, 1.0], wanted), atol=1e-9)
+
+
+@pytest.mark.parametrize(("steps", "free_steps"), [(8, 3), (2, 0), (1, 1)])
+def test_the_search_is_that_of_the_formulas(steps: int, free_steps: int) -> None:
+    skin, before = replace(SKIN, visible=VISIBLE), KnownBefore(READ, 0.15)
+    seen = skin.shown(TRUE, Z_PX) + RANDOM.normal(0.0, 0.03, SEEN.shape)
+    trust = ChannelTrust(
+        RANDOM.random(SEEN.shape) < 0.5, RANDOM.uniform(0.2, 1.0, SEEN.shape), APART, SETTING, free_steps
+    )
+    slope, weight = move_past_hidden(skin, seen, READ, Z_PX, before, steps, trust)
+    wanted = by_formulas(skin, seen, before, steps, trust)
+    np.testing.assert_allclose(slope, wanted[0], atol=1e-9)
+    np.testing.assert_allclose(weight, wanted[1], atol=1e-9)
+
+
+def test_no_step_is_longer_than_the_longest() -> None:
+    far = found(3.0 * SEEN, KnownBefore(READ, 10.0), 1) - READ
+    assert np.linalg.norm(far, axis=1).max() == pytest.approx(MAX_MOVE, rel=1e-9)
+    np.testing.assert_array_equal(found(SEEN, KnownBefore(READ, 0.15), 0), READ)
 
 
 def test_a_step_is_that_of_least_squares() -> None:
@@ -109,8 +177,3 @@ def test_a_reader_mends_what_a_map_reads_too_flat() -> None:
     read = LampReader(flat, MODEL).predict(shown, COLUMN.astype(np.float32), ROW.astype(np.float32))
     np.testing.assert_allclose(read, TRUE, atol=2e-3)
     assert np.abs(READ - TRUE).max() == pytest.approx(0.04, abs=0.01)
-
-
-def test_lamps_of_no_haze_lose_nothing_to_each_other_without_mixing() -> None:
-    alone = LampSkin.at(replace(MODEL, mixing=np.eye(3)), COLUMN, ROW)
-    np.testing.assert_allclose(alone.without(np.ones((COUNT, 3))), 0.0, atol=1e-12)

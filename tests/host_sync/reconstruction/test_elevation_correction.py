@@ -55,6 +55,26 @@ def test_a_plateau_is_read_right(shape: tuple[int, int]) -> None:
     assert float(np.abs(field.q - q).max()) < 0.1 * before
 
 
+def test_elevation_that_is_known_is_that_of_the_same_skin_and_corrects_other_slopes() -> None:
+    z, p, q = bump()
+    quiet, noisy = read(z, p, q, lamps()), read(z, p, q, lamps())
+    noise = np.float32(0.05) * np.random.default_rng(2).standard_normal(p.shape, dtype=np.float32)
+    noisy.p[:] += noise
+    known = correct_elevation(quiet, lamps())
+    cell = -(-p.shape[1] // known.shape[1])
+    top = known[int(p.shape[0] // 2 // cell), int(p.shape[1] // 2 // cell)]
+    assert top == pytest.approx(z[p.shape[0] // 2, p.shape[1] // 2], rel=0.05)
+    as_seen = noisy.p.copy()
+    assert correct_elevation(noisy, lamps(), known) is known
+    assert float(np.abs(noisy.p - as_seen).max()) > 0.01
+    # What lies over the slopes is corrected as they are: at this elevation, not at what noise makes of it.
+    np.testing.assert_allclose(noisy.p - quiet.p, noise, atol=0.01)
+    level = read(z, p, q, lamps())
+    seen = level.p.copy()
+    correct_elevation(level, lamps(), 0.0 * known)
+    np.testing.assert_array_equal(level.p, seen)
+
+
 def test_untouched_skin_and_far_lamps_change_nothing() -> None:
     z, p, q = bump()
     flat = read(0 * z, 0 * p, 0 * q, lamps())

@@ -169,9 +169,8 @@ def test_noise_leans_level_skin_to_no_side() -> None:
     size = (SHAPE[0] // 2, SHAPE[1] // 2)
     cells = LampCells.of(image, rough, size, 2, None, np.zeros((*size, 2)))
     count = size[0] * size[1]
-    before, one_by_one, level = KnownBefore(np.zeros((count, 2)), 0.15), np.zeros((count, 2)), np.zeros(count)
-    for _ in range(6):
-        one_by_one = move_towards(cells.skin, cells.intensity, one_by_one, level, before)
+    start, level = np.zeros((count, 2)), np.zeros(count)
+    one_by_one = move_towards(cells.skin, cells.intensity, start, level, KnownBefore(start, 0.15), 6)
     one_by_one = one_by_one.reshape(*size, 2)
     left = slice(None), slice(0, 50)
     found = cells.linearised(one_by_one, np.ones(size, bool), np.zeros(size, np.float32), None)
@@ -235,7 +234,7 @@ def test_skin_in_half_shadow_is_read_from_the_points_that_are_seen(monkeypatch: 
     skin, level = LampSkin.at(strip, COLUMN.ravel(), ROW.ravel()), np.zeros(z.size)
     slope, values = np.zeros((z.size, 2)), image.values.reshape(-1, 3).astype(np.float64)
     for _ in range(6):
-        slope = move_towards(skin, values, slope, level, KnownBefore(slope, 0.15))
+        slope = move_towards(skin, values, slope, level, KnownBefore(slope, 0.15), 1)
     as_if_lit = slope.reshape(*SHAPE, 2)
 
     def too_high_px() -> float:
@@ -290,7 +289,7 @@ def as_if_untouched(image: NormalizedImage) -> GradientField:
     seen, level = image.values.reshape(-1, 3).astype(np.float64), np.zeros(ROW.size)
     slope = np.zeros((ROW.size, 2))
     for _ in range(4):
-        slope = move_towards(skin, seen, slope, level, KnownBefore(slope, 1.0))
+        slope = move_towards(skin, seen, slope, level, KnownBefore(slope, 1.0), 1)
     p, q = slope.T.reshape(2, *SHAPE)
     return field(p, q)
 
@@ -352,6 +351,6 @@ def test_slopes_are_as_unsure_as_the_elevation_that_the_light_tells() -> None:
     higher = z_px.ravel() + rise.sigma_px
     found = there
     for _ in range(3):
-        found = move_towards(cells.skin, seen, found, higher.astype(float), KnownBefore(found, 1.0))
+        found = move_towards(cells.skin, seen, found, higher.astype(float), KnownBefore(found, 1.0), 1)
     moved = np.linalg.norm(found - there, axis=1).reshape(sigma.shape)
     assert np.median(sigma / moved) == pytest.approx(1.0, abs=0.1)
