@@ -38,11 +38,16 @@ class Stopwatch:
 
 
 def side_by_side(
-    methods: Mapping[str, Callable[[], Any]], rounds: int, *, once: frozenset[str] = frozenset()
+    methods: Mapping[str, Callable[[], Any]],
+    rounds: int,
+    *,
+    once: frozenset[str] = frozenset(),
+    settled: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Figures of every method by name, run in turns for `rounds` rounds after a first run that does not count.
 
     once : slow methods whose first run is the one that counts
+    settled : whether each run that counts follows one of its own method: another leaves memory in other pieces
     """
     watches = {name: Stopwatch() for name in methods}
     for name, function in methods.items():
@@ -53,5 +58,7 @@ def side_by_side(
         for name, function in methods.items():
             spent_s = 1e-3 * (sum(watches[name].runs_ms) + (watches[name].first_ms or 0.0))
             if name not in once and (not watches[name].runs_ms or spent_s < MAX_TOTAL_S):
+                if settled:
+                    function()
                 watches[name].run(function)
     return {name: watch.figures for name, watch in watches.items()}
