@@ -4,19 +4,16 @@ import numpy as np
 import pytest
 
 from device.surface.fields import GradientField
-from host_sync.calibration.elevation_response import NODES, ElevationResponse
+from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.reconstruction.elevation_correction import at_cells, cell_means, correct_elevation, read_too_steep
+from tests.apparatus.high_lamps import lamps_at
 
 HEIGHT_PX = 300.0
 SHAPE = (240, 320)
 
 
 def lamps(height_px: float = HEIGHT_PX) -> ElevationResponse:
-    """Three lamps at one height, seen from every place under the same angle: b = 0.5 / h, c = a (b + 1 / h)."""
-    angle = np.radians([90.0, 210.0, 330.0])
-    a = np.broadcast_to(np.stack([np.cos(angle), np.sin(angle)]), (NODES, NODES, 2, 3)).astype(np.float32)
-    b = np.full((NODES, NODES, 3), 0.5 / height_px, np.float32)
-    return ElevationResponse(a, b, a * np.float32(1.5 / height_px), 1.0, 0.05)
+    return lamps_at(height_px)
 
 
 def bump(shape: tuple[int, int] = SHAPE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

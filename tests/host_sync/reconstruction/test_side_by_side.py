@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from threading import get_ident
 from typing import Any
 
@@ -18,6 +18,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.kernels import parallel_rows as row_bands
 from host_sync.reconstruction import pipeline, slope_reading
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from tests.apparatus.high_lamps import lamps_at
 from tests.apparatus.light_ring import lit_by_ring
 
 THREADS = (1, 2)
@@ -75,7 +76,24 @@ def test_one_and_two_threads_give_the_same_result(
     assert np.isfinite(found[0].samples_um).all()
 
 
-@pytest.mark.parametrize(("module", "name"), [(pipeline, "height_draws"), (slope_reading, "check_frame")])
+@pytest.mark.parametrize("detail", ["shrunk", "raw"])
+def test_elevation_corrects_both_kinds_of_detail_and_threads_do_not_matter(
+    ring_calibration: Calibration, set_threads: Callable[[int], None], detail: Any
+) -> None:
+    high = replace(ring_calibration, elevation=lamps_at(300.0))
+    found = by_threads(set_threads, lambda: reconstruct(ball(), high, "ball", detail=detail))
+    assert_same(*found)
+    plain = reconstruct(ball(), ring_calibration, "ball", detail=detail)
+    steep = np.hypot(plain.p, plain.q) > 0.2
+    for own, other in ((found[0].gradients.p, plain.gradients.p), (found[0].gradients.q, plain.gradients.q)):
+        change = np.abs(own - other)[steep]
+        assert 0.002 < change.max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [(pipeline, "height_draws"), (slope_reading, "check_frame"), (slope_reading, "strange_blocks")],
+)
 def test_the_second_thread_does_what_needs_no_heights(
     ring_calibration: Calibration,
     set_threads: Callable[[int], None],
