@@ -159,6 +159,25 @@ def test_figures_of_a_rendered_set_leave_out_what_has_no_zero() -> None:
     assert found["rendered far heights within sigma"] == pytest.approx(0.6)
 
 
+def test_bands_of_tilt_are_over_the_pixels_of_all_scans() -> None:
+    row = {"rms": 2.0, "h_in": 0.7, "h_x": 0.9, "s_in": 0.6, "feature": {"wave80px": -1.5, "wave10px": -9.0}}
+    few, many = {"0-5": [100, 0.1, 0.9, 1.0]}, {"0-5": [300, 0.1, 0.5, 1.0], "30-45": [9, 0.1, 0.2, 1.0]}
+    scans = {"waves": {"ours": {**row, "bands": few}}, "rest": {"ours": {**row, "feature": {}, "bands": many}}}
+    found = dict(rendered_sets.figures_of("far", scans))
+    assert found["rendered far slopes within sigma, 0-5 deg"] == pytest.approx(0.6)
+    assert found["rendered far wave of 80 px off by"] == pytest.approx(0.015)
+    assert not any("30-45" in name or "5-10" in name for name in found)
+
+
+def test_every_figure_of_a_rendered_set_has_a_mark() -> None:
+    row = {"rms": 2.0, "h_in": 0.7, "h_x": 0.9, "s_in": 0.6, "feature": {"wave80px": -1.5}}
+    bands = {tilt: [1, 0.1, 0.6, 1.0] for tilt in rendered_sets.TILTS}
+    scans = {"waves": {"ours": {**row, "bands": bands}}, "rest": {"ours": {**row, "feature": {}}}}
+    named = {mark.name for mark in marks.all_marks() if mark.name.startswith("rendered matt ")}
+    found = {name for name, _ in rendered_sets.figures_of("matt", scans)}
+    assert found | {"rendered matt presses that teach"} == named
+
+
 def test_every_board_that_is_wired_is_measured_as_built() -> None:
     full = {"pi4-imx477"}  # four times the pixels of the binned one, through the same lens
     assert set(marks.BUILT) | full == set(wired_boards())

@@ -102,12 +102,17 @@ def _rendered_marks() -> Iterator[Mark]:
         yield Mark(f"rendered {name} heights within sigma", "", most=0.85, least=0.55)
         yield Mark(f"rendered {name} height errors over sigma", "", most=1.3, least=0.75)
         yield Mark(f"rendered {name} slopes within sigma", "", most=0.80, least=0.58)
+        for tilt in ("0-5", "5-10", "10-20", "20-30"):
+            yield Mark(f"rendered {name} slopes within sigma, {tilt} deg", "", most=0.80, least=0.58)
+        yield Mark(f"rendered {name} wave of 80 px off by", "", most=0.02)
+        yield Mark(f"rendered {name} presses that teach", "", least=0.95)
 
 
 def _twin_marks() -> Iterator[Mark]:
     for skin, most in _TWIN_DEG.items():
         yield Mark(f"twin {skin} surface", "deg", most=most)
         yield from _common_marks(f"twin {skin}", 0.007)
+        yield Mark(f"twin {skin} untouched skin, rms", "um", most=0.7)
 
 
 def _common_marks(name: str, radius: float = 0.02) -> Iterator[Mark]:

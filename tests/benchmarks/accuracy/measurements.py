@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from tests.benchmarks.accuracy import real_sets
 from tests.benchmarks.accuracy.marks import BANDS_DEG, SKINS
@@ -13,6 +16,9 @@ from tests.benchmarks.accuracy.twin_instrument import TwinInstrument, reference_
 from tests.benchmarks.accuracy.twin_verdict import OBJECTS, PLACES, judge_instrument
 
 Figure = tuple[str, float]
+
+UNTOUCHED_FRAMES: Final = 4
+"""Of nothing, on each skin of the twin."""
 
 
 def real_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[Figure]:
@@ -40,6 +46,7 @@ def twin_figures(folder: Path, tell: Callable[[str], None], *, quick: bool) -> I
         yield f"twin {skin} surface", verdict.surface_deg
         yield f"twin {skin} radius off by", verdict.radius_off_by
         yield f"twin {skin} masked", verdict.masked_share
+        yield f"twin {skin} untouched skin, rms", untouched_rms_um(instrument, 2 if quick else UNTOUCHED_FRAMES)
         heights, slopes = heights + verdict.heights, slopes + verdict.slopes
         if skin == SKINS[0]:
             tell("twin: resolution through the mosaic")
@@ -50,6 +57,12 @@ def twin_figures(folder: Path, tell: Callable[[str], None], *, quick: bool) -> I
         for (low, high), share in zip(BANDS_DEG, coverage.shares(), strict=True):
             if share is not None:
                 yield f"twin {quantity} within sigma, {low}-{high} deg", share
+
+
+def untouched_rms_um(instrument: TwinInstrument, frames: int) -> float:
+    """Root mean square height of frames of nothing, whose long waves of noise are taken out as of any frame, µm."""
+    heights = [instrument.reconstruct(instrument.lift_off()).height.z_um for _ in range(frames)]
+    return float(np.sqrt(np.nanmean(np.square(heights))))
 
 
 def resolution_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[Figure]:

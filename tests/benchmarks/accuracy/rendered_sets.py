@@ -2,7 +2,7 @@
 
 Renderer and judge lie beside the real frames and are no part of this project; the renderer needs PyYAML. Figures are
 means over scans: heights and features without untouched skin, the texture over the whole field (which has no zero) and
-the wave of 10 px; shares within σ over all scans.
+the wave of 10 px; shares within σ over all scans, in bands of tilt over the pixels of all scans.
 """
 
 from __future__ import annotations
@@ -24,6 +24,12 @@ from tests.benchmarks.accuracy.real_sets import data_folder
 SETS: Final = ("finger", "series2", "matt", "tactile")
 WITHOUT_ZERO: Final = ("rest", "roughfull")
 FINEST: Final = "wave10px"
+LONG_WAVE: Final = "wave80px"
+TILTS: Final = ("0-5", "5-10", "10-20", "20-30")
+"""Bands of tilt, degrees, as the judge names them."""
+
+WITHIN: Final = 2
+"""Place of the share of slopes within σ among what the judge says of a band; the first is its count of pixels."""
 
 
 def available() -> bool:
@@ -45,6 +51,8 @@ def rendered_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tupl
         )
         tell(f"rendered {name}: judging")
         _run(_tool("judge_heights.py"), frames, results, "--json", record)
+        presses = json.loads((results / "calibration" / "report.json").read_text())["presses"]
+        yield f"rendered {name} presses that teach", sum(bool(press["balls"]) for press in presses) / len(presses)
         yield from figures_of(name, json.loads(record.read_text()))
 
 
@@ -63,6 +71,14 @@ def figures_of(name: str, verdict: Mapping[str, Mapping[str, Any]]) -> Iterator[
         ("slopes within sigma", "s_in"),
     ):
         yield f"rendered {name} {figure}", float(np.mean([row[key] for row in scans.values() if key in row]))
+    for tilt in TILTS:
+        bands = [row["bands"][tilt] for row in scans.values() if tilt in row.get("bands", {})]
+        if bands:
+            within = np.average([band[WITHIN] for band in bands], weights=[band[0] for band in bands])
+            yield f"rendered {name} slopes within sigma, {tilt} deg", float(within)
+    for row in objects.values():
+        if LONG_WAVE in row["feature"]:
+            yield f"rendered {name} wave of 80 px off by", abs(row["feature"][LONG_WAVE]) / 100.0
 
 
 def _run(program: Path, *arguments: Path | str) -> None:

@@ -15,7 +15,7 @@ from device.store.store import BundleStore
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
 from hal.frame import RawFrame
-from hal.interfaces import OperatorRequest, PressBall, PressObject
+from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration, Method
@@ -62,6 +62,10 @@ class TwinInstrument:
     def truth(self) -> TwinTruth:
         """What is pressed now, as it is."""
         return self._bench.truth()
+
+    def lift_off(self) -> TwinScan:
+        """A frame of untouched skin."""
+        return self._scan("untouched skin", LiftOff())
 
     def press_ball(self, column_share: float, row_share: float) -> TwinScan:
         """Press the ball at a position in the field."""
