@@ -171,7 +171,7 @@ def test_bands_of_tilt_are_over_the_pixels_of_all_scans() -> None:
 
 def test_every_figure_of_a_rendered_set_has_a_mark() -> None:
     row = {"rms": 2.0, "h_in": 0.7, "h_x": 0.9, "s_in": 0.6, "feature": {"wave80px": -1.5}}
-    bands = {tilt: [1, 0.1, 0.6, 1.0] for tilt in rendered_sets.TILTS}
+    bands = {tilt: [1, 0.1, 0.6, 1.0] for tilt in marks.TILTS}
     scans = {"waves": {"ours": {**row, "bands": bands}}, "rest": {"ours": {**row, "feature": {}}}}
     named = {mark.name for mark in marks.all_marks() if mark.name.startswith("rendered matt ")}
     found = {name for name, _ in rendered_sets.figures_of("matt", scans)}

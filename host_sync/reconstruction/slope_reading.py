@@ -127,8 +127,7 @@ class SlopeReading:
             if gradients is None:
                 found.append(group.gradients)
                 continue
-            if group.calibration.elevation is not None and group.z_px is not None:
-                correct_elevation(gradients, group.calibration.elevation, group.z_px)
+            _correct_elevation(gradients, group.calibration, self.method, group.z_px)
             if group.correction is not None:
                 group.correction.apply(gradients)
             found.append(gradients)
@@ -275,10 +274,14 @@ def uncorrected(
     return gradients
 
 
-def _correct_elevation(gradients: GradientField, calibration: Calibration, method: Method) -> Float32Array | None:
+def _correct_elevation(
+    gradients: GradientField, calibration: Calibration, method: Method, z_px: Float32Array | None = None
+) -> Float32Array | None:
     """Correct slopes for the skin's elevation in place; returns what `correct_elevation` does, None where the method or
     the calibration corrects nothing.
+
+    z_px : what this returned for other slopes of the same skin; None where they are the first
     """
     if method == "paper" or calibration.elevation is None:
         return None
-    return correct_elevation(gradients, calibration.elevation)
+    return correct_elevation(gradients, calibration.elevation, z_px)

@@ -11,6 +11,8 @@ Figures: TypeAlias = Mapping[str, float]
 
 SKINS: Final = ("diffuse", "flake", "sharp-flake")
 BANDS_DEG: Final = ((0, 10), (10, 20), (20, 30), (30, 40))
+TILTS: Final = ("0-5", "5-10", "10-20", "20-30")
+"""Bands of tilt on rendered sets, degrees, as their judge names them."""
 
 BUILT: Final = ("pi5-imx296", "pi4-imx477-binned", "zero2w-imx708")
 """Shipped boards measured as built; pi4-imx477 has the lens and field of the binned one, and takes minutes."""
@@ -102,7 +104,7 @@ def _rendered_marks() -> Iterator[Mark]:
         yield Mark(f"rendered {name} heights within sigma", "", most=0.85, least=0.55)
         yield Mark(f"rendered {name} height errors over sigma", "", most=1.3, least=0.75)
         yield Mark(f"rendered {name} slopes within sigma", "", most=0.80, least=0.58)
-        for tilt in ("0-5", "5-10", "10-20", "20-30"):
+        for tilt in TILTS:
             yield Mark(f"rendered {name} slopes within sigma, {tilt} deg", "", most=0.80, least=0.58)
         yield Mark(f"rendered {name} wave of 80 px off by", "", most=0.02)
         yield Mark(f"rendered {name} presses that teach", "", least=0.95)

@@ -19,15 +19,13 @@ import numpy as np
 
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
+from tests.benchmarks.accuracy.marks import TILTS
 from tests.benchmarks.accuracy.real_sets import data_folder
 
 SETS: Final = ("finger", "series2", "matt", "tactile")
 WITHOUT_ZERO: Final = ("rest", "roughfull")
 FINEST: Final = "wave10px"
 LONG_WAVE: Final = "wave80px"
-TILTS: Final = ("0-5", "5-10", "10-20", "20-30")
-"""Bands of tilt, degrees, as the judge names them."""
-
 WITHIN: Final = 2
 """Place of the share of slopes within σ among what the judge says of a band; the first is its count of pixels."""
 

@@ -1,7 +1,7 @@
 """The complete path of a scan, from a raw file to results on disk, each size in its own process.
 
 The cost of the σ map is the difference of whole runs with and without it, both without profiler, in turns. Each follows
-one of its own kind that does not count, as a batch has them: after the other kind the system clears pages for 0.3 to
+one of its own kind that does not count, as a batch has them: after the other kind the system clears pages for 0.4 to
 0.8 s more. Runs without σ take it from an earlier run, so that as much is written to disk.
 """
 
