@@ -1,6 +1,8 @@
 #!/bin/bash
-# Gives a freshly flashed Raspberry Pi OS card (or image file) its data partition, before its first boot. Raspberry Pi OS lets
-# its root file system grow over the whole card only when nothing lies behind it, so this must come first.
+# Gives a freshly flashed Raspberry Pi OS card (or image file) its data partition, before its first boot. That boot enlarges root to
+# the card's end, so this must come first. With a partition behind root it leaves root as it is: bookworm's script looks at the table,
+# trixie's resize_early asks parted, which refuses partitions that overlap. The word ` resize` of cmdline.txt stays: it also gives the
+# card an identifier of its own.
 #
 # usage: sudo board/prepare-card.sh [--root-gib 8] DEVICE-or-IMAGE
 #

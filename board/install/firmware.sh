@@ -34,7 +34,51 @@ set_up_firmware() {
     fi
     grep -qx 'include retrograph.txt' "$root$boot/config.txt" ||
         act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
-    [ "$read_only" = no ] || set_overlay "$root$boot/cmdline.txt" overlayroot=tmpfs:recurse=0
+    [ "$read_only" = no ] || end_writing "$boot"
+}
+
+# A read-only root. Its command line comes last: whatever was interrupted before leaves the root writable.
+initramfs_modules=/usr/share/initramfs-tools/modules.d/retrograph
+initramfs_check=/etc/initramfs/post-update.d/zz-retrograph
+end_writing() { # BOOT-FOLDER
+    local drop_in
+    put "$here/board/initramfs/modules" $initramfs_modules
+    put "$here/board/initramfs/check" $initramfs_check 755
+    ! live || make_initramfs "$1"
+    drop_in=$(boot_drop_in "$1")
+    put_text "$drop_in" <<<$'[Mount]\nOptions=ro'
+    set_overlay "$root$1/cmdline.txt" overlayroot=tmpfs:recurse=0
+}
+boot_drop_in() { echo "/etc/systemd/system/$(escaped "$1").mount.d/retrograph.conf"; }
+
+# Every kernel that is installed gets an initramfs with the overlay, and every initramfs that the firmware may load is looked at. On
+# bookworm `update-initramfs -u` alone leaves out that of a Pi 5 (raspberrypi/bookworm-feedback, issue 326).
+make_initramfs() { # BOOT-FOLDER
+    local version image images=()
+    for version in "$root"/lib/modules/*/; do
+        version=$(basename "$version")
+        image=$root/boot/initrd.img-$version
+        [ -e "$root/boot/vmlinuz-$version" ] || continue
+        images+=("$image")
+        if [ ! -e "$image" ] || ! bash "$here/board/initramfs/check" - "$image" 2>/dev/null; then
+            act "make the initramfs of kernel $version" update_initramfs "$version" "$image"
+        fi
+    done
+    for image in "$root$1"/initramfs* "$root$1"/initrd.img*; do
+        [ ! -e "$image" ] || images+=("$image")
+    done
+    [ "$dry" = no ] || return 0
+    [ ${#images[@]} != 0 ] || not_read_only "there is no initramfs in $1 or /boot, which an overlay needs"
+    bash "$here/board/initramfs/check" - "${images[@]}" || not_read_only "an initramfs cannot mount an overlay"
+}
+update_initramfs() { # VERSION IMAGE
+    local how=-c
+    [ ! -e "$2" ] || how=-u
+    quietly update-initramfs $how -k "$1" || not_read_only "update-initramfs $how -k $1 failed"
+}
+not_read_only() {
+    printf 'install.sh: %s: the root file system stays writable\n' "$1" >&2
+    exit 1
 }
 # The overlay of the profile's own sensor in place of a search: what is asked for is there, or named as missing. On a Pi 5 that
 # is the connector CAM/DISP 1. Other drivers than picamera2 have no camera here.
@@ -56,8 +100,12 @@ make_writable() {
     local boot
     boot=$(boot_folder)
     [ -n "$boot" ] || refuse "no config.txt: this is no Raspberry Pi, and --read-only did nothing here"
+    local ours
+    ! live || [ "$dry" = yes ] || ! mountpoint -q "$boot" || mount -o remount,rw "$boot"
     set_overlay "$root$boot/cmdline.txt" ''
-    [ ! -e "$root$swap_in_memory" ] || act "remove $swap_in_memory" remove_below_overlay "$swap_in_memory"
+    for ours in "$swap_in_memory" "$(boot_drop_in "$boot")"; do
+        [ ! -e "$root$ours" ] || act "remove $ours" remove_below_overlay "$ours"
+    done
 }
 # What is removed from an overlay in memory is back at the next boot: it goes from the root below. The root comes first to be
 # writable, whatever becomes of this.

@@ -13,7 +13,8 @@ installed_files() {
         /etc/retrograph/board.toml /etc/retrograph/release-signers /usr/local/lib/retrograph/first-boot /usr/local/lib/retrograph/usb-gadget \
         /usr/local/sbin/retrograph-slot /usr/local/bin/retroscan /data/network/retrograph-usb.nmconnection \
         /boot/firmware/retrograph.txt /boot/firmware/overlays/retrograph.dtbo /boot/retrograph.txt \
-        /boot/overlays/retrograph.dtbo "$no_swap_file" "$swap_in_memory" | tr ' ' '\n'
+        /boot/overlays/retrograph.dtbo "$no_swap_file" "$swap_in_memory" \
+        "$initramfs_modules" "$initramfs_check" "$(boot_drop_in /boot/firmware)" "$(boot_drop_in /boot)" | tr ' ' '\n'
 }
 
 # Outermost last. Whatever of them holds something stays.
@@ -21,7 +22,7 @@ installed_folders() {
     local part
     for part in retroscan retroscan-tui retrograph-trial; do echo "/etc/systemd/system/$part.service.d"; done
     for part in journald system logind timesyncd; do echo "/etc/systemd/$part.conf.d"; done
-    dirname "$no_swap_file" "$swap_in_memory"
+    dirname "$no_swap_file" "$swap_in_memory" "$(boot_drop_in /boot/firmware)" "$(boot_drop_in /boot)"
     echo /etc/polkit-1/rules.d /etc/polkit-1 | tr ' ' '\n'
     echo /etc/retrograph /usr/local/lib/retrograph /srv/retrograph/store /srv/retrograph /var/lib/retroscan \
         /var/lib/retroscan-pairing /data/{store,pairing,ssh,network,netplan,journal,timesync} /data | tr ' ' '\n'

@@ -17,6 +17,7 @@ from device.acquisition.capture import (
 )
 from device.errors import CalibrationError, DeviceError
 from device.imaging.exposure import BRIGHTEST_PERCENTILE, Levels, channel_levels
+from device.io.root_overlay import root_fault
 from device.quality.thresholds import LOW_BATTERY
 from hal.board_profile import LightConfig
 from hal.errors import HalError
@@ -49,6 +50,8 @@ def selftest(hardware: Hardware, ask_for_push: bool = False) -> Iterator[Finding
     ask_for_push : also wait for a push of the button
     """
     yield _tested("power", lambda: _power(hardware))
+    if fault := root_fault():
+        yield Finding("root file system", "warning", fault)
     with ExitStack() as held:
         button = _tested("button", lambda: _button(hardware, held))
         yield button

@@ -1,4 +1,4 @@
-"""What the operator must hear of before it stops the work: battery and room for scans."""
+"""What the operator must hear of before it stops the work: supply, battery, root file system and room for scans."""
 
 from __future__ import annotations
 
@@ -21,14 +21,19 @@ LOW_ROOM_SCANS: Final = 50
 NO_ROOM: Final = "no room for another scan: offload scans, or free space"
 
 
-def alarms(power: PowerReading, scans_left: int | None) -> tuple[str, ...]:
-    """Every alarm, one sentence each, most urgent first; None and unmeasured values raise none."""
+def alarms(power: PowerReading, scans_left: int | None, root: str | None = None) -> tuple[str, ...]:
+    """Every alarm, one sentence each, most urgent first; None and unmeasured values raise none.
+
+    root : what is wrong with the root file system (`device.io.root_overlay`)
+    """
     found = []
     charge = power.battery_share
     if power.under_voltage:
         found.append("the supply voltage is too low: use a stronger supply")
     if charge is not None:
         found += [text.format(charge=charge) for limit, text in BATTERY_ALARMS if charge <= limit][:1]
+    if root:
+        found.append(root)
     if scans_left == 0:
         found.append(NO_ROOM)
     elif scans_left is not None and scans_left <= LOW_ROOM_SCANS:

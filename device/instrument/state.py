@@ -219,7 +219,7 @@ class InstrumentState:
     levels : light on the skin, while a screen asks for it
     balance : the exposure balance, or the last one; None: there was none since the start
     next_light : of the next calibration; None: not known yet
-    alarms : battery and room for scans, most urgent first
+    alarms : supply, battery, root file system and room for scans, most urgent first
     sentence : the last message
     """
 

@@ -28,6 +28,7 @@ from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.spot_search import SpotSearch
 from device.instrument.state import SpotState, StateStore
 from device.io.memory import give_back_memory
+from device.io.root_overlay import root_fault
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware
@@ -378,9 +379,9 @@ class InstrumentWorker:
             self._active.follow()
 
     def _raise_alarms(self) -> None:
-        """Announce new alarms of battery and room; stop in order once the battery is nearly empty."""
+        """Announce new alarms; stop in order once the battery is nearly empty."""
         state = self.states.state
-        found = alarms(state.power, state.scans_left)
+        found = alarms(state.power, state.scans_left, root_fault())
         for sentence in found:
             if not alarm_kinds((sentence,)) <= alarm_kinds(state.alarms):
                 self.states.publish(Failed(sentence))

@@ -20,6 +20,7 @@ FOLDERS = (
     "etc/NetworkManager/system-connections",
     "etc/avahi/services",
     "etc/default",
+    "etc/initramfs/post-update.d",
     "etc/modules-load.d",
     "etc/netplan",
     "etc/ssh/sshd_config.d",
@@ -31,6 +32,7 @@ FOLDERS = (
     "usr/local/bin",
     "usr/local/lib",
     "usr/local/sbin",
+    "usr/share/initramfs-tools/modules.d",
     "var/lib",
 )
 """That any card has."""
@@ -71,7 +73,7 @@ case "$1 $2" in
     case $wheel in
     *.whl)
         [ ! -e "$(dirname "$wheel")/retroscan" ] || cp "$(dirname "$wheel")/retroscan" "$(dirname "$0")/retroscan" ;;
-    *) echo "$*" >>"${0%/*}/pip-calls" ;;
+    *) echo "$* TMPDIR=${TMPDIR:-}" >>"${0%/*}/pip-calls" && touch "${TMPDIR:?}/wheel" ;;
     esac ;;
 esac
 """,

@@ -178,6 +178,9 @@ def test_the_usb_adapter_has_addresses_of_its_own(gadget: Path, run: Run) -> Non
     assert device[2:] == host[2:]
     assert len(device.split(":")) == 6
     assert (gadget / "strings/0x409/serialnumber").read_text() == "100000001234abcd"
+    attributes = int((gadget / "configs/c.1/bmAttributes").read_text(), 16)
+    assert attributes & 0x40, "self-powered: a hub without a supply of its own takes it"
+    assert int((gadget / "configs/c.1/MaxPower").read_text()) <= 100
     before = (gadget / "UDC").stat().st_mtime_ns
     assert run("systemd/usb-gadget", "start").returncode == 0
     assert (gadget / "UDC").stat().st_mtime_ns == before

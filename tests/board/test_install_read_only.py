@@ -16,6 +16,8 @@ pytestmark = pytest.mark.skipif(
 BOARD = ("--board", "pi5-imx296", "--no-app", "--read-only")
 NO_FILE = "etc/systemd/system/dphys-swapfile.service.d/retrograph.conf"
 IN_MEMORY = "etc/rpi/swap.conf.d/90-retrograph.conf"
+BOOT_READ_ONLY = "etc/systemd/system/boot-firmware.mount.d/retrograph.conf"
+KERNELS = ("6.12.75+rpt-rpi-v8", "6.12.75+rpt-rpi-2712")
 CONFIGURATION = "etc/rpi/swap.conf"
 
 
@@ -109,3 +111,128 @@ def test_a_cloud_init_that_is_switched_off_is_not_waited_for(fresh: Path, run: R
     (fresh / off).parent.mkdir(parents=True)
     (fresh / off).touch()
     assert install(run, fresh, *BOARD)
+
+
+def test_the_boot_partition_is_read_only_as_long_as_the_root_is(fresh: Path, run: Run) -> None:
+    assert f"write /{BOOT_READ_ONLY}" in install(run, fresh, *BOARD)
+    assert (fresh / BOOT_READ_ONLY).read_text() == "[Mount]\nOptions=ro\n"
+    assert f"remove /{BOOT_READ_ONLY}" in install(run, fresh, "--writable")
+    install(run, fresh, *BOARD)
+    install(run, fresh, "--uninstall")
+    assert not (fresh / BOOT_READ_ONLY).parent.exists()
+    assert not list((fresh / "usr/share/initramfs-tools/modules.d").iterdir())
+    assert not list((fresh / "etc/initramfs/post-update.d").iterdir())
+
+
+@pytest.mark.skipif(
+    not Path("/usr/lib/systemd/system-generators/systemd-fstab-generator").exists(), reason="systemd is not installed"
+)
+def test_systemd_mounts_the_boot_partition_of_fstab_as_that_file_has_it(fresh: Path, run: Run, tmp_path: Path) -> None:
+    """Its unit is made of fstab; the file beside it is the later word on the options."""
+    install(run, fresh, *BOARD)
+    fstab, units = tmp_path / "fstab", tmp_path / "units"
+    fstab.write_text("PARTUUID=deadbeef-01 /boot/firmware vfat defaults 0 2\n")
+    units.mkdir()
+    subprocess.run(
+        ["/usr/lib/systemd/system-generators/systemd-fstab-generator", units, units, units],
+        env={**os.environ, "SYSTEMD_FSTAB": str(fstab), "SYSTEMD_PROC_CMDLINE": "root=PARTUUID=deadbeef-02"},
+        check=True,
+    )
+    assert "Where=/boot/firmware" in (units / "boot-firmware.mount").read_text()
+    assert (fresh / BOOT_READ_ONLY).parent.name == "boot-firmware.mount.d"
+
+
+@pytest.fixture
+def live(fresh: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Make the initramfs of a scratch root, with an update-initramfs that makes what `makes` lists."""
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    listing = '#!/bin/bash\ncat "${*: -1}"\n'
+    update = '#!/bin/bash\necho "$*" >>"$ROOT/asked"; printf "%s\\n" $MAKES >"$ROOT/boot/initrd.img-$3"\n'
+    for name, text in (("lsinitramfs", listing), ("update-initramfs", update)):
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    for kernel in KERNELS:
+        (fresh / "lib/modules" / kernel).mkdir(parents=True)
+        (fresh / "boot" / f"vmlinuz-{kernel}").touch()
+
+    def run(makes: str, dry: str = "no") -> subprocess.CompletedProcess[str]:
+        root = Path(__file__).parents[2]
+        script = (
+            f"set -euo pipefail; here={root}; root=$ROOT; dry={dry}; changes=0; scratch={tmp_path}\n"
+            'say() { echo "$*"; }; live() { false; }\n'
+            'for part in actions firmware; do . "$here/board/install/$part.sh"; done\n'
+            "make_initramfs /boot/firmware"
+        )
+        environment = {"PATH": f"{programs}:{os.environ['PATH']}", "ROOT": str(fresh), "MAKES": makes}
+        return subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+WHOLE = "scripts/init-bottom/overlayroot usr/lib/modules/6.12/kernel/fs/overlayfs/overlay.ko.xz"
+
+
+def test_every_kernel_gets_an_initramfs_with_the_overlay_also_where_it_had_none(
+    fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """Bookworm's overlayroot makes that of the kernel that a Pi 4 boots, and leaves out that of a Pi 5."""
+    (fresh / f"boot/initrd.img-{KERNELS[0]}").write_text("\n".join(WHOLE.split()))
+    ran = live(WHOLE)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert (fresh / "asked").read_text().splitlines() == [f"-c -k {KERNELS[1]}"]
+    assert live(WHOLE).stdout == "", "the second run finds everything in place"
+
+
+@pytest.mark.parametrize(
+    ("makes", "lacks"),
+    [
+        ("scripts/init-bottom/overlayroot usr/lib/modules/6.18.29/kernel/fs/ext4/ext4.ko.xz", "the driver overlay"),
+        ("usr/lib/modules/6.12/kernel/fs/overlayfs/overlay.ko", "the script overlayroot"),
+        ("init", "the script overlayroot and the driver overlay"),
+    ],
+)
+def test_an_initramfs_without_overlay_is_refused_by_name(
+    fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]], makes: str, lacks: str
+) -> None:
+    """What overlayroot itself passes over in silence."""
+    ran = live(makes)
+    assert ran.returncode == 1
+    images = [f"{fresh}/boot/initrd.img-{kernel}" for kernel in sorted(KERNELS)]
+    assert ran.stderr.splitlines() == [
+        f"retrograph: {images[0]} lacks {lacks}: the root file system would be writable",
+        "install.sh: an initramfs cannot mount an overlay: the root file system stays writable",
+    ]
+
+
+def test_the_firmwares_own_copy_is_looked_at_too(
+    fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    (fresh / "boot/firmware/initramfs_2712").write_text("init\n")
+    ran = live(WHOLE)
+    assert ran.returncode == 1
+    assert f"{fresh}/boot/firmware/initramfs_2712 lacks the script overlayroot" in ran.stderr
+
+
+def test_a_system_without_any_initramfs_is_refused(
+    fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    shutil.rmtree(fresh / "lib/modules")
+    ran = live(WHOLE)
+    assert ran.returncode == 1
+    assert "there is no initramfs in /boot/firmware or /boot, which an overlay needs" in ran.stderr
+    assert live(WHOLE, dry="yes").returncode == 0
+
+
+def test_a_kernel_update_without_overlay_fails_by_name(
+    fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]], run: Run, tmp_path: Path
+) -> None:
+    """update-initramfs runs what is in post-update.d after each image, with version and image."""
+    install(run, fresh, *BOARD)
+    image = tmp_path / "initrd.img-6.18.29"
+    image.write_text("scripts/init-bottom/overlayroot\n")
+    check = fresh / "etc/initramfs/post-update.d/zz-retrograph"
+    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    ran = subprocess.run([check, "6.18.29", image], env=environment, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr.count("\n")) == (1, 1)
+    assert f"{image} lacks the driver overlay" in ran.stderr

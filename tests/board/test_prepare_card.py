@@ -82,6 +82,31 @@ def test_twice_is_once(card: Path) -> None:
     assert partitions(card) == before
 
 
+@pytest.mark.skipif(shutil.which("parted", path=PATH) is None, reason="parted is not installed")
+@pytest.mark.parametrize("is_prepared", [True, False])
+def test_the_first_boot_of_trixie_enlarges_root_unless_the_card_is_prepared(card: Path, is_prepared: bool) -> None:
+    """Its initramfs gives parted the card's last sector, with these words, and goes on where parted refuses."""
+    if is_prepared:
+        prepare("--root-gib", "1", card)
+    before, last = partitions(card), 4 * GIB // 512 - 1
+    command = ("parted", "-m", card, "u", "s", "resizepart", "2", str(last))
+    ran = subprocess.run(command, input="", capture_output=True, text=True, check=False, env={"PATH": PATH})
+    assert (ran.returncode != 0) == is_prepared, ran.stdout
+    assert (partitions(card) == before) == is_prepared
+    assert ("overlapping" in ran.stdout + ran.stderr) == is_prepared
+
+
+def test_the_boot_partition_and_its_command_line_stay_as_they_are(card: Path) -> None:
+    """In cmdline.txt stands what trixie's first boot has to do."""
+    with card.open("r+b") as file:
+        file.seek(MIB)
+        file.write(b"root=PARTUUID=deadbeef-02 rootwait resize\n")
+    prepare("--root-gib", "1", card)
+    with card.open("rb") as file:
+        file.seek(MIB)
+        assert file.read(64).startswith(b"root=PARTUUID=deadbeef-02 rootwait resize\n\0")
+
+
 STEPS = ("sfdisk", "e2fsck", "resize2fs", "mkfs.ext4", "sfdisk --append")
 
 

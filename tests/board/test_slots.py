@@ -90,6 +90,19 @@ def test_packages_are_proven_by_hash_and_taken_from_the_folder_when_it_has_them(
     assert f"--no-index --find-links {folder}/wheels" in offline
 
 
+def test_pip_unpacks_on_the_data_partition_and_leaves_nothing_there(app: Path, run: Run, release: Release) -> None:
+    """A Zero 2 W's /tmp lies in memory, and is smaller than the packages."""
+    assert run(SLOT, "install", release("1.0")).returncode == 0
+    calls = (app / "a/bin/pip-calls").read_text()
+    assert "--no-cache-dir" in calls
+    assert calls.endswith(f" TMPDIR={app}/scratch\n")
+    assert not (app / "scratch").exists()
+    (app / "scratch").mkdir()
+    (app / "scratch/of-a-power-cut").touch()
+    assert run(SLOT, "install", release("1.1", start=1)).returncode == 1
+    assert not (app / "scratch").exists()
+
+
 def test_an_interrupted_filling_is_no_slot_to_go_back_to(app: Path, run: Run, release: Release) -> None:
     run(SLOT, "install", release("1.0"))
     (app / "b/bin").mkdir(parents=True)
