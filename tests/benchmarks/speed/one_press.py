@@ -7,6 +7,7 @@ so the CPU time of a step on this machine is added where something waits for it.
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -22,12 +23,15 @@ from hal.clock import VirtualClock
 from hal.drivers.blink_indicator import RHYTHMS
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import emulated_hardware
 from hal.simulator.gallery import specimen
 from hal.simulator.scene import Press
 from tests.benchmarks.speed.fresh import fresh
 from tests.benchmarks.speed.plan import Plan, Shape, named
 from tests.benchmarks.speed.specimen import BALL_RADIUS_MM, twin_of
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "apparatus"))
+
+from emulated_board import emulated_hardware
 
 PRESSES = 20
 APART_S = 3.0

@@ -4,6 +4,8 @@ import dataclasses
 
 import msgspec
 import pytest
+from emulated_board import emulated_hardware
+from fake_v4l2 import usb_sensor
 
 from device.acquisition.auto_exposure import AIMED_LEVEL, MIN_STEPS, auto_exposure
 from device.acquisition.capture import capture
@@ -15,8 +17,6 @@ from hal.clock import VirtualClock
 from hal.hardware import Hardware
 from hal.interfaces import PressBall
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.fake_v4l2 import usb_sensor
-from hal.simulator.emulated.hardware import emulated_hardware
 from hal.simulator.hardware import twin_hardware
 
 BALL_RADIUS_MM = 3.0

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 import tifffile
+from emulated_board import GAUGE_AT, Chip, emulated_hardware
 
 import device.acquisition.scanner
 from device.acquisition.calibrate import calibrate
@@ -21,7 +22,6 @@ from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import LiftOff, LightFault, MayLift, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import GAUGE_AT, Chip, emulated_hardware
 
 BALL_RADIUS_MM = 3.0
 

@@ -3,6 +3,7 @@ from collections.abc import Mapping
 
 import msgspec
 import pytest
+from emulated_board import Chip, emulated_hardware
 
 from device.acquisition.capture import (
     GAIN_MARGIN,
@@ -21,7 +22,6 @@ from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.interfaces import LightFault
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import Chip, emulated_hardware
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.sensor_controls import SENSORS, granted
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated_board import GAUGE_AT, LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
@@ -20,7 +21,6 @@ from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.interfaces import LiftOff
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.hardware import GAUGE_AT, LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 FAULT_SHARE = 0.05
 

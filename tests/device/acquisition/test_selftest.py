@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 import pytest
+from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 from device.acquisition.selftest import Finding, selftest
 from hal.errors import LightError
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.hardware import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 PARTS = ["power", "button", "light driver", "indicator", "camera", "darkness", "light red", "light green", "light blue"]
 

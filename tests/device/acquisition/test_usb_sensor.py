@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from fake_v4l2 import FakeVideo, usb_sensor
 
 from device.acquisition.auto_exposure import AIMED_LEVEL, auto_exposure
 from device.acquisition.calibrate import calibrate
@@ -21,7 +22,6 @@ from hal.errors import CameraError
 from hal.hardware import Hardware
 from hal.interfaces import MayLift, PressObject
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_v4l2 import FakeVideo, usb_sensor
 
 
 @pytest.fixture

@@ -8,6 +8,8 @@ import os
 import sys
 import time
 
+from emulated_board import emulated_hardware
+
 from device.acquisition import instrument_lock
 from device.cli import main as program
 from hal.board_profile import BoardProfile
@@ -15,8 +17,7 @@ from hal.clock import SystemClock
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import build
-from hal.simulator.emulated.chip_models import RegisterChip
-from hal.simulator.emulated.hardware import emulated_hardware
+from hal.simulator.led_chips import RegisterChip
 
 
 def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:

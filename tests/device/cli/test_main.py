@@ -190,7 +190,7 @@ def test_a_program_that_is_ended_while_it_is_lit_ends_dark(number: signal.Signal
     program = subprocess.Popen(
         [sys.executable, Path(__file__).parent / "lit_program.py", *arguments],
         cwd=Path(__file__).parents[3],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])} | ({"SLOW_BUS": "1"} if again else {}),
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)} | ({"SLOW_BUS": "1"} if again else {}),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

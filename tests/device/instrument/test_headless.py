@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
+from fake_gpio import Edge
 
 from device.acquisition.selftest import selftest
 from device.cli.headless import run_headless
@@ -16,8 +18,6 @@ from hal.drivers.blink_indicator import BlinkIndicator
 from hal.errors import IndicatorError
 from hal.interfaces import ButtonPress, OperatorRequest
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_gpio import Edge
-from hal.simulator.emulated.hardware import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 SECOND = 1_000_000_000
 

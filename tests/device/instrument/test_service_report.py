@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 from device.acquisition.sd_notify import SdNotify
 from device.cli.headless import run_headless
@@ -10,7 +11,6 @@ from device.cli.service import BROKEN_WAIT_S, ServiceReport
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.hardware import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
 
 class Heard(SdNotify):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from emulated_board import EmulatedBoard, emulated_hardware
 
 from device.cli.headless import run_headless
 from device.instrument.instrument import Instrument
@@ -12,7 +13,6 @@ from device.store.store import BundleStore
 from hal.drivers import camera_pipeline
 from hal.errors import CameraError, CameraStuck
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.hardware import EmulatedBoard, emulated_hardware
 
 
 @pytest.fixture

@@ -8,12 +8,12 @@ import os
 from collections.abc import Callable
 
 import pytest
+from emulated_board import emulated_hardware
 
 from hal.board_profile import load_board_profile
 from hal.factory import open_hardware
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import emulated_hardware
 from hal.simulator.hardware import twin_hardware
 
 Factory = Callable[[SimulatedScene], Hardware]

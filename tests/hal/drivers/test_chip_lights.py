@@ -2,6 +2,8 @@
 
 import msgspec
 import pytest
+from emulated_board import LED_CHANNELS, LIGHTS_AT, SPARE_CHANNEL, EmulatedBoard, emulated_hardware
+from fake_i2c import FakeI2cBus
 
 from hal.drivers.chip_lights import ChipLights
 from hal.drivers.i2c_bus import I2cChip
@@ -9,9 +11,7 @@ from hal.drivers.lights_pca9955b import Pca9955b
 from hal.errors import LightError
 from hal.interfaces import LightFault
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.chip_models import Pca9955bModel
-from hal.simulator.emulated.fake_i2c import FakeI2cBus
-from hal.simulator.emulated.hardware import LED_CHANNELS, LIGHTS_AT, SPARE_CHANNEL, EmulatedBoard, emulated_hardware
+from hal.simulator.led_chips import Pca9955bModel
 
 CURRENTS_MA = {"red": 6.4, "green": 4.9, "blue": 4.9}
 

@@ -1,13 +1,13 @@
 """Bouncing, chatter and long presses, in virtual time."""
 
 import pytest
+from emulated_board import EmulatedBoard, emulated_hardware
+from fake_gpio import BOUNCES_MS
 
 from hal.drivers.button_debounced import QUIET_NS, Debouncer
 from hal.drivers.gpio_lines import Edge
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_gpio import BOUNCES_MS
-from hal.simulator.emulated.hardware import EmulatedBoard, emulated_hardware
 
 MS = 1_000_000
 

@@ -13,6 +13,7 @@ import pytest
 
 HERE = Path(__file__).parent / "mock_bus"
 ROOT = Path(__file__).parents[3]
+APPARATUS_PATH = f"{ROOT}{os.pathsep}{ROOT / 'tests/apparatus'}"
 PRELOAD = "libumockdev-preload.so.0"
 SYSTEM_PYTHON = "/usr/bin/python3"
 WANTED = "import gi; gi.require_version('UMockdev', '1.0')"
@@ -45,7 +46,7 @@ class MockBus:
         return dict(json.loads(self._from.readline()))
 
     def talk(self, *arguments: str) -> list[dict[str, Any]]:
-        environment = {**os.environ, "UMOCKDEV_DIR": self.root, "LD_PRELOAD": PRELOAD, "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, "UMOCKDEV_DIR": self.root, "LD_PRELOAD": PRELOAD, "PYTHONPATH": APPARATUS_PATH}
         ran = subprocess.run(
             [sys.executable, HERE / "talk.py", *arguments],
             env=environment,
@@ -62,7 +63,7 @@ class MockBus:
 def bus() -> Iterator[MockBus]:
     server = subprocess.Popen(
         ["umockdev-wrapper", SYSTEM_PYTHON, HERE / "serve.py"],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
+        env={**os.environ, "PYTHONPATH": APPARATUS_PATH, "PYTHONDONTWRITEBYTECODE": "1"},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from emulated_board import CAMERA_ID, EmulatedBoard, emulated_hardware
 
 from hal.board_profile import BoardProfile, LibcameraConfig
 from hal.clock import VirtualClock
@@ -14,7 +15,6 @@ from hal.drivers.picamera_stack import load_picamera2
 from hal.errors import CameraError, DriverMissing, FrameTimeout
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import CAMERA_ID, EmulatedBoard, emulated_hardware
 
 
 @pytest.fixture

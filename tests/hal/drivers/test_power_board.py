@@ -1,12 +1,12 @@
 from pathlib import Path
 
 import pytest
+from emulated_board import GAUGE_AT, emulated_hardware
 
 from hal.drivers.power_board import BoardPower, read_throttled_file, run_vcgencmd, throttle_reading
 from hal.errors import PowerError
 from hal.interfaces import PowerReading
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.hardware import GAUGE_AT, emulated_hardware
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
 
 from hal.drivers.camera_uvc import UvcCamera
 from hal.drivers.uvc_choice import ChosenCamera
@@ -13,7 +14,6 @@ from hal.errors import BoardProfileError, CameraError, FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
 from hal.uvc_table import UvcConfig
 
 ASKED = CameraSettings(exposure_us=3_000.0, analogue_gain=2.0)

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from fake_v4l2 import FakeVideo, encoded, uvc_profile
 
 from hal.drivers.usb_hardware import usb_hardware
 from hal.drivers.v4l2_stack import StreamFormat
@@ -13,7 +14,6 @@ from hal.frame import RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import Clock
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_v4l2 import FakeVideo, encoded, uvc_profile
 
 DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))
 FRAMES = sorted((DATA / "taxim-small").glob("*.png"))

@@ -4,6 +4,9 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from emulated_board import LIGHTS_AT, emulated_profile
+from fake_gpio import FakeGpioLine
+from fake_i2c import FakeI2cBus
 
 from device.acquisition.selftest import selftest
 from hal.board_profile import BoardProfile, load_board_profile
@@ -14,11 +17,8 @@ from hal.errors import BoardProfileError, LightError
 from hal.factory import open_hardware
 from hal.hardware import Hardware
 from hal.simulator.bench import build
-from hal.simulator.emulated.chip_models import Pca9955bModel
-from hal.simulator.emulated.fake_gpio import FakeGpioLine
-from hal.simulator.emulated.fake_i2c import FakeI2cBus
-from hal.simulator.emulated.hardware import LIGHTS_AT, emulated_profile
-from hal.simulator.emulated.mirrored_board import MirroredBus, mirrored_board_hardware
+from hal.simulator.led_chips import Pca9955bModel
+from hal.simulator.mirrored_board import MirroredBus, mirrored_board_hardware
 
 
 @pytest.fixture

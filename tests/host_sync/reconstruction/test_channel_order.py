@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from emulated_board import emulated_hardware
 
 from device.acquisition.calibrate import calibrate
 from device.bundles.raw_frame import write_raw
@@ -14,7 +15,6 @@ from device.errors import CalibrationMismatch
 from device.store.store import BundleStore
 from hal.frame import BayerOrder, RawFrame
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.hardware import emulated_hardware
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import LibraryReconstructor

@@ -5,13 +5,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from fake_v4l2 import PixelFormat, usb_sensor
 
 from device.acquisition.calibrate import calibrate
 from device.acquisition.capture import CaptureSettings, capture
 from device.store.store import BundleStore
 from hal.interfaces import PressObject
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.emulated.fake_v4l2 import PixelFormat, usb_sensor
 from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.reconstruction.pipeline import reconstruct
 

@@ -12,9 +12,10 @@ import sys
 import gi
 
 gi.require_version("UMockdev", "1.0")
+from gauge_model import Max17048Model  # noqa: E402
 from gi.repository import GLib, UMockdev  # noqa: E402
 
-from hal.simulator.emulated.chip_models import Max17048Model, Pca9955bModel, Tlc59116Model  # noqa: E402
+from hal.simulator.led_chips import Pca9955bModel, Tlc59116Model  # noqa: E402
 
 I2C_SLAVE, I2C_FUNCS, I2C_SMBUS = 0x0703, 0x0705, 0x0720
 BLOCK_DATA, READ = 8, 1

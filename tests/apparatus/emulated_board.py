@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import msgspec
+from fake_gpio import FakeGpioLine
+from fake_i2c import FakeI2cBus
+from fake_picamera2 import FakePicamera2
+from gauge_model import Max17048Model
 
 from hal.board_profile import (
     BoardProfile,
@@ -21,10 +24,8 @@ from hal.drivers.board_hardware import Machine, board_hardware
 from hal.errors import LightError
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.emulated.chip_models import LedDriverModel, Max17048Model, Pca9955bModel, Tlc59116Model
-from hal.simulator.emulated.fake_gpio import FakeGpioLine
-from hal.simulator.emulated.fake_i2c import FakeI2cBus
-from hal.simulator.emulated.fake_picamera2 import FakePicamera2
+from hal.simulator.led_chips import LedDriverModel
+from hal.simulator.mirrored_board import led_model, lighting
 from hal.simulator.operator import TwinOperator
 
 Chip = Literal["PCA9955B", "TLC59116"]
@@ -130,22 +131,3 @@ def emulated_hardware(bench: SimulatedScene, chip: Chip) -> EmulatedBoard:
     )
     hardware = board_hardware(world.profile, world.clock, machine, TwinOperator(world))
     return EmulatedBoard(world, hardware, leds, gauge, wire, cameras, line, firmware, gate)
-
-
-def led_model(chip: Chip, reference_ohm: float) -> LedDriverModel:
-    """Register model of that chip with that resistor at REXT, in its power-on state."""
-    return (Pca9955bModel if chip == "PCA9955B" else Tlc59116Model)(reference_ohm)
-
-
-def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
-    """A callback that drives each light of the world with the mean current of its LEDs, from the chip's registers."""
-
-    def follow() -> None:
-        currents_ma = leds.currents_ma()
-        shining = {
-            light.name: sum(currents_ma[channel] for channel in light.channels) / len(light.channels)
-            for light in world.profile.lights
-        }
-        world.drive({name: current for name, current in shining.items() if current > 0.0})
-
-    return follow

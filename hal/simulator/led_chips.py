@@ -1,4 +1,4 @@
-"""Register models of the LED drivers and the fuel gauge, written from their data sheets, not from the drivers.
+"""Register models of the LED drivers, written from their data sheets, not from the drivers.
 
 They use only the standard library, so that a test in another interpreter can serve them behind a fake `/dev/i2c-1`.
 """
@@ -210,16 +210,3 @@ class Tlc59116Model(LedDriverModel):
         first = 8 * (register - 0x1D)
         sound = [states[n] == 0b01 and n not in self.open_channels and not hot for n in range(first, first + 8)]
         return sum(1 << n for n, well in enumerate(sound) if well)
-
-
-class Max17048Model(RegisterChip):
-    """MAX17048: 16-bit registers, high byte first, transfers always auto-increment."""
-
-    def __init__(self, cell_mv: float = 3700.0, charge_percent: float = 50.0) -> None:
-        super().__init__(0x20, {0x08: 0x00, 0x09: 0x12}, (0x02, 0x03, 0x04, 0x05, 0x08, 0x09), increment=None)
-        self.set_cell(cell_mv, charge_percent)
-
-    def set_cell(self, cell_mv: float, charge_percent: float) -> None:
-        """Set voltage and charge of the cell."""
-        for register, value in ((0x02, round(cell_mv / 0.078125)), (0x04, round(charge_percent * 256.0))):
-            self.registers[register : register + 2] = [value >> 8, value & 0xFF]

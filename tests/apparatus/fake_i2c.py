@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hal.interfaces import Clock
-from hal.simulator.emulated.chip_models import RegisterChip
+from hal.simulator.led_chips import RegisterChip
 
 MAX_BYTES = 32
 STUCK_S = 1.0

@@ -17,10 +17,9 @@ from hal.drivers.i2c_bus import OpenBus, SmBus
 from hal.errors import BoardProfileError
 from hal.hardware import Hardware
 from hal.interfaces import Clock, PressObject
-from hal.simulator.bench import build
+from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.camera import TwinCamera
-from hal.simulator.emulated.chip_models import LedDriverModel
-from hal.simulator.emulated.hardware import led_model, lighting
+from hal.simulator.led_chips import LedDriverModel, Pca9955bModel, Tlc59116Model
 from hal.simulator.operator import TwinOperator
 
 ON_THE_GEL: Final = PressObject("coin")
@@ -80,3 +79,22 @@ def _mirroring(open_bus: OpenBus, config: LightDriverConfig, model: LedDriverMod
         return MirroredBus(bus, config.address, model) if number == config.bus else bus
 
     return opened
+
+
+def led_model(chip: str, reference_ohm: float) -> LedDriverModel:
+    """Register model of that chip with that resistor at REXT, in its power-on state."""
+    return (Pca9955bModel if chip == "PCA9955B" else Tlc59116Model)(reference_ohm)
+
+
+def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
+    """A callback that drives each light of the world with the mean current of its LEDs, from the chip's registers."""
+
+    def follow() -> None:
+        currents_ma = leds.currents_ma()
+        shining = {
+            light.name: sum(currents_ma[channel] for channel in light.channels) / len(light.channels)
+            for light in world.profile.lights
+        }
+        world.drive({name: current for name, current in shining.items() if current > 0.0})
+
+    return follow

@@ -1,1 +1,0 @@
-"""Emulated chips, lines and camera stack on which the real drivers run."""
