@@ -16,7 +16,14 @@ from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable,
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import fit_sphere
 from host_sync.profile.profile_line import Line, Profile, profile_along
-from host_sync.profile.step_height import StepEdges, definition_sigma_um, find_edges, room_share, step_height_um
+from host_sync.profile.step_height import (
+    StepEdges,
+    definition_sigma_um,
+    find_edges,
+    require_step,
+    room_share,
+    step_height_um,
+)
 
 _UM: Final = ParameterKind("µm")
 _LENGTH: Final = ParameterKind("µm", 1.0)
@@ -105,6 +112,7 @@ class StepMeasurand(_Plain):
         self.masked_share = self.profile.masked_share
         self._are_found = not table.edges_um
         self.edges = StepEdges(table.kind, table.edges_um) if table.edges_um else find_edges(self.profile, table.kind)
+        require_step(self.profile, self.edges, are_found=self._are_found)
         found = step_height_um(self.profile, self.edges)
         if table.kind == "ridge" and found < 0.0:
             raise MeasurementError("the line crosses a groove and no ridge: set kind, or draw it elsewhere")

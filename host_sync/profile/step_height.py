@@ -49,6 +49,21 @@ FLANK_LEVELS: Final = (0.1, 0.9)
 MIN_RISE: Final = 1e-3
 """A step's share of the largest height below which the profile's tilt has taken it up."""
 
+MAX_OF_SPAN: Final = 1.1
+"""A height over the difference of the profile's extreme heights: a surface that sags beside its edge exceeds 1."""
+
+MIN_EXPLAINED: Final = 0.5
+"""Share of the heights' square about a straight line that a found step must explain."""
+
+GIVEN_MARGIN: Final = 2.0
+"""A step at given edges leaves no more than so many times what a smooth curve leaves: noise hides a faint step."""
+
+SMOOTH_DEGREE: Final = 3
+"""Degree of the smooth curve, which has as many parameters as a step has."""
+
+MIN_SIDE: Final = 0.25
+"""A groove has two flanks: the lower is at least this share of the higher, else the profile shows a step."""
+
 MIN_SAMPLES: Final = 3
 QUANTILES: Final = (0.02, 0.98)
 ROUNDS: Final = 4
@@ -109,6 +124,53 @@ def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
         if abs(still) > MAX_CHANGE * abs(found[0]):
             return float("nan")
     return float(np.hypot(np.std(found), still))
+
+
+def require_step(profile: Profile, edges: StepEdges, *, are_found: bool) -> None:
+    """Refuse a fit that shows no step: one higher than the profile, or one that describes it worse than a smooth curve.
+
+    are_found : whether `find_edges` found the edges; given edges may lie at a step that is fainter than the roughness
+
+    Raises
+    ------
+    MeasurementError
+        The profile shows no step.
+    """
+    used = used_samples(profile, edges)
+    sides = _sides(profile, edges, IGNORED_SHARE, REACH_FLANKS)[used]
+    along, z_um = profile.along_um[used], profile.z_um[used]
+    place = (along - along.mean()) / np.ptp(along)
+    line, smooth = (_rest(np.vander(place, degree + 1), z_um) for degree in (1, SMOOTH_DEGREE))
+    left = _rest(np.stack([np.ones_like(place), place, sides], axis=-1), z_um)
+    height = step_height_um(profile, edges)
+    known = profile.z_um[np.isfinite(profile.z_um)]
+    rounding = np.finfo(np.float32).eps * float(np.abs(known).max())
+    is_there = rounding < abs(height) <= MAX_OF_SPAN * float(np.ptp(known))
+    if are_found:
+        is_there = is_there and left <= min(smooth, (1.0 - MIN_EXPLAINED) * line) + float(used.sum()) * rounding**2
+    else:
+        is_there = is_there and left <= GIVEN_MARGIN * smooth + float(used.sum()) * rounding**2
+    if is_there and edges.kind != "step":
+        beyond = np.where((sides < 0.0) & (along > edges.places_um[1]), 1.0, 0.0)
+        design = np.stack([np.ones_like(place), place, (sides > 0.0).astype(np.float64), beyond], axis=-1)
+        first, other = np.linalg.lstsq(design, z_um, rcond=None)[0][2:]
+        flanks = sorted((first, first - other), key=abs)
+        is_there = bool(flanks[0] * flanks[1] >= MIN_SIDE * flanks[1] ** 2)
+    if not is_there:
+        where, instead = ("", "its") if are_found else (" at the given edges", "other")
+        raise MeasurementError(
+            f"the profile shows no {edges.kind}{where}: draw the line across one, or give {instead} edges"
+        )
+    if np.isnan(definition_sigma_um(profile, edges)):
+        raise MeasurementError(
+            f"the line ends within the flank at {edges.places_um[0]:.0f} µm, so that the step's two levels are not "
+            "known: lengthen it on both sides"
+        )
+
+
+def _rest(design: Float64Array, z_um: Float64Array) -> float:
+    """Sum of the squares that a least-squares fit leaves, µm²."""
+    return float(np.square(z_um - design @ np.linalg.lstsq(design, z_um, rcond=None)[0]).sum())
 
 
 def lines_um(profile: Profile, edges: StepEdges) -> tuple[Float64Array, Float64Array]:

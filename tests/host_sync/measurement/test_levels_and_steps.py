@@ -15,7 +15,14 @@ from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import DistanceTable, LevelTable, Recipe, StepTable, checked
 from host_sync.profile.profile_line import Profile
-from host_sync.profile.step_height import definition_sigma_um, find_edges, step_height_um
+from host_sync.profile.step_height import (
+    StepEdges,
+    StepKind,
+    definition_sigma_um,
+    find_edges,
+    require_step,
+    step_height_um,
+)
 from host_sync.results.field_file import write_mask
 
 Write = Callable[..., Path]
@@ -215,3 +222,80 @@ def test_an_edge_near_one_end_is_measured_however_long_the_line_is() -> None:
         edges = find_edges(profile, "step")
         assert edges.is_cut
         assert step_height_um(profile, edges) == pytest.approx(98.0, abs=0.5)
+
+
+def sloping(along: np.ndarray) -> np.ndarray:
+    """The flank of a sphere of 4 mm, beside its apex."""
+    return -np.sqrt(4000.0**2 - (along + 500.0) ** 2)
+
+
+def bent(along: np.ndarray) -> np.ndarray:
+    return np.maximum(along - 900.0, 0.0) * 0.2
+
+
+NO_STEP: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "noise": lambda along: np.random.default_rng(1).normal(0.0, 1.0, along.size),
+    "ramp": lambda along: 0.3 * along,
+    "flank": sloping,
+    "crest": lambda along: sloping(np.abs(along - 1000.0) - 500.0),
+    "bend": bent,
+    "valley": lambda along: 0.2 * np.abs(along - 900.0),
+    "wave": lambda along: 20.0 * np.sin(along / 150.0),
+    "groove": lambda along: -20.0 * (np.abs(along - 1000.0) < 200.0),
+    "half a wave": lambda along: 20.0 * np.sin((along / 2000.0 - 0.5) * np.pi),
+    "nothing": lambda along: np.full(along.size, 3.0),
+}
+
+
+@pytest.mark.parametrize("shape", NO_STEP)
+def test_a_profile_without_a_step_has_no_step_height(shape: str) -> None:
+    along = np.arange(0.0, 2000.0, PITCH_UM)
+    profile = Profile(NO_STEP[shape](along), PITCH_UM)
+    with pytest.raises(MeasurementError):
+        require_step(profile, find_edges(profile, "step"), are_found=True)
+
+
+@pytest.mark.parametrize("shape", ["flank", "crest", "bend", "ramp", "valley", "half a wave", "nothing"])
+def test_a_given_edge_makes_no_step(shape: str) -> None:
+    along = np.arange(0.0, 2000.0, PITCH_UM)
+    profile = Profile(NO_STEP[shape](along), PITCH_UM)
+    with pytest.raises(MeasurementError, match="shows no step at the given edges"):
+        require_step(profile, StepEdges("step", (950.0,)), are_found=False)
+
+
+def test_a_step_under_noise_is_measured_at_given_edges() -> None:
+    along = np.arange(0.0, 2000.0, PITCH_UM)
+    profile = Profile(np.random.default_rng(1).normal(0.0, 1.0, along.size) + (along > 950.0), PITCH_UM)
+    edges = StepEdges("step", (950.0,))
+    require_step(profile, edges, are_found=False)
+    assert step_height_um(profile, edges) == pytest.approx(1.0, abs=0.5)
+
+
+@pytest.mark.parametrize("kind", ["groove", "ridge"])
+@pytest.mark.parametrize("shape", ["step", "flank", "bend", "crest", "nothing"])
+def test_a_profile_without_a_groove_has_no_depth(kind: StepKind, shape: str) -> None:
+    along = np.arange(0.0, 2000.0, PITCH_UM)
+    z_um = 50.0 * (along > 1000.0) if shape == "step" else NO_STEP[shape](along)
+    profile = Profile(z_um, PITCH_UM)
+    with pytest.raises(MeasurementError):
+        require_step(profile, find_edges(profile, kind), are_found=True)
+
+
+def test_a_measured_step_is_no_higher_than_what_its_line_spans(write_result: Write) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    coin = 400.0 / (1.0 + np.exp((np.hypot(row - 90.0, column) - 150.0) / 12.0))  # rim of a coin under the gel
+    lines = [(x, x + length) for length in (200.0, 350.0, 700.0) for x in (300.0, 500.0, 650.0, 700.0)]
+    steps = tuple(
+        StepTable(name=f"{start:g}-{end:g}", from_um=(start, 450.0), to_um=(min(end, 1190.0), 450.0))
+        for start, end in lines
+    )
+    found = measure_result(write_result(coin.astype(np.float32)), Recipe(parameters=("height",), step=steps))
+    for step in steps:
+        one = number(found, step.name, "height")
+        profile = coin[90, int(step.from_um[0] / PITCH_UM) : int(step.to_um[0] / PITCH_UM) + 1]
+        if one.value is None:
+            assert any("not measured" in words for words in one.warnings)
+        else:
+            assert one.uncertainty is not None
+            assert abs(one.value) <= 1.1 * np.ptp(profile)
+    assert set(found.failed) >= {"300-500", "700-900"}
