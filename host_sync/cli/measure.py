@@ -36,6 +36,7 @@ def measure_command(
     region_um: Region | None = None,
     parameters: Annotated[tuple[str, ...] | None, Parameter(consume_multiple=True)] = None,
     spectrum: bool | None = None,
+    keep_extrapolated: bool | None = None,
     detail: DetailName | None = None,
     coverage_factor: Annotated[Literal[1, 2] | None, Parameter(name=("--coverage-factor", "-k"))] = None,
     json: bool = False,
@@ -68,6 +69,8 @@ def measure_command(
         Groups (height, hybrid, spatial, functional) or single names.
     spectrum
         Also measure the power spectral density.
+    keep_extrapolated
+        Include pixels with slopes beyond those of the calibration's balls, which areal parameters leave out by default.
     detail
         Measure everything on raw or on shrunk detail. Default: roughness on raw detail with its noise subtracted, steps
         and radii on shrunk detail.
@@ -90,6 +93,7 @@ def measure_command(
         "region_um": region_um,
         "parameters": parameters,
         "spectrum": spectrum,
+        "keep_extrapolated": keep_extrapolated,
         "detail": detail,
         "coverage_factor": coverage_factor,
     }

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import cv2
+import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap, MaskArray
@@ -109,6 +110,11 @@ class ArealMeasurand:
     height : the whole height map
     places : of its pixels
     extrapolated : bool array of shape (H, W), True where slopes lie beyond the calibration's training samples; or None
+
+    Attributes
+    ----------
+    masked_share, left_out_share : fractions of the region without a height, and left out as their slopes are
+        extrapolated
     """
 
     name = AREAL_SUBJECT
@@ -128,8 +134,14 @@ class ArealMeasurand:
         self._preparation = Preparation(part, recipe, places.of_part(*self._window))
         self._wanted = _wanted(recipe)
         self._correlation = Autocorrelation(self._preparation.valid) if self._wants("spatial") else None
-        self.masked_share = 1.0 - float(self._preparation.valid.mean())
-        self._beyond_share = 0.0 if beyond is None else float(beyond.mean())
+        whole_um = height.z_um[self._window]
+        self.masked_share = float(np.isnan(whole_um).mean())
+        self._beyond_share = 0.0 if beyond is None else float((beyond & np.isfinite(whole_um)).mean())
+        self.left_out_share = 0.0 if self._left_out is None else self._beyond_share
+        self._whole = None
+        if self.left_out_share:
+            kept = msgspec.structs.replace(recipe, keep_extrapolated=True, parameters=tuple(self._wanted))
+            self._whole = ArealMeasurand(kept, height, places, extrapolated), height.z_um, part.z_um
         self._decay: Decay | None = None
 
     @property
@@ -187,14 +199,23 @@ class ArealMeasurand:
         if self.masked_share > MASKED_SHARE:
             every.append(f"{self.masked_share:.0%} of the area is masked: the surface there may differ")
         if self._beyond_share > BEYOND_SHARE:
-            done = "kept" if self._left_out is None else "left out"
+            done = "it is kept"
+            if self._left_out is not None:
+                done = "it is left out, what that changes is in the ±, and --keep-extrapolated keeps it"
             share = f"{self._beyond_share:.1%} of the area"
             every.append(f"extrapolated slopes: {share} has slopes beyond those of the calibration balls: {done}")
         return {"": tuple(every)} | self._spatial_warnings()
 
     def definition_sigmas(self) -> Mapping[str, float]:
-        """None: the standard defines every parameter."""
-        return {}
+        """By how much the pixels that are left out for their slopes change each parameter: none where all are kept."""
+        if self._whole is None:
+            return {}
+        whole, height_um, part_um = self._whole
+        kept, left = whole.values(height_um), self.parameters(self._preparation.apply(part_um))
+        off = {name: abs(kept[name] - left[name]) for name in self._wanted}
+        if "Std" in off:
+            off["Std"] = min(off["Std"], 180.0 - off["Std"])
+        return off
 
     def notes(self) -> tuple[str, ...]:
         """Notes on region and filters."""

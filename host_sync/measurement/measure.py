@@ -356,6 +356,7 @@ def _quantities(
                 noise_taken_off=taken if known else None,
                 samples=known[2] if known else 0,
                 masked_share=measurand.masked_share,
+                left_out_share=plan.areal.left_out_share if measurand is plan.areal else 0.0,
                 warnings=words,
             )
 

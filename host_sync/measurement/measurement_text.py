@@ -33,6 +33,7 @@ CSV_COLUMNS: Final = (
     "low",
     "high",
     "verdict",
+    "left_out_percent",
 )
 
 
@@ -60,7 +61,7 @@ def as_text(measurement: Measurement) -> str:
         group = list(quantities)
         factor = f"k = {group[0].coverage_factor}"
         lines.append("")
-        lines.append(f"{subject}  ({factor}, {100.0 * group[0].masked_share:.2g} % masked)")
+        lines.append(f"{subject}  ({factor}, {group[0].coverage})")
         width = max(len(one.name) for one in group)
         for one in group:
             verdict = f"   {one.limits.words}" if one.limits else ""
@@ -140,6 +141,7 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
             if one.limits is None
             else (_bound(one.limits.low), _bound(one.limits.high), one.limits.verdict)
         ),
+        f"{100.0 * one.left_out_share:.4g}",
     ]
 
 

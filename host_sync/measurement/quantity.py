@@ -50,6 +50,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     noise_taken_off : noise bias of the pixels that was subtracted; None where nothing was
     samples : number of Monte Carlo samples that gave a value; `draws` in files
     masked_share : fraction of the subject without a height
+    left_out_share : fraction of the subject that is left out as its slopes lie beyond the calibration's balls
     warnings : reasons to distrust the number; `doubts` in files
     limits : its tolerance and the verdict, where the recipe has one
     """
@@ -66,6 +67,7 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     warnings: tuple[str, ...] = msgspec.field(default=(), name="doubts")
     noise_taken_off: float | None = None
     limits: Limits | None = None
+    left_out_share: float = 0.0
 
     @property
     def number(self) -> str:
@@ -85,7 +87,13 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     def sentence(self) -> str:
         """For example "Sa 1.83 ± 0.06 µm (k = 1), 4 % masked"."""
         known = "" if self.uncertainty is None else f" (k = {self.coverage_factor})"
-        return f"{self.name} {self.number}{known}, {100.0 * self.masked_share:.2g} % masked"
+        return f"{self.name} {self.number}{known}, {self.coverage}"
+
+    @property
+    def coverage(self) -> str:
+        """For example "4 % masked, 15 % left out"."""
+        left_out = f", {100.0 * self.left_out_share:.2g} % left out" if self.left_out_share else ""
+        return f"{100.0 * self.masked_share:.2g} % masked{left_out}"
 
 
 LONG_UM: Final = 1e4

@@ -135,7 +135,7 @@ def _numbers(measurement: Measurement) -> Iterator[Table]:
     for subject, group in groupby(measurement.quantities, key=lambda one: one.subject):
         quantities = list(group)
         first = quantities[0]
-        title = f"{subject}: k = {first.coverage_factor}, {100.0 * first.masked_share:.2g} % masked"
+        title = f"{subject}: k = {first.coverage_factor}, {first.coverage}"
         shared = shared_warnings(quantities)
         own = ["; ".join(warning for warning in one.warnings if warning not in shared) for one in quantities]
         remarks = tuple(f"warning: {warning}" for warning in shared)

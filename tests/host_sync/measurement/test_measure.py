@@ -181,8 +181,10 @@ def test_warnings_are_stated(write_result: Write, wave: np.ndarray) -> None:
     found = measure_result(folder, Recipe(l_filter_um=600.0))
     warnings = " ".join(number(found, "Sa").warnings)
     assert "within half the L-filter's nesting index" in warnings
-    assert "50.0% of the area has slopes beyond those of the calibration balls: left out" in warnings
-    assert number(found, "Sa").masked_share == pytest.approx(0.5 + 60 * 60 / torn.size)
+    assert "50.0% of the area has slopes beyond those of the calibration balls: it is left out" in warnings
+    assert number(found, "Sa").masked_share == pytest.approx(60 * 60 / torn.size)
+    assert number(found, "Sa").left_out_share == 0.5
+    assert number(found, "Sa").sentence.endswith("masked, 50 % left out")
     assert "upper limit" in " ".join(number(found, "Str").warnings)
 
 
@@ -195,10 +197,15 @@ def test_slopes_beyond_the_calibration_are_left_out_unless_they_are_asked_for(
     beyond = np.zeros(SHAPE, np.uint8)
     beyond[35:55, 35:55] = 255
     cv2.imwrite(str(folder / "extrapolated.png"), beyond)
-    assert number(measure_result(folder, Recipe()), "Sz").value < 10.0
+    left = number(measure_result(folder, Recipe()), "Sz")
+    assert left.value < 10.0
     kept = number(measure_result(folder, Recipe(keep_extrapolated=True)), "Sz")
     assert kept.value > 450.0
-    assert any(warning.endswith("calibration balls: kept") for warning in kept.warnings)
+    assert any(warning.endswith("calibration balls: it is kept") for warning in kept.warnings)
+    assert kept.left_out_share == 0.0
+    whole, part = measure_result(folder, Recipe(keep_extrapolated=True)), measure_result(folder, Recipe())
+    for name in ("Sa", "Sq", "Sz", "Sdr"):
+        assert abs(number(whole, name).value - number(part, name).value) <= 1.02 * number(part, name).uncertainty
 
 
 def test_a_shape_without_an_l_filter_states_no_uncertainty_and_says_why(write_result: Write, wave: np.ndarray) -> None:
