@@ -53,7 +53,10 @@ ON_THE_CARD = {
     "retrograph-grow.service": ("etc/systemd/system/retrograph-grow.service", 0o644),
     "retrograph-root.service": ("etc/systemd/system/retrograph-root.service", 0o644),
 }
-BEFORE_THE_INITRAMFS = {"machine-id": "etc/initramfs-tools/scripts/init-bottom/retrograph-machine-id"}
+BEFORE_THE_INITRAMFS = {
+    PARTS / "machine-id": "etc/initramfs-tools/scripts/init-bottom/retrograph-machine-id",
+    PARTS.parent / "initramfs" / "modules": "usr/share/initramfs-tools/modules.d/retrograph",
+}
 CONFIG_OF_RASPBERRY_PI = "arm_64bit=1\nauto_initramfs=1\ndtoverlay=vc4-kms-v3d\n"
 """Where the packages write no config.txt, as those of Raspberry Pi OS do not."""
 
@@ -104,8 +107,9 @@ def bootstrap_command(target: Path, sources: Path | None, snapshot: str) -> list
     command = ["mmdebstrap", "--mode=root", "--architectures=arm64", "--variant=minbase"]
     command += [f"--components={','.join(components)}", '--aptopt=APT::Install-Recommends "false"']
     command += [f"--dpkgopt=path-exclude={path}" for path in NOT_KEPT] + [f"--dpkgopt=path-include={COPYRIGHT}"]
-    for name, place in BEFORE_THE_INITRAMFS.items():
-        command.append(f'--essential-hook=install -D -m 755 "{PARTS / name}" "$1/{place}"')
+    for source, place in BEFORE_THE_INITRAMFS.items():
+        mode = "755" if os.access(source, os.X_OK) else "644"
+        command.append(f'--essential-hook=install -D -m {mode} "{source}" "$1/{place}"')
     if sources:
         command.append(f'--setup-hook=install -m 644 "{sources}" "$1/etc/apt/sources.list.d/more.sources"')
     command += [f"--include={','.join(packages(known, sources))}", release, str(target)]
@@ -116,7 +120,7 @@ def debian(cache: Path, sources: Path | None, snapshot: str) -> Path:
     """Archive of the bootstrapped root, kept under a name made of what it depends on."""
     target = cache / "debian.tar.zst"
     command = bootstrap_command(target, sources, snapshot)
-    hooks = "".join((PARTS / name).read_text(encoding="utf-8") for name in BEFORE_THE_INITRAMFS)
+    hooks = "".join(source.read_text(encoding="utf-8") for source in BEFORE_THE_INITRAMFS)
     more = sources.read_text(encoding="utf-8") if sources else ""
     made_of = hashlib.sha256("\0".join([*command, hooks, more]).encode()).hexdigest()
     named = cache / "debian.made-of"
@@ -160,9 +164,25 @@ chroot "$root" env PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels SOURCE_DATE_EPOCH="
     bash /mnt/release/board/retrograph-slot install /mnt/release --skip-selftest
 chroot "$root" chown -R retroscan:retroscan /data/store /data/pairing
 chroot "$root" usermod -p '*' retrosync
+chroot "$root" bash -c 'bash /mnt/release/board/initramfs/check - /boot/initrd.img-* /boot/firmware/init*'
 chroot "$root" dpkg-query -W -f '${Package} ${Version}\n' >"$4"
 """
-"""Within private mounts: the program into its slot, owners, and the list of packages."""
+"""Within private mounts: program into its slot, owners, overlay in every initramfs, list of packages."""
+
+
+def lacking(root: Path, profile: dict[str, Any]) -> list[str]:
+    """Files that a real board's profile needs and this root lacks: firmware's tool, camera's IPA module and tuning."""
+    if profile["driver"] != "picamera2":
+        return []
+    pipeline = "pisp" if profile["button"]["chip_label"] == "pinctrl-rp1" else "vc4"
+    wanted = [
+        f"usr/lib/*/libcamera/**/ipa_rpi_{pipeline}.so",
+        f"usr/share/libcamera/ipa/rpi/{pipeline}/{profile['sensor']['model'].lower()}.json",
+        f"boot/firmware/kernel{'_2712' if pipeline == 'pisp' else '8'}.img",
+    ]
+    if profile["power"]["throttled"] == "vcgencmd":
+        wanted.append("usr/bin/vcgencmd")
+    return [name for name in wanted if not any(root.glob(name))]
 
 
 def furnish(root: Path, options: argparse.Namespace, release: Path, wheels: Path) -> None:
@@ -312,6 +332,7 @@ def build(options: argparse.Namespace) -> None:
     """Make the image that the options describe."""
     check(options)
     known = facts()
+    profile = tomllib.loads((TREE / "board" / f"{options.board}.toml").read_text(encoding="utf-8"))
     options.cache.mkdir(parents=True, exist_ok=True)
     release, root, scratch = TREE / "dist" / "release", options.cache / "root", options.cache / "scratch"
     archive = debian(options.cache, options.sources, options.snapshot)
@@ -322,6 +343,8 @@ def build(options: argparse.Namespace) -> None:
     options.output.parent.mkdir(parents=True, exist_ok=True)
     try:
         call("tar", "--extract", "--file", archive, "--directory", root, "--numeric-owner", "--xattrs", "--zstd")
+        if options.sources and (missing := lacking(root, profile)):
+            raise BuildError(f"{options.sources}: what it lists lacks {', '.join(missing)}")
         furnish(root, options, release, options.cache / "wheels")
         if options.update:
             options.update.mkdir(parents=True, exist_ok=True)
@@ -331,7 +354,6 @@ def build(options: argparse.Namespace) -> None:
             shutil.rmtree(folder, ignore_errors=True)
     size = options.output.stat()
     print(f"{options.output}: {size.st_size >> 20} MiB, {size.st_blocks * 512 >> 20} of them written", flush=True)
-    profile = tomllib.loads((TREE / "board" / f"{options.board}.toml").read_text(encoding="utf-8"))
     if profile["driver"] == "picamera2" and not options.sources:
         print("no SOURCES=FILE: Debian has neither picamera2 nor every sensor's driver: the camera is out of order")
 

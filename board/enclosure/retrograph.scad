@@ -29,7 +29,7 @@ distance = 25;              // from the skin's centre, inside gel and block
 elevation = 30;             // inside the gel
 azimuths = [-90, 150, 30];  // red, green, blue, as position_mm of the profiles
 leds = 2;                   // in each sleeve, side by side: one for each channel of a light
-led = 5.2;                  // bore for a 5 mm LED; 120 degrees wide, or the field's sides stay dark
+led = 5.2;                  // room for a 5 mm LED with a flat top, 60 degrees wide or more: a dome would reach through the lip
 led_lip = 0.4;              // what stops an LED at the sleeve's front
 
 /* [Gel and block] */
@@ -116,6 +116,7 @@ assert(lens.x / 2 < inner_r, "the lens does not fit the body");
 assert(seat_z - lens.y > button_z + button_bore / 2 + 2, "the lens comes down upon the button");
 assert(strap_at - strap.x / 2 > button_z + button_bore / 2 + 1, "the strap lies on the button");
 assert(strap_at + strap.x / 2 < tray_at[1] - 7, "the strap lies on the tray's upper lug");
+assert(led_pitch - led + 2 * led_lip >= 0.8, "the wall between two lips is thinner than two lines of a printer");
 assert(light_board_holes / 2 + m2_tapped / 2 + 1 < holder_r, "the light board's screws break out of the sleeve");
 assert(tray_at[1] + 7 < body_top - 6, "the tray's upper lug stands in the rim: lower tray_at");
 assert(cos(elevation) * n_gel / n_block < 1, "no ray of this elevation reaches the gel out of this block");
@@ -163,6 +164,8 @@ module led_holder() {
             translate([0, 0, -1]) cylinder(r = led / 2 - led_lip, h = length + 2);
             translate([0, 0, distance - facet_at]) cylinder(r = led / 2, h = length);
         }
+        // One slot for all of them: a wall between their bores would be thinner than a nozzle.
+        translate([-led / 2, -led_pitch * (leds - 1) / 2, distance - facet_at]) cube([led, led_pitch * (leds - 1), length]);
         for (x = [-1, 1]) translate([x * light_board_holes / 2, 0, length - 6]) cylinder(r = m2_tapped / 2, h = 7);
     }
 }

@@ -202,6 +202,38 @@ def test_debian_or_raspberry_pi_but_one_kernel() -> None:
     assert "20251115T000000Z/ trixie main non-free-firmware" in command[-1]
 
 
+@pytest.mark.parametrize(
+    ("board", "pipeline", "kernel", "tool"),
+    [("pi5-imx296", "pisp", "kernel_2712.img", "vcgencmd"), ("zero2w-imx708", "vc4", "kernel8.img", None)],
+)
+def test_what_a_profile_claims_is_in_the_image_or_named_as_lacking(
+    tmp_path: Path, board: str, pipeline: str, kernel: str, tool: str | None
+) -> None:
+    profile = tomllib.loads((ROOT / f"board/{board}.toml").read_text(encoding="utf-8"))
+    sensor = profile["sensor"]["model"].lower()
+    files = [
+        f"usr/lib/aarch64-linux-gnu/libcamera/ipa/ipa_rpi_{pipeline}.so",
+        f"usr/share/libcamera/ipa/rpi/{pipeline}/{sensor}.json",
+        f"boot/firmware/{kernel}",
+        *([f"usr/bin/{tool}"] if tool else []),
+    ]
+    assert len(image_build.lacking(tmp_path, profile)) == len(files)
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    assert image_build.lacking(tmp_path, profile) == []
+    (tmp_path / files[1]).unlink()
+    assert image_build.lacking(tmp_path, profile) == [files[1]]
+    twin = tomllib.loads((ROOT / "board/twin.toml").read_text(encoding="utf-8"))
+    assert image_build.lacking(tmp_path, twin) == []
+
+
+def test_the_packages_that_the_profiles_claim_are_asked_for_by_name() -> None:
+    """Recommendations are off, so nothing comes by itself."""
+    more = set(image_build.packages(image_build.facts(), Path("raspberry-pi.sources")))
+    assert {"raspi-utils", "raspberrypi-sys-mods", "libcamera-ipa", "python3-picamera2"} <= more
+
+
 def test_a_profile_that_is_not_there_is_refused_in_one_sentence(tmp_path: Path) -> None:
     options = image_build.argparse.Namespace(board="nosuchboard", ssh_key=None, network=None, sources=None)
     with pytest.raises(image_build.BuildError):

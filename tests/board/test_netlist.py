@@ -4,6 +4,7 @@ import csv
 import io
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,15 +66,24 @@ def _place(part: str, key: str, value: int) -> Callable[[dict[str, Any]], None]:
         (_tie("PCA9955B", "OE", "OE: 100 ohm to VDD"), "GPIO6: the pull takes 33.0 mA"),
         (_tie("PCA9955B", "OE", "OE: to SDA"), "PCA9955B OE: stands on 2 nets"),
         (_tie("PCA9955B", "REXT", "REXT: 1000 ohm to VSS"), "REXT: {1000.0} ohm are wired, the profile says 2400"),
-        (_place("light_driver", "led_supply", 1), "5V: nothing feeds it"),
-        (_place("power_off", "line", 17), "two parts want the same pin"),
-        (_place("fuel_gauge", "supply", 6), "MAX17048 VIN is on pin 6, which is GND"),
+        (_place("light_driver", "led_supply", 17), "PCA9955B LED+ is on pin 17, which is 3V3"),
+        (_place("light_driver", "supply", 4), "PCA9955B VDD is on pin 4, which is 5V"),
+        (_place("power_off", "line", 17), "pin 11 of the header gets two plugs: button contact and power-off OFF"),
+        (_place("panel", "supply", 2), "pin 2 of the header gets two plugs: PCA9955B LED+ and panel +5V"),
+        (_place("button", "ground", 9), "pin 9 of the header gets two plugs: PCA9955B VSS and button ground"),
+        (_place("panel", "supply", 6), "panel +5V is on pin 6, which is GND"),
     ],
 )
 def test_a_mistake_is_found(change: Callable[[dict[str, Any]], None], complaint: str) -> None:
     found, profile = facts(), load_board_profile("pi5-imx296")
     change(found)
     assert any(complaint in sentence for sentence in _judged(profile, found)), _judged(profile, found)
+
+
+def test_a_rail_that_nothing_feeds_is_found() -> None:
+    wired = wiring("pi5-imx296")
+    dead = replace(wired, wires=tuple(wire for wire in wired.wires if wire.pin_name != "5V"))
+    assert "5V: nothing feeds it" in complaints(load_board_profile("pi5-imx296"), dead)
 
 
 def test_a_reference_resistor_that_lets_too_much_through_is_found() -> None:

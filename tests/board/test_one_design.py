@@ -215,6 +215,18 @@ def test_what_a_handheld_weighs_is_of_rows_of_its_bill(board: str) -> None:
     assert handheld_g(BENCH) is None
 
 
+def test_a_domed_led_would_reach_the_facet_and_the_bill_asks_for_flat_tops() -> None:
+    radius_mm, lip_mm = 2.5, parameter("distance") - parameter("facet_at")
+    bore_mm = sleeve().bore_mm
+    assert bore_mm is not None
+    dome_mm = radius_mm - math.sqrt(radius_mm**2 - (bore_mm / 2) ** 2)
+    assert dome_mm > lip_mm, "else any LED fits"
+    for colour in ("red", "green", "blue"):
+        assert "flat top" in row(f"LEDs, {colour} (2)")
+    assert "flat top" in HOUSING
+    assert "120 degrees" not in HOUSING
+
+
 def test_the_leds_fit_the_facet() -> None:
     elevation = math.acos(math.cos(math.radians(parameter("elevation"))) * parameter("n_gel") / parameter("n_block"))
     highest = parameter("facet_at") * math.sin(elevation) + parameter("led") / 2 * math.cos(elevation)

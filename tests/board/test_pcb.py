@@ -54,7 +54,7 @@ def test_every_wire_of_the_header_arrives(board: str) -> None:
         "button contact": ("J7", 1), "button ground": ("J7", 2),
         "power-fail signal": ("J8", 1), "power-fail ground": ("J8", 2),
         "power-off OFF": ("J9", 1), "power-off ground": ("J9", 2),
-        "MAX17048 VIN": ("J2", 1), "MAX17048 GND": ("J2", 2), "MAX17048 SCL": ("J2", 3), "MAX17048 SDA": ("J2", 4),
+        "panel +5V": ("J11", 1), "panel ground": ("J11", 2),
         "indicator ground": ("J10", 2), "indicator anode": ("R3", 1),
     }  # fmt: skip
     for wire in wired.wires:

@@ -63,7 +63,7 @@ def test_contradictions_are_refused(facts: dict[str, dict[str, int]]) -> None:
         wiring.of_profile(msgspec.structs.replace(profile, light_driver=elsewhere), facts)
     assert profile.indicator is not None
     same = msgspec.structs.replace(profile.indicator, line=22)
-    with pytest.raises(ValueError, match="two parts want the same pin"):
+    with pytest.raises(ValueError, match="pin 15 of the header gets two plugs: indicator anode and power-fail signal"):
         wiring.of_profile(msgspec.structs.replace(profile, indicator=same), facts)
     facts["button"]["ground"] = 4
     with pytest.raises(ValueError, match="button ground is on pin 4, which is 5V"):

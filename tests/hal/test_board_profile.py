@@ -122,10 +122,12 @@ def test_real_boards_are_complete(name: str) -> None:
     assert "under-voltage" in profile.capabilities
 
 
-def test_capabilities_follow_from_the_tables() -> None:
+def test_capabilities_follow_from_the_tables(tmp_path: Path) -> None:
     assert load_board_profile("twin").capabilities == frozenset()
     everything = {"indicator", "under-voltage", "battery", "light-current", "live-aiming"}
-    assert load_board_profile("pi5-imx296").capabilities == everything
+    assert load_board_profile("pi5-imx296").capabilities == everything - {"battery"}
+    gauge = '[power.fuel_gauge]\nchip = "MAX17048"\nbus = 1\n\n[lens]\n'
+    assert load_board_profile(rewritten(tmp_path, "[lens]\n", gauge, "pi5-imx296")).capabilities == everything
     assert load_board_profile("zero2w-imx708").capabilities == {"under-voltage", "focus", "live-aiming"}
     assert "live-aiming" not in load_board_profile("pi4-imx477").capabilities
     assert "live-aiming" in load_board_profile("pi4-imx477-binned").capabilities

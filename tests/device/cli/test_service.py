@@ -72,24 +72,34 @@ def test_low_battery_readings(reading: PowerReading, low: bool) -> None:
     assert is_low(reading) is low
 
 
-def test_a_board_without_a_gauge_has_nothing_to_guard(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--board", "pi4-imx477", "guard-battery", "--check"]) == 2
-    assert "has no battery gauge" in capsys.readouterr().err
-    assert main(["--board", "pi5-imx296", "guard-battery", "--check"]) == 0
+@pytest.fixture
+def gauged(tmp_path: Path) -> Path:
+    """A board's profile with a fuel gauge."""
+    profile = tmp_path / "gauged.toml"
+    known = (Path(__file__).parents[3] / "board" / "pi5-imx296.toml").read_text(encoding="utf-8")
+    profile.write_text(f'{known}\n[power.fuel_gauge]\nchip = "MAX17048"\nbus = 1\n', encoding="utf-8")
+    return profile
+
+
+def test_a_board_without_a_gauge_has_nothing_to_guard(capsys: pytest.CaptureFixture[str], gauged: Path) -> None:
+    for board in ("pi4-imx477", "pi5-imx296", "zero2w-imx708"):
+        assert main(["--board", board, "guard-battery", "--check"]) == 2
+        assert "has no battery gauge" in capsys.readouterr().err
+    assert main(["--board", str(gauged), "guard-battery", "--check"]) == 0
 
 
 def test_an_empty_battery_powers_the_device_off(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, gauged: Path
 ) -> None:
-    emptied = replace(open_hardware(load_board_profile("pi5-imx296")), power=Discharge(0.03))
+    emptied = replace(open_hardware(load_board_profile(gauged)), power=Discharge(0.03))
     monkeypatch.setattr(device.cli.service, "open_hardware", lambda *_: emptied)
     monkeypatch.setattr(device.cli.service, "SystemClock", VirtualClock)
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    assert main(["--board", "pi5-imx296", "guard-battery"]) == 0
+    assert main(["--board", str(gauged), "guard-battery"]) == 0
     assert "nearly empty (charge 3%): powering off" in capsys.readouterr().out
     assert (tmp_path / "poweroff").exists()
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    assert main(["--board", "pi5-imx296", "guard-battery"]) == 3
+    assert main(["--board", str(gauged), "guard-battery"]) == 3
     assert "no service can power this device off" in capsys.readouterr().err
 
 

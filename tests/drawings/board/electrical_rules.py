@@ -9,16 +9,15 @@ from typing import Final
 
 from hal.board_profile import BoardProfile
 from tests.drawings.board.netlist import Pin, netlist
-from tests.drawings.board.wiring import Wiring
+from tests.drawings.board.wiring import FIVE_VOLT, Wiring
 
 VOLTS: Final = {"3V3": 3.3, "5V": 5.1, "GND": 0.0}
-CHIP_VOLTS: Final = {"PCA9955B": (3.0, 5.5), "TLC59116": (3.0, 5.5), "MAX17048": (2.5, 5.5)}
+CHIP_VOLTS: Final = {"PCA9955B": (3.0, 5.5), "TLC59116": (3.0, 5.5)}
 """Supply range of each chip, by its maker."""
 
 CHIP_PINS: Final = {
     "PCA9955B": {"VDD", "VSS", "SDA", "SCL", "OE", "RESET", "REXT", "AD0", "AD1", "AD2"},
     "TLC59116": {"VCC", "GND", "SDA", "SCL", "RESET", "REXT", "A0", "A1", "A2", "A3"},
-    "MAX17048": {"VIN", "GND", "SDA", "SCL"},
 }
 """Every pin that must not float, beside the outputs."""
 
@@ -47,7 +46,7 @@ def _of_net(net: str, pins: tuple[Pin, ...]) -> Iterator[str]:
             yield f"{net}: a rail is driven"
         for pin in pins:
             low, high = CHIP_VOLTS.get(pin.part, (0.0, 100.0))
-            if pin.role == "supply" and pin.terminal != "LED+" and not low <= VOLTS[net] <= high:
+            if pin.role == "supply" and pin.terminal not in FIVE_VOLT and not low <= VOLTS[net] <= high:
                 yield f"{net}: {pin.part} takes {low:g} to {high:g} V"
         if net != "GND" and "source" not in roles:
             yield f"{net}: nothing feeds it"

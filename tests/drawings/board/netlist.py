@@ -15,7 +15,7 @@ from tests.drawings.board.wiring import Led, Wiring
 
 Role = Literal["source", "ground", "supply", "output", "input", "open drain", "pull", "sink", "passive"]
 CHANNELS: Final = 16
-SUPPLIES: Final = {"VDD", "VCC", "VIN"}
+SUPPLIES: Final = {"VDD", "VCC"}
 GROUNDS: Final = {"VSS", "GND"}
 NAMES: Final = {"3V3": "3V3", "5V": "5V", "GND": "GND"}
 OUTPUTS: Final = {"OE", "RESET", "OFF", "anode"}
@@ -70,7 +70,8 @@ def _pins(wiring: Wiring) -> Iterator[tuple[str, Pin]]:
         net = wire.pin_name
         if wire.kind in {"supply", "ground"}:
             yield net, Pin("header", str(wire.pin), "source" if wire.kind == "supply" else "ground")
-            yield net, Pin(wire.part, wire.terminal, "supply" if wire.kind == "supply" else "ground")
+            role: Role = "ground" if wire.kind == "ground" else "source" if wire.part == "supply" else "supply"
+            yield net, Pin(wire.part, wire.terminal, role)
         elif wire.kind in {"sda", "scl"}:
             yield net, Pin("header", str(wire.pin), "open drain")
             yield net, Pin(wire.part, wire.terminal, "open drain")
@@ -102,8 +103,6 @@ def _tied(wiring: Wiring, part: str, tie: str) -> Iterator[tuple[str, Pin]]:
     def net_of(name: str) -> str:
         return "GND" if name in GROUNDS else supply if name in SUPPLIES else rails.get(name, f"{part} {name}")
 
-    if "breakout" in tie or "cell" in tie:
-        return  # the gauge comes soldered, and its cell hangs on it
     if found := _VALUE.match(tie):
         pin, value, far = found[1], float(found[2]) * _UNIT[found[3]], net_of(found[4])
         if pin not in rails and pin not in SUPPLIES:

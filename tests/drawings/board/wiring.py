@@ -12,6 +12,8 @@ from hal.board_profile import BoardProfile, ButtonConfig, LightDriverConfig, loa
 from hal.profile_files import profile_names
 
 WIRING_FILE = Path(__file__).parents[3] / "board" / "wiring" / "wiring.toml"
+FIVE_VOLT = {"LED+", "+5V"}
+"""Terminals on the 5 V rail; every other supply is 3.3 V."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ def wiring(board: str, facts: dict[str, Any] | None = None) -> Wiring:
     Raises
     ------
     ValueError
-        Profile and wiring contradict each other, or two wires use the same line.
+        Profile and wiring contradict each other, or a pin of the header gets two plugs.
     """
     facts = facts or tomllib.loads(WIRING_FILE.read_text(encoding="utf-8"))
     return of_profile(load_board_profile(board), facts)
@@ -75,22 +77,24 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
     if profile.light_driver is None or profile.button is None:
         raise ValueError(f"{profile.name}: has no light driver or no button, so there is nothing to wire")
     wires = (*_light_driver(profile.light_driver, facts), *_button(profile.button, facts), *_others(profile, facts))
-    buses = {wire.pin for wire in wires if wire.kind in {"sda", "scl"}}
-    pins = [wire.pin for wire in wires if wire.kind == "line"] + sorted(buses)
-    if len(set(pins)) != len(pins):
-        raise ValueError(f"{profile.name}: two parts want the same pin of the header: {sorted(pins)}")
+    plugs: dict[int, str] = {}
+    for wire in wires:
+        plug = f"{wire.part} {wire.terminal}"
+        if (other := plugs.setdefault(wire.pin, plug)) != plug:
+            raise ValueError(f"{profile.name}: pin {wire.pin} of the header gets two plugs: {other} and {plug}")
     leds = tuple(Led(light.name, light.colour, light.channels, light.current_ma) for light in profile.lights)
     if profile.indicator and profile.indicator.channel is not None:
         leds += (Led("indicator", "any", (profile.indicator.channel,), profile.indicator.current_ma),)
     chip = _chip(facts, profile.light_driver.chip, profile.light_driver.address)
     ties = tuple(tie.format(reference_ohm=f"{profile.light_driver.reference_ohm:g}") for tie in chip["ties"])
     parts = [(profile.light_driver.chip, ties)]
-    if profile.power and profile.power.fuel_gauge:
-        gauge = profile.power.fuel_gauge
-        parts.append((gauge.chip, tuple(_chip(facts, gauge.chip, gauge.address)["ties"])))
     parts.append(("button", ("closes to ground; the pull-up is the Pi's own",)))
     if profile.indicator and profile.indicator.line is not None:
         parts.append(("indicator", (f"LED and {facts['indicator']['series_ohm']} ohm in series, to ground",)))
+    if profile.name in facts["panel"]["boards"]:
+        parts.append(("panel", ("5 V of a DSI panel; may stay open",)))
+    if profile.name in facts["supply"]["boards"]:
+        parts.append(("supply", ("feeds the board (bill of materials); stays open when its USB port does",)))
     parts.append(("power-fail", ("open drain of the supply, else by a diode (bill of materials); may stay open",)))
     parts.append(("power-off", ("OFF of a latching switch (bill of materials); may stay open",)))
     title = (
@@ -101,9 +105,13 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
 
 def _light_driver(driver: LightDriverConfig, facts: dict[str, Any]) -> Iterator[Wire]:
     place = facts["light_driver"]
-    yield from _on_the_bus(facts, driver.chip, driver.address, driver.bus, place)
+    terminals = _chip(facts, driver.chip, driver.address)["terminals"]
+    lines = facts["bus"][str(driver.bus)]
+    yield _wire(facts, place["supply"], driver.chip, terminals["supply"], "supply")
+    yield _wire(facts, place["ground"], driver.chip, terminals["ground"], "ground")
+    for signal in ("sda", "scl"):
+        yield _wire(facts, facts["header"].index(lines[signal]) + 1, driver.chip, terminals[signal], signal)
     if driver.enable_line is not None:
-        terminals = _chip(facts, driver.chip, driver.address)["terminals"]
         yield _line(facts, driver.enable_line, driver.chip, terminals["enable"])
     yield _wire(facts, place["led_supply"], driver.chip, "LED+", "supply", "anodes of every LED")
 
@@ -114,9 +122,10 @@ def _button(button: ButtonConfig, facts: dict[str, Any]) -> Iterator[Wire]:
 
 
 def _others(profile: BoardProfile, facts: dict[str, Any]) -> Iterator[Wire]:
-    if profile.power and profile.power.fuel_gauge:
-        gauge = profile.power.fuel_gauge
-        yield from _on_the_bus(facts, gauge.chip, gauge.address, gauge.bus, facts["fuel_gauge"])
+    for part in ("panel", "supply"):
+        if profile.name in facts[part]["boards"]:
+            yield _wire(facts, facts[part]["supply"], part, "+5V", "supply")
+            yield _wire(facts, facts[part]["ground"], part, "ground", "ground")
     if profile.indicator and profile.indicator.line is not None:
         yield _line(facts, profile.indicator.line, "indicator", "anode")
         yield _wire(facts, facts["indicator"]["ground"], "indicator", "ground", "ground")
@@ -126,23 +135,14 @@ def _others(profile: BoardProfile, facts: dict[str, Any]) -> Iterator[Wire]:
     yield _wire(facts, facts["power_off"]["ground"], "power-off", "ground", "ground")
 
 
-def _on_the_bus(facts: dict[str, Any], name: str, address: int, bus: int, place: dict[str, int]) -> Iterator[Wire]:
-    terminals = _chip(facts, name, address)["terminals"]
-    lines = facts["bus"][str(bus)]
-    yield _wire(facts, place["supply"], name, terminals["supply"], "supply")
-    yield _wire(facts, place["ground"], name, terminals["ground"], "ground")
-    for signal in ("sda", "scl"):
-        yield _wire(facts, facts["header"].index(lines[signal]) + 1, name, terminals[signal], signal)
-
-
 def _line(facts: dict[str, Any], line: int, part: str, terminal: str) -> Wire:
     return _wire(facts, facts["header"].index(f"GPIO{line}") + 1, part, terminal, "line")
 
 
 def _wire(facts: dict[str, Any], pin: int, part: str, terminal: str, kind: str, note: str = "") -> Wire:
     name = facts["header"][pin - 1]
-    expected = {"ground": "GND", "supply": ("3V3", "5V")}.get(kind)
-    if expected and name not in expected:
+    expected = {"ground": "GND", "supply": "5V" if terminal in FIVE_VOLT else "3V3"}.get(kind, name)
+    if name != expected:
         raise ValueError(f"{WIRING_FILE.name}: {part} {terminal} is on pin {pin}, which is {name}")
     return Wire(pin, name, part, terminal, kind, note)
 

@@ -90,7 +90,7 @@ def carrier(routed: bool = True) -> Board:
         wired("C2", "100 uF", "electrolytic, wired, 2.0 mm", ((16.0, 14.0), (18.0, 14.0)), ("5V", "GND"), 2.75),
     ]  # fmt: skip
     column = [
-        ("J2", "fuel gauge: VIN, GND, SCL, SDA", ["3V3", "GND", at[CHIP, "SCL"], at[CHIP, "SDA"]]),
+        ("J2", "spare of the bus: 3V3, GND, SCL, SDA", ["3V3", "GND", at[CHIP, "SCL"], at[CHIP, "SDA"]]),
         ("J3", "indicator on the driver: anode, cathode", ["5V", f"{CHIP} LED15"]),
         ("J4", "blue: LED+, 1, 2", ["5V", *lights["blue"]]),
         ("J5", "green: LED+, 1, 2", ["5V", *lights["green"]]),
@@ -105,6 +105,7 @@ def carrier(routed: bool = True) -> Board:
         pin_row("J8", "power fail: signal, ground", (14.0, 3.0), [at["power-fail", "signal"], "GND"], level=True),
         pin_row("J9", "power off: OFF, ground", (20.0, 3.0), [at["power-off", "OFF"], "GND"], level=True),
         pin_row("J10", "indicator on the Pi: anode, cathode", (19.0, 57.0), ["indicator", "GND"], level=True),
+        pin_row("J11", "panel: 5 V, ground", (13.0, 57.0), ["5V", "GND"], level=True),
     ]
     vias = tuple(Via("GND", (CHIP_AT[0] + x, CHIP_AT[1] + y)) for x in (-0.8125, 0.8125) for y in (-1.625, 0.0, 1.625))
     # Below the chip: what takes its heat through to the other side.
