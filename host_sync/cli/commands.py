@@ -140,10 +140,10 @@ COMMANDS: Final = (
     Command(
         "import",
         "host_sync.cli.import_set:import_command",
-        "Describe another program's folder as a frame set; its files stay as they are. What is missing is asked for.",
+        "Describe another program's folder as a frame set, and show the balls that are found on a contact sheet.",
         (
-            "retrosync import gelsight OEMData --out oem.toml",
-            "retrosync import gs_sdk calibration --pixel-pitch-um 63.4",
+            "retrosync import OEMData --out oem.toml",
+            "retrosync import presses --pixel-pitch-um 63.4 --results heights",
         ),
     ),
     Command(

@@ -2,48 +2,58 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from cyclopts import Parameter
 
 from device.command_line import Folder
-from host_sync.cli.console import DONE, print_line
+from device.errors import DeviceError
+from device.io.atomic import check_output
+from host_sync.cli.console import DONE, print_line, status_spinner
 from host_sync.errors import FrameSetError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from host_sync.importers.draft import Draft, Said
 
-Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "digit", "images"]
+Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "fots", "digit", "images"]
+"""As of `host_sync.importers.recognition`; defined here too because importing it loads the numerics."""
+
 SET_FILE: Final = "frameset.toml"
 
 
 def import_command(
-    kind: Kind,
-    source: Folder,
-    /,
-    *,
+    *source: Path,
+    kind: Kind | None = None,
     out: Folder | None = None,
     pixel_pitch_um: float | None = None,
     ball_radius_mm: float | None = None,
     encoding: Literal["linear", "srgb"] | None = None,
     reference: Path | None = None,
+    results: Annotated[Folder | None, Parameter(help="Also calibrate and reconstruct: folder for the results.")] = None,
 ) -> int:
-    """Describe another program's folder as a frame set; its files stay as they are. What is missing is asked for.
+    """Describe another program's folder as a frame set, and show the balls that are found on a contact sheet.
+
+    The folder is recognized by what it holds; its files stay as they are. What they do not say is asked for: at a
+    terminal by a question, elsewhere by the name of the option.
 
     Parameters
     ----------
+    source
+        The folder; the kind may stand before it.
     kind
         gelsight: scan.yaml folders of the SDK and Mobile; gs_sdk: its calibration folder; py3dcal: its dataset; taxim:
-        dataPack.npz beside its images; digit and images: a folder of RGB images.
-    source
-        The folder.
+        dataPack.npz beside its images; fots: a table of circles, also of digit-depth; digit and images: a folder of RGB
+        images. By default what the folder holds decides.
     out
-        The frame set's file, or a folder for it; by default frameset.toml in the source's folder.
+        The frame set's file, or a folder for it; by default frameset.toml in the source's folder. The contact sheet
+        lies beside it.
     pixel_pitch_um
         Distance of neighbouring pixels on the skin; goes before what the files say.
     ball_radius_mm
-        Radius of the calibration ball; goes before what the files say.
+        Radius of the calibration ball, half of its diameter; goes before what the files say.
     encoding
         How pixel values encode light.
     reference
@@ -51,41 +61,122 @@ def import_command(
     """
     from host_sync.importers.draft import Said
 
+    folder, kind = _folder_and_kind(source, kind)
     for name, value in (("--pixel-pitch-um", pixel_pitch_um), ("--ball-radius-mm", ball_radius_mm)):
         if value is not None and not 0.0 < value < float("inf"):
             raise FrameSetError(f"{name} {value:g}: is no length: give a positive number")
-    if not source.is_dir():
-        raise FrameSetError(f"{source}: is no folder: name the folder that the other program wrote")
-    draft = _importer(kind)(source, Said(pixel_pitch_um, ball_radius_mm, encoding, reference))
-    path = out or source
+    if not folder.is_dir():
+        raise FrameSetError(f"{folder}: is no folder: name the folder that the other program wrote")
+    path = out or folder
     path = path if path.suffix == ".toml" else path / SET_FILE
+    check_output(path, makes_folders=True)
+    draft = _described(folder, kind, Said(pixel_pitch_um, ball_radius_mm, encoding, reference))
     draft.write(path)
+    _print_draft(draft, path)
+    if draft.presses:
+        _show_balls(path)
+    if results is None:
+        return DONE
+    from host_sync.cli.reconstruct import reconstruct
+
+    return reconstruct(str(path), out=results)
+
+
+def _folder_and_kind(source: tuple[Path, ...], kind: Kind | None) -> tuple[Path, Kind | None]:
+    """The folder, and the kind where it is named."""
+    from host_sync.importers.recognition import IMPORTERS
+
+    if len(source) == 2 and str(source[0]) in IMPORTERS:
+        return source[1], next(known for known in IMPORTERS if known == str(source[0]))
+    if len(source) != 1:
+        raise FrameSetError(f"{len(source)} folders are named: name the one folder that the other program wrote")
+    return source[0], kind
+
+
+def _described(folder: Path, kind: Kind | None, said: Said) -> Draft:
+    """The draft of a folder; what is missing is asked for where somebody can answer."""
+    from host_sync.importers.recognition import IMPORTERS, WRITTEN_BY, recognize
+
+    if kind is None:
+        kind = recognize(folder)
+        print_line(f"{folder}: {WRITTEN_BY[kind]}")
+    with status_spinner() as tell:
+        tell("looking at the images")
+        draft = IMPORTERS[kind](folder, said)
+    if not draft.missing() or not sys.stdin.isatty():
+        return draft
+    _print_draft(draft, folder)
+    said = _answers(draft, said)
+    return IMPORTERS[kind](folder, said) if said.ball_radius_mm else _with_answers(draft, said)
+
+
+def _answers(draft: Draft, said: Said) -> Said:
+    """What the user answers to the questions of a draft; an answer that is none is asked for again."""
+    for option in draft.missing():
+        if option.startswith("--pixel-pitch-um"):
+            said = replace(said, pixel_pitch_um=_length("Distance of neighbouring pixels on the skin, µm"))
+        elif option.startswith("--ball-radius-mm"):
+            said = replace(said, ball_radius_mm=_length("Radius of the ball, mm (half of its diameter)"))
+        else:
+            answer = _ask("Are pixel values proportional to light (linear), or as screens show them (srgb)?")
+            while answer not in ("linear", "srgb"):
+                answer = _ask("linear or srgb?")
+            said = replace(said, encoding="linear" if answer == "linear" else "srgb")
+    return said
+
+
+def _with_answers(draft: Draft, said: Said) -> Draft:
+    return replace(
+        draft,
+        pixel_pitch_um=said.pixel_pitch_um or draft.pixel_pitch_um,
+        encoding=said.encoding or draft.encoding,
+    )
+
+
+def _length(question: str) -> float:
+    while True:
+        answer = _ask(question).replace(",", ".")
+        try:
+            value = float(answer)
+        except ValueError:
+            continue
+        if 0.0 < value < float("inf"):
+            return value
+
+
+def _ask(question: str) -> str:
+    try:
+        return input(f"{question}: ").strip()
+    except EOFError as error:
+        raise FrameSetError("the question was not answered: give the option instead") from error
+
+
+def _print_draft(draft: Draft, path: Path) -> None:
     lights = f" of {len(draft.lights)} lights" if draft.lights else ""
     print_line(f"{path}: {len(draft.presses)} presses and {len(draft.scans)} scans{lights}")
     for note in draft.notes:
         print_line(f"Note: {note}.")
-    if not draft.reference:
+    if draft.reference:
+        print_line(f"Untouched skin: {', '.join(image.name for image in draft.reference)}")
+    else:
         print_line("No frame of untouched skin is known: name it with --reference, or it is estimated from the frames.")
     if not draft.presses:
         print_line("No press calibrates: reconstruct with --calibration FILE.")
     for scan in draft.scans:
         if scan.height_map is not None:
             print_line(f"{scan.name}: the maker's height map is {scan.height_map}")
-    return DONE
 
 
-def _importer(kind: Kind) -> Callable[[Path, Said], Draft]:
-    from host_sync.importers.ball_tables import import_gs_sdk, import_py3dcal
-    from host_sync.importers.gelsight_scan import import_gelsight
-    from host_sync.importers.image_folder import import_images
-    from host_sync.importers.taxim_pack import import_taxim
+def _show_balls(path: Path) -> None:
+    """Draw the contact sheet of a frame set beside it, and print what it shows."""
+    from host_sync.frames.frame_set import load_frame_set
+    from host_sync.importers.contact_sheet import write_contact_sheet
 
-    importers: dict[Kind, Callable[[Path, Said], Draft]] = {
-        "gelsight": import_gelsight,
-        "gs_sdk": import_gs_sdk,
-        "py3dcal": import_py3dcal,
-        "taxim": import_taxim,
-        "digit": import_images,
-        "images": import_images,
-    }
-    return importers[kind]
+    with status_spinner() as tell:
+        tell("finding balls")
+        try:
+            lines = write_contact_sheet(load_frame_set(path), path.with_name(f"{path.stem}-balls.png"))
+        except DeviceError as error:
+            lines = (f"No contact sheet: {error}",)
+    for line in lines:
+        print_line(line)

@@ -13,13 +13,11 @@ import numpy as np
 
 from hal.decoding import decode_json
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
+from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
 CATALOGUE: Final = "catalog.csv"
 ANNOTATIONS: Final = "annotations/annotations.csv"
 METADATA: Final = "annotations/metadata.json"
-SHOWN_EVERY: Final = 5
-"""Every so many presses are listed as scans too: a calibration without a scan shows nothing."""
 
 
 def import_gs_sdk(source: Path, said: Said) -> Draft:
@@ -31,7 +29,7 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
         There is no catalogue, or none of its images is there.
     """
     presses, missing = [], []
-    for row in _rows(source / CATALOGUE):
+    for row in read_table(source / CATALOGUE):
         folder, diameter = inside(source, row.get("experiment_reldir", "")), row.get("diameter(mm)", "")
         image = folder / "gelsight.png"
         if image.is_file():
@@ -64,7 +62,7 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     pitch_um = said.pixel_pitch_um or (1e3 / scale if isinstance(scale, int | float) and scale > 0 else None)
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)
     presses, missing = [], []
-    for row in _rows(source / ANNOTATIONS):
+    for row in read_table(source / ANNOTATIONS):
         image = inside(source, f"probe_images/{next(iter(row.values()), '')}")
         if image.is_file():
             presses.append(DraftPress((image,), known))  # places are the probe's, not seen; the balls are found
@@ -92,7 +90,14 @@ def _draft(
     )
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Rows of a table with a line of names; empty texts where a row is short.
+
+    Raises
+    ------
+    FrameSetError
+        It is no table.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             return list(csv.DictReader(stream, restkey="more", restval=""))

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from device.errors import OutputError
 from device.io.atomic import write_output
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, Encoding
 
 LONGEST_NAME: Final = 90
+SHOWN_EVERY: Final = 5
+"""Every so many presses are listed as scans too: a calibration without a scan shows nothing."""
 
 Circle = tuple[float, float, float]
 """Centre (column, row) and radius of the trusted contact, pixels."""
@@ -98,6 +101,10 @@ class Draft:
             text = "\n".join(self._lines(path.resolve().parent)).encode()
         except UnicodeEncodeError as error:
             raise FrameSetError(f"{self.name}: a file's name is not UTF-8: rename it") from error
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written ({error.strerror}): choose another place") from error
         write_output(path, text + b"\n")
 
     def _lines(self, folder: Path) -> list[str]:

@@ -14,15 +14,12 @@ import numpy as np
 
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import natural_order
-from host_sync.importers.draft import Draft, DraftPress, DraftScan, Said, inside, left_out
+from host_sync.importers.draft import SHOWN_EVERY, Draft, DraftPress, DraftScan, Said, inside, left_out
 
 PACK: Final = "dataPack.npz"
 SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".ppm")
 AT_REST: Final = ("frame_0", "ball0")
 """Names that Taxim's annotator takes for the image of untouched skin."""
-
-SHOWN_EVERY: Final = 5
-"""Every so many presses are listed as scans too: a calibration without a scan shows nothing."""
 
 
 def import_taxim(source: Path, said: Said) -> Draft:

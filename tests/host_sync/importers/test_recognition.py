@@ -1,0 +1,225 @@
+"""A folder is recognized by what it holds; its balls are found and shown, and what is missing is asked for."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from host_sync.cli.main import main
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set import FrameSet, load_frame_set
+from host_sync.importers.ball_survey import fitting_radius
+from host_sync.importers.recognition import IMPORTERS, Kind, recognize
+
+SHAPE = (180, 240)
+RADIUS_PX, CONTACT_PX = 40.0, 28.0
+OPTIONS = ("--pixel-pitch-um", "50", "--ball-radius-mm", "2", "--encoding", "linear")
+PLACES = ((70.0, 60.0), (160.0, 90.0), (110.0, 120.0), (60.0, 110.0), (180.0, 60.0), (120.0, 70.0), (90.0, 90.0))
+
+
+def frame(balls: Sequence[tuple[float, float]], gain: float = 1.0) -> NDArray[np.uint8]:
+    """A matt skin under three low lamps, in which spheres leave caps; BGR as OpenCV stores it."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    p, q = np.zeros(SHAPE), np.zeros(SHAPE)
+    for x, y in balls:
+        distance = np.hypot(column - x, row - y)
+        inside = distance < CONTACT_PX
+        height = np.sqrt(np.maximum(RADIUS_PX**2 - distance**2, 1.0))
+        fall = np.where(inside, 1.0, np.exp(-((distance - CONTACT_PX) / 6.0)))
+        slope = np.where(inside, 1.0 / height, 1.0 / np.sqrt(RADIUS_PX**2 - CONTACT_PX**2)) * fall
+        p, q = p - (column - x) * slope, q - (row - y) * slope
+    length = np.sqrt(1.0 + p * p + q * q)
+    lamps = [(np.cos(a), np.sin(a)) for a in np.radians([90.0, 210.0, 330.0])]
+    light = [0.35 * np.maximum(0.5 - 0.8 * (p * x + q * y), 0.0) / length / 0.5 for x, y in lamps]
+    uneven = 1.0 + 0.2 * (column / SHAPE[1] - 0.5)
+    noise = np.random.default_rng(int(sum(x for x, _ in balls))).normal(0.0, 0.3, (*SHAPE, 3))
+    values = 255.0 * gain * np.stack(light, axis=-1) * uneven[..., None] + noise
+    return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
+
+
+def put(path: Path, balls: Sequence[tuple[float, float]] = (), gain: float = 1.0) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), frame(balls, gain))
+
+
+def presses(folder: Path, names: str, first: int = 1) -> None:
+    for number, place in enumerate(PLACES, start=first):
+        put(folder / names.format(number), [place])
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in ("import", *words)])
+
+
+def names_of(found: FrameSet) -> tuple[str | None, list[str]]:
+    reference = found.reference.images[0].name if found.reference else None
+    return reference, [press.frame.images[0].name for press in found.presses]
+
+
+@pytest.mark.parametrize(
+    ("rest", "names"),
+    [
+        ("ref.jpg", "sample_{}.jpg"),
+        ("frame0.png", "Im_{}00.png"),
+        ("frame_0.png", "frame_{}.png"),
+        ("0.png", "{}.png"),
+        ("bg-0.png", "cal-{}.png"),
+        ("background.png", "{:04d}.png"),
+    ],
+)
+def test_names_of_known_programs_tell_presses_and_untouched_skin(
+    rest: str, names: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put(tmp_path / rest)
+    presses(tmp_path, names)
+    assert run(tmp_path, *OPTIONS) == 0
+    said = capsys.readouterr().out
+    assert f"Untouched skin: {rest}" in said
+    assert "7 of 7 presses show a ball" in said
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert names_of(found) == (rest, [names.format(number) for number in range(1, 8)])
+    sheet = cv2.imread(str(tmp_path / "frameset-balls.png"))
+    assert sheet is not None
+    assert sheet.std() > 10.0
+
+
+def test_a_first_image_that_is_pressed_is_a_press(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    presses(tmp_path, "{:04d}.png", first=0)
+    assert run(tmp_path, *OPTIONS) == 0
+    assert "0000.png is not taken as untouched skin: it looks like a press" in capsys.readouterr().out
+    reference, found = names_of(load_frame_set(tmp_path / "frameset.toml"))
+    assert (reference, len(found)) == (None, 7)
+
+
+def test_a_first_image_of_another_exposure_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "frame_0.png", gain=0.7)
+    presses(tmp_path, "frame_{}.png")
+    assert run(tmp_path, *OPTIONS) == 0
+    assert "frame_0.png is not taken as untouched skin: it looks like another exposure" in capsys.readouterr().out
+    reference, found = names_of(load_frame_set(tmp_path / "frameset.toml"))
+    assert (reference, len(found)) == (None, 7)
+
+
+def test_numbered_images_without_balls_are_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(6):
+        put(tmp_path / f"{number:03d}.png", gain=1.0 - 0.01 * number)
+    assert run(tmp_path, "--pixel-pitch-um", 50, "--encoding", "linear") == 0
+    assert "No press calibrates" in capsys.readouterr().out
+    assert not load_frame_set(tmp_path / "frameset.toml", calibrates=False).presses
+
+
+def test_images_of_another_size_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    assert cv2.imwrite(str(tmp_path / "sample_9.png"), frame([])[:100])
+    assert run(tmp_path, *OPTIONS) == 0
+    assert "1 of 9 images are not 240x180 pixels, or not whole, and left out, such as sample_9.png" in (
+        capsys.readouterr().out
+    )
+
+
+def test_drawn_circles_of_fots_are_kept_narrower(tmp_path: Path) -> None:
+    put(tmp_path / "0000.png")
+    presses(tmp_path / "gelsight", "{:04d}.png")
+    rows = ["img_names,center_x,center_y,radius"]
+    rows += [f"elsewhere/gelsight/{number:04d}.png,{x:g},{y:g},30" for number, (x, y) in enumerate(PLACES, start=1)]
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv" / "annotate.csv").write_text("\n".join(rows))
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "set.yaml").write_text("mm_to_pixel: 20.0 # of another sensor 21\n")
+    assert run(tmp_path, "--ball-radius-mm", 2, "--encoding", "linear") == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert (found.pixel_pitch_um, len(found.presses)) == (50.0, 7)
+    assert found.reference is not None
+    assert found.presses[2].balls is not None
+    ball = found.presses[2].balls[0]
+    assert (ball.column, ball.row, ball.contact_radius_px) == (110.0, 120.0, pytest.approx(25.5))
+
+
+def test_a_radius_that_does_not_fit_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    assert run(tmp_path, "--pixel-pitch-um", 50, "--ball-radius-mm", 8, "--encoding", "linear") == 0
+    said = capsys.readouterr().out
+    assert "0 of 7 presses show a ball" in said
+    assert "is it the diameter?" in said
+
+
+def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    assert run(tmp_path, *OPTIONS) == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    best = fitting_radius([press.frame for press in found.presses], found.reference)
+    assert best is not None
+    assert best.presses == 7
+    assert 0.6 * RADIUS_PX < best.radius_px < 1.7 * RADIUS_PX
+
+
+def test_at_a_terminal_what_is_missing_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    assert run(tmp_path) == 2
+    said = capsys.readouterr().err
+    assert all(option in said for option in ("--pixel-pitch-um", "--ball-radius-mm", "--encoding"))
+    answers = iter(["fifty", "50", "-1", "2,0", "gamma", "linear"])
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr(builtins, "input", lambda _: next(answers))
+    assert run(tmp_path) == 0
+    assert next(answers, None) is None
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert (found.pixel_pitch_um, found.presses[0].ball_radius_mm, found.presses[0].frame.encoding) == (
+        50.0,
+        2.0,
+        "linear",
+    )
+
+
+def test_a_kind_may_stand_before_the_folder_or_be_an_option(tmp_path: Path) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    assert run("images", tmp_path, *OPTIONS) == 0
+    assert run(tmp_path, "--kind", "digit", *OPTIONS, "--out", tmp_path / "new" / "set.toml") == 0
+    assert (tmp_path / "new" / "set-balls.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"),
+    [
+        ("scan.yaml", "gelsight"),
+        ("one/scan.yaml", "gelsight"),
+        ("catalog.csv", "gs_sdk"),
+        ("annotations/annotations.csv", "py3dcal"),
+        ("dataPack.npz", "taxim"),
+        ("7.jpg", "images"),
+        ("film.mp4", "images"),
+    ],
+)
+def test_files_tell_the_kind(file: str, kind: Kind, tmp_path: Path) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_bytes(b"")
+    assert recognize(tmp_path) == kind
+    assert kind in IMPORTERS
+
+
+def test_a_folder_of_nothing_known_names_the_one_inside(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no image")
+    with pytest.raises(FrameSetError, match="holds no images"):
+        recognize(tmp_path)
+    put(tmp_path / "data" / "sample_1.png")
+    with pytest.raises(FrameSetError, match=r"data is one"):
+        recognize(tmp_path)
+
+
+def test_two_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, tmp_path) == 2
+    assert "name the one folder" in capsys.readouterr().err
