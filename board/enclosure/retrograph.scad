@@ -53,7 +53,7 @@ m3_tapped = 2.5;
 m2_tapped = 1.7;
 light_board_holes = 9.4;    // between the two screws of a light's circuit board, at the back of its sleeve
 
-/* [Saddle: battery or UPS and its switch, strapped on opposite the tray] */
+/* [Saddle: power bank, or a battery and its switch, strapped on opposite the tray] */
 strap = [25, 3];            // hook-and-loop tape: width, and thickness where it lies double
 strap_at = 72;              // above the skin: between button and the tray's upper lug
 saddle_size = [76, 64];     // along the body, across
@@ -238,7 +238,7 @@ module tray() {
     }
 }
 
-// Lies on the body opposite the tray, held by one strap around both; a second strap, along it, holds a flat battery or UPS
+// Lies on the body opposite the tray, held by one strap around both; a second strap, along it, holds a power bank
 // on its plain side. Printed as it stands here, plain side down.
 module saddle() {
     plate = 3;

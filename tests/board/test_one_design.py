@@ -24,7 +24,8 @@ from tests.drawings.board.beam import (
     light_over_field,
 )
 from tests.drawings.board.block import Block
-from tests.drawings.board.totals import euros, rows_of
+from tests.drawings.board.power import SUPPLIES, live_ma, peak_ma
+from tests.drawings.board.totals import euros, part_numbers, rows_of
 from tests.drawings.board.weights import CARRIED_G, block_g, handheld_g
 from tests.drawings.board.wiring import wired_boards, wiring
 
@@ -200,12 +201,42 @@ def test_the_total_holds_every_part_that_a_board_cannot_do_without(board: str) -
     assert 0 < least < most
 
 
+def test_every_row_has_a_number_to_order_or_says_why_not() -> None:
+    """A maker's number, perhaps not verified (?), or `any` with the specification, or who makes it."""
+    numbers = part_numbers(BILL)
+    assert len(numbers) > 55
+    for row_name, number in numbers.items():
+        is_makers = re.search(r"[A-Z0-9][A-Z0-9/-]{2,}|[A-Z]\w+ [A-Z]\w+", number)
+        is_specified = number.startswith("any") and len(number) > len("any: ")
+        assert is_makers or is_specified or number.startswith(("comes with", "made by")), row_name
+
+
+@pytest.mark.parametrize("board", sorted(SUPPLIES))
+def test_a_supply_gives_what_its_board_draws_with_everything_at_work(board: str) -> None:
+    supply = SUPPLIES[board]
+    assert live_ma(board) < peak_ma(board) <= supply.limit_ma
+    assert f"{supply.limit_ma * 1e-3:.0f} A" in row("power bank" if supply.takes_panel else "battery supply")
+
+
+def test_the_pins_that_the_pages_name_are_those_of_the_wiring() -> None:
+    pins = {(wire.part, wire.terminal): wire.pin for board in wired_boards() for wire in wiring(board).wires}
+    panel, supply = ((pins[part, "+5V"], pins[part, "ground"]) for part in ("panel", "supply"))
+    assert "5 V and ground to header pins {} and {}, or the carrier's J11".format(*panel) in BILL
+    assert "PowerBoost at header pins {} and {}".format(*supply) in BILL
+    fail = f"header pin {pins['power-fail', 'signal']} (GPIO 22) and ground at pin {pins['power-fail', 'ground']}"
+    assert fail in BILL
+    latch = f"header pins {pins['power-off', 'OFF']} (OFF) and {pins['power-off', 'ground']}"
+    assert latch in BILL
+    named = re.findall(r"header pins? (\d+)(?: \([^)]*\))?(?: and (\d+))?", BILL)
+    assert {int(pin) for pair in named for pin in pair if pin} <= set(pins.values())
+
+
 @pytest.mark.parametrize("board", ["pi5-imx296", "pi4-imx477"])
 def test_what_a_handheld_weighs_is_of_rows_of_its_bill(board: str) -> None:
     bought = [what for what, _ in rows_of(board, BILL)]
     weighed = {what for what, grams in CARRIED_G.items() if board in grams}
     assert weighed <= set(bought)
-    for heavy in ("computer", "camera", "lens", "housing", "UPS"):
+    for heavy in ("computer", "camera", "lens", "housing", "power bank"):
         assert heavy in weighed
     grams = handheld_g(board)
     assert grams is not None

@@ -23,7 +23,7 @@ CARRIED_G: Final[dict[str, dict[str, float]]] = {
     "camera": {"pi4-imx477": 31, "pi5-imx296": 34},
     "lens": {"pi4-imx477": 65, "pi5-imx296": 65},
     "extension rings": {"pi4-imx477": 20, "pi5-imx296": 15},
-    "UPS": {"pi4-imx477": 150, "pi5-imx296": 150},
+    "power bank": {"pi4-imx477": 190, "pi5-imx296": 190},
     "housing": {"pi4-imx477": 226, "pi5-imx296": 236},
     "straps (2)": {"pi4-imx477": 15, "pi5-imx296": 15},
     "carrier": {"pi4-imx477": 20, "pi5-imx296": 20},
@@ -33,7 +33,7 @@ CARRIED_G: Final[dict[str, dict[str, float]]] = {
     "button": {"pi4-imx477": 12, "pi5-imx296": 12},
 }
 """By row of the bill and board: housing with saddle (36 g by its volume) and without cap, carrier with what it carries,
-wire with LEDs and plugs, the UPS with two cells."""
+wire with LEDs and plugs, the power bank with its cable."""
 
 
 def block_g(block: Block | None = None) -> float:
