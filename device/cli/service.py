@@ -71,15 +71,16 @@ class ServiceReport:
 
 
 def status_line(state: InstrumentState) -> str:
-    """One line on the instrument's state; a reason why it cannot scan comes first."""
+    """One line on the instrument's state; a reason why it cannot scan comes first, then every alarm."""
     if state.activity == BROKEN:
-        return f"{BROKEN}: {state.sentence}"
-    if state.calibration.fault:
-        return f"no scans yet: {state.calibration.fault}"
-    if state.scans_left == 0:
-        return f"no scans: {state.alarms[0] if state.alarms else NO_ROOM}"
-    room = "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
-    return "; ".join([room, *state.alarms])
+        line = f"{BROKEN}: {state.sentence}"
+    elif state.calibration.fault:
+        line = f"no scans yet: {state.calibration.fault}"
+    elif state.scans_left == 0:
+        line = f"no scans: {state.alarms[0] if state.alarms else NO_ROOM}"
+    else:
+        line = "ready" if state.scans_left is None else f"ready: room for {state.scans_left} scans"
+    return "; ".join([line, *(alarm for alarm in state.alarms if alarm not in line)])
 
 
 def identity(*, options: Given) -> int:

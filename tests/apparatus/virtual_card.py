@@ -90,8 +90,11 @@ class VirtualCard:
         (slot,) = (slot for slot, number in BOOT_NUMBERS.items() if f"boot_partition={number}\n" in default)
         return slot
 
-    def switch_on(self) -> None:
-        """Start it as the firmware would, from the slot that autoboot.txt names."""
+    def switch_on(self, overlay: str | None = None) -> None:
+        """Start it as the firmware would, from the slot that autoboot.txt names.
+
+        overlay : words in place of those that ask for the overlay
+        """
         boot = BOOT_NUMBERS[self.default_slot()]
         config = dict(
             line.replace("initramfs ", "initramfs=", 1).split("=", 1)
@@ -101,6 +104,8 @@ class VirtualCard:
         for name in ("kernel", "initramfs"):
             (self.folder / name).write_bytes(self.read(boot, config[name]))
         command_line = patient(self.read(boot, "cmdline.txt").decode())
+        if overlay:
+            command_line = command_line.replace("overlayroot=tmpfs:recurse=0", overlay)
         forwards = ",".join(f"hostfwd=tcp:127.0.0.1:{here}-:{there}" for there, here in self.ports.items())
         command = [
             "nice", "-n", "5", QEMU, "-M", "virt", "-cpu", "max,pauth-impdef=on", "-accel", "tcg,thread=multi",

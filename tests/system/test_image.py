@@ -117,6 +117,16 @@ def test_an_update_boots_from_the_other_slot_and_is_kept(card: VirtualCard, stag
     card.run(f"{TWIN} list")
 
 
+def test_a_root_that_stayed_writable_is_an_alarm(card: VirtualCard, stage: Stage) -> None:
+    """As with an initramfs that lacks the driver: overlayroot goes on without it."""
+    card.run("systemctl poweroff --no-block")
+    card.wait_until_off()
+    with stage("image: boot without the overlay until the alarm"):
+        card.switch_on("rw overlayroot=tmpfs:driver=absent")
+        card.wait_for("systemctl show -P StatusText retroscan | grep 'the root file system is writable although'")
+    assert card.run("findmnt -n -o FSTYPE /").strip() == "ext4"
+
+
 def retrosync(*arguments: str) -> str:
     return run_here("host_sync", *arguments)
 

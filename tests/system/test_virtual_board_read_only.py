@@ -23,6 +23,7 @@ KNOWN = "nmcli --terse --fields TYPE,NAME connection show | sed -n 's/^802-11-wi
 BELOW = "mkdir -p /run/below; mount --bind / /run/below; cp /etc/netplan/* /run/below/etc/netplan/; umount /run/below"
 """As if the network had been there before the first installation: in the root too, below what is mounted over it."""
 
+IMAGE = "/boot/firmware/initramfs8"
 ROOTS = "findmnt -n -o FSTYPE /; findmnt -n -o OPTIONS /media/root-ro | cut -d , -f 1; findmnt -n -o FSTYPE /data"
 
 
@@ -63,6 +64,12 @@ def test_install_makes_the_root_read_only(board: Board, before: Path) -> None:
         board.machine.wait_for("systemctl is-active retroscan")
     board.machine.run(SHARES + netplan("workshop", 1) + BELOW)
     board.machine.run("systemctl --quiet enable NetworkManager")
+    board.machine.run(f"echo . | cpio --quiet -o -H newc >{IMAGE}")
+    refused = board.machine.ask(f"{INSTALL} --read-only")
+    assert (refused.code, f"{IMAGE} lacks the script overlayroot" in refused.text) == (1, True), refused.text
+    assert "overlayroot" not in board.machine.run("cat /boot/firmware/cmdline.txt")
+    shutil.copy(board.machine.cache / "initrd.img", board.handover / "initrd.img")
+    board.machine.run(f"cp /mnt/handover/initrd.img {IMAGE}")
     with board.stage("install.sh --read-only"):
         said = board.machine.run(f"{INSTALL} --read-only")
     assert "write /boot/firmware/cmdline.txt" in said
@@ -123,6 +130,18 @@ def test_a_card_in_another_board_is_another_device(board: Board) -> None:
     machine.run("test ! -e /data/pairing/authorized_keys; test -s /data/pairing/authorized_keys.of-another-board")
     assert set(machine.run("ls /data/store/scans").split()) >= set(board.acknowledged)
     assert "no calibration is active" in machine.run("systemctl show -P StatusText retroscan")
+
+
+def test_a_root_that_stayed_writable_is_an_alarm(board: Board) -> None:
+    """As with an initramfs that lacks the driver: overlayroot goes on without it."""
+    board.machine.power_off()
+    board.machine.switch_on("console=ttyS0 root=/dev/vda rw rootfstype=ext4 quiet overlayroot=tmpfs:driver=absent")
+    board.machine.wait_for("systemctl is-active retroscan")
+    assert board.machine.run("findmnt -n -o FSTYPE /").strip() == "ext4"
+    for place in ("systemctl show -P StatusText retroscan", "journalctl -b -u retroscan -o cat --no-pager"):
+        board.machine.wait_for(
+            f"{place} | grep 'the root file system is writable although it is meant to be read-only'"
+        )
 
 
 def test_without_the_data_partition_ssh_answers_with_a_key_of_that_boot(board: Board) -> None:
