@@ -19,8 +19,6 @@ SHELL := /bin/bash
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 
 unexport PYTHONPATH PYTHONHOME
-# numba keys compiled code by one file's time stamp; code that a kernel calls from another file is covered by this name.
-export NUMBA_CACHE_DIR = $(abspath $(VENV))/numba/$(shell cat host_sync/*/*.py device/*/*.py | cksum | cut -d ' ' -f 1)
 export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1

@@ -1,12 +1,4 @@
-"""Where compiled kernels are cached between runs: one folder per state of the source files.
-
-numba's default is beside the sources. It recompiles a kernel when its own file has changed, but not when a kernel that
-it calls in another file has: after an upgrade, old and new code would run together and heights would be wrong without
-notice.
-
-A state is identified by names, sizes and times of the package's files. Reading them all would take several times as
-long, and an upgrade changes at least one of the three.
-"""
+"""The folder in which compiled kernels are cached between runs (see `host_sync.kernels.jit`)."""
 
 from __future__ import annotations
 
@@ -14,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping, MutableMapping
+from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
 from typing import Final
@@ -21,27 +14,29 @@ from typing import Final
 SETTING: Final = "NUMBA_CACHE_DIR"
 """numba's own variable; when the user sets it, it is not changed."""
 
+SUFFIX: Final = ".kernel"
+
 PACKAGES: Final = tuple(Path(__file__).parents[2] / name for name in ("host_sync", "device"))
-"""Folders whose source files make up a state: kernels of the workstation call functions of both."""
+"""Folders whose source files make up a state: calibrations are made by the code of both."""
 
 KEPT_S: Final = 30 * 86400.0
-"""Folders unused for this long are removed."""
+"""What is unused for this long is removed."""
 
 
 def configure_cache(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Point numba, which must not be imported yet, to the cache folder of this state of the sources."""
+    """Point numba, which must not be imported yet, to the user's cache folder."""
     if not environment.get(SETTING) and (home := cache_home()):
-        environment[SETTING] = str(home / state_of(*PACKAGES))
+        environment[SETTING] = str(home)
 
 
 def holds_kernels(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the cache folder of this state holds compiled kernels of an earlier run."""
-    folder = environment.get(SETTING)
-    return folder is not None and any(Path(folder).glob("*/*.nbi"))
+    """Return whether the cache folder holds kernels that an earlier run compiled."""
+    folder = environment.get(SETTING) or cache_home()
+    return folder is not None and any(Path(folder).glob(f"*{SUFFIX}"))
 
 
 def cache_home() -> Path | None:
-    """Folder with one subfolder per state; None where the user has no home."""
+    """Return the user's folder of compiled kernels; None where the user has no home."""
     import platformdirs  # here, because commands that compile nothing do not need it
 
     try:
@@ -61,15 +56,15 @@ def state_of(*packages: Path) -> str:
 
 
 def prune_cache(environment: Mapping[str, str] = os.environ, now_s: float | None = None) -> None:
-    """Mark this state as used, and remove states unused for a month."""
-    own, home = Path(environment.get(SETTING, "")), cache_home()
-    if home is None or own.parent != home or not own.is_dir():
+    """Remove kernels of the user's folder that no run has loaded for a month, and what other versions left there."""
+    home = cache_home()
+    if home is None or Path(environment.get(SETTING) or home) != home or not home.is_dir():
         return
-    os.utime(own)
     oldest_s = (time.time() if now_s is None else now_s) - KEPT_S
-    for folder in home.iterdir():
-        if folder != own and folder.stat().st_mtime < oldest_s:
-            shutil.rmtree(folder, ignore_errors=True)
+    for entry in home.iterdir():
+        with suppress(FileNotFoundError):  # another run removes it, or is renaming it
+            if entry.stat().st_mtime < oldest_s:
+                shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink()
 
 
 def _stamps(folder: str) -> Iterator[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from host_sync.cli.console import tell_compile_time, tell_of_compiling
 from host_sync.cli.main import run
-from host_sync.kernels.cache import SETTING
+from host_sync.kernels.cache import SETTING, SUFFIX
 from host_sync.kernels.compile_time import CompileTime
 from host_sync.kernels.jit import njit
 
@@ -29,8 +29,7 @@ def test_it_is_said_once(
     monkeypatch.setenv(SETTING, str(tmp_path))
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     if cached:
-        (tmp_path / "integration").mkdir()
-        (tmp_path / "integration" / "datum._add_cells-1.py311.nbi").touch()
+        (tmp_path / f"host_sync.integration.datum._add_cells-1{SUFFIX}").touch()
     tell_of_compiling()
     tell_of_compiling()
     assert capsys.readouterr().err.count("compiles for this machine, about a minute") == words
