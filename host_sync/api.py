@@ -136,8 +136,9 @@ def calibrate(
     presses: Sequence[Press],
     *,
     reference: Image | None = None,
-    pixel_pitch_um: float,
+    pixel_pitch_um: float | tuple[float, float],
     encoding: Encoding = "linear",
+    full_scale: int | None = None,
     paper: bool = False,
     pupil_height_mm: float | None = None,
 ) -> KeptCalibration:
@@ -146,6 +147,7 @@ def calibrate(
     reference : the skin at rest; without it a stand-in is fitted to the presses
     pixel_pitch_um, pupil_height_mm : of pixels on the skin, and of the camera over it (`docs/frame-set.md`)
     encoding : how pixel values encode light
+    full_scale : count at which a pixel of 16 bit is saturated; found from the images when None
     paper : also fit the paper's model, for `reconstruct(..., method="paper")`
 
     Raises
@@ -161,20 +163,41 @@ def calibrate(
     'calibration passed (6 balls, held-out error ... degrees, ± of the height scale unknown ...)'
     >>> calibration.write("own.calibration")
     """
-    from host_sync.api_arguments import check_choice, height_of, linear_frame, press_frames
+    from host_sync.api_arguments import (
+        check_choice,
+        height_of,
+        image_form,
+        linear_frame,
+        pitch_and_shape,
+        press_frame,
+        press_list,
+    )
     from host_sync.calibration.frames import CalibrationFrames
     from host_sync.calibration_file.kept_calibration import facts_of, make_calibration
 
     check_choice("encoding", encoding, Encoding)
+    pitch_um, pixel_shape = pitch_and_shape(pixel_pitch_um)
+    listed = press_list(presses)
+    images = [press.image for press in listed] + ([reference] if reference is not None else [])
+    form = image_form(images, encoding, full_scale, pixel_shape)
     frames = CalibrationFrames(
-        press_frames(presses, pixel_pitch_um, encoding),
-        linear_frame(reference, encoding) if reference is not None else None,
-        pixel_pitch_um,
+        tuple(press_frame(number, press, pitch_um, form) for number, press in enumerate(listed)),
+        linear_frame(reference, form) if reference is not None else None,
+        pitch_um,
         paper=paper,
         pupil_height_mm=height_of(pupil_height_mm),
     )
     with one_blas_thread():
-        return make_calibration(frames, lambda found: facts_of(found, "a Python program", encoding=encoding))
+        return make_calibration(
+            frames,
+            lambda found: facts_of(
+                found,
+                "a Python program",
+                encoding=encoding,
+                full_scale=form.full_scale,
+                pixel_shape=pixel_shape,
+            ),
+        )
 
 
 def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = False) -> KeptCalibration:
@@ -223,6 +246,7 @@ def reconstruct(
     calibration: KeptCalibration,
     *,
     encoding: Encoding | None = None,
+    full_scale: int | None = None,
     method: Method | None = None,
     detail: Detail = "shrunk",
     force: bool = False,
@@ -230,7 +254,7 @@ def reconstruct(
 ) -> Result:
     """The surface that an image shows.
 
-    encoding : how pixel values encode light; as in calibration when None
+    encoding, full_scale : how pixel values encode light; as in calibration when None
     method : by default the one with the smaller held-out error
     detail : shrunk removes pixel noise, raw keeps it
     force : reconstruct an image too that the calibration does not explain
@@ -249,7 +273,7 @@ def reconstruct(
     >>> bool(result.sigma_um[130, 154] < 0.1 * result.height_um[130, 154])
     True
     """
-    from host_sync.api_arguments import as_path, check_calibration, check_choice, linear_frame
+    from host_sync.api_arguments import as_path, check_calibration, check_choice, image_form, linear_frame
     from host_sync.reconstruction.pipeline import reconstruct as reconstruct_frame
     from host_sync.reconstruction.result_writer import result_record, write_result
     from host_sync.results.reader import ResultSurface
@@ -261,7 +285,9 @@ def reconstruct(
     check_choice("detail", detail, Detail)
     folder = as_path("out", out) if out is not None else None
     name = Path(str(image)).stem if isinstance(image, str | Path) else "image"
-    frame = linear_frame(image, encoding or calibration.facts.encoding or "linear")
+    facts = calibration.facts
+    scale = facts.full_scale if full_scale is None else full_scale
+    frame = linear_frame(image, image_form([image], encoding or facts.encoding or "linear", scale, facts.pixel_shape))
     with one_blas_thread():
         found = reconstruct_frame(frame, calibration.calibration, name, method, force=force, detail=detail)
     if folder is not None:

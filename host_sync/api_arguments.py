@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -23,9 +24,12 @@ from host_sync.errors import (
     HostError,
     IntegrationError,
 )
-from host_sync.frames.frame_set import FrameSpec, check_ball
+from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
+from host_sync.frames.full_scale import count_values, full_scale_of
+from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import frame_of_values, read_frame
+from host_sync.frames.square_pixels import square_pitch
 from host_sync.results.reader import ResultSurface, read_result
 
 if TYPE_CHECKING:
@@ -152,23 +156,69 @@ def _numbers(name: str, given: Any) -> Float32Array:
     return np.ascontiguousarray(filled) if filled.ndim else filled
 
 
-def press_frames(presses: object, pixel_pitch_um: float, encoding: Encoding) -> tuple[PressFrame, ...]:
-    """The presses as calibration takes them; errors as for `press_frame`, ArgumentError where they are no list."""
+def press_list(presses: object) -> list[Press]:
+    """The presses; ArgumentError where they are no list, FrameSetError where one of them is none."""
     if not isinstance(presses, Iterable):
         raise ArgumentError(f"presses must be a list, [api.Press(...), ...], not {type(presses).__name__}")
-    return tuple(press_frame(number, press, pixel_pitch_um, encoding) for number, press in enumerate(presses))
+    listed = list(presses)
+    for number, press in enumerate(listed):
+        if not hasattr(press, "ball_radius_mm"):
+            kind = type(press).__name__
+            raise FrameSetError(f"press {number} is a {kind}: give api.Press(image, ball_radius_mm=...)")
+    return listed
 
 
-def press_frame(number: int, press: Press, pixel_pitch_um: float, encoding: Encoding) -> PressFrame:
+def pitch_and_shape(given: object) -> tuple[float, float]:
+    """The pitch of square pixels and the shape of the stored ones; FrameSetError where it is none."""
+    pair = tuple(given) if isinstance(given, tuple | list) else (given,)
+    if not 1 <= len(pair) <= 2:
+        raise FrameSetError(
+            f"pixel_pitch_um {given!r} is not accepted; give a number, or two: along a row, down a column"
+        )
+    numbers = [positive("pixel_pitch_um", one, FrameSetError) for one in pair]
+    return square_pitch(tuple(numbers) if len(numbers) == 2 else numbers[0])
+
+
+def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, pixel_shape: float) -> FrameSpec:
+    """What images have in common, as a frame without images.
+
+    full_scale : as given; None finds it where images have 16 bit
+
+    Raises
+    ------
+    FrameSetError
+        It is not certain, or no count.
+    """
+    form = FrameSpec((), encoding, None, pixel_shape)
+    if full_scale is not None:
+        return replace(form, full_scale=round(positive("full_scale", full_scale, FrameSetError)))
+    deep: list[Any] = []
+    stated = 0
+    for image in images:
+        for part in [image] if isinstance(image, np.ndarray) else [Path(path) for path in _paths(image)]:
+            if isinstance(part, Path):
+                info = read_info(part)
+                stated = max(stated, info.full_scale or 0)
+                if info.bits == 16 and not info.is_raw:
+                    deep.append(part)
+            elif part.dtype == np.uint16:
+                deep.append(part)
+    if not deep:
+        return form
+    counts = count_values(read_image(one) if isinstance(one, Path) else one for one in deep)
+    return replace(form, full_scale=full_scale_of(counts, stated or None, encoding))
+
+
+def press_frame(number: int, press: Press, pixel_pitch_um: float, form: FrameSpec) -> PressFrame:
     """The press as calibration takes it; FrameSetError when its image or a length is none."""
-    if not hasattr(press, "ball_radius_mm"):
-        raise FrameSetError(f"press {number} is a {type(press).__name__}: give api.Press(image, ball_radius_mm=...)")
-    pitch_um = positive("pixel_pitch_um", pixel_pitch_um, FrameSetError)
-    radius_px = positive("ball_radius_mm", press.ball_radius_mm, FrameSetError) * 1e3 / pitch_um
+    radius_px = positive("ball_radius_mm", press.ball_radius_mm, FrameSetError) * 1e3 / pixel_pitch_um
     spacing = press.grid_pitch_mm
     grid = None if spacing is None else GridSpacing(positive("grid_pitch_mm", spacing, FrameSetError))
-    frame = linear_frame(press.image, encoding)
+    frame = linear_frame(press.image, form)
     balls = None if press.balls is None else _balls(f"press {number}", press.balls, radius_px)
+    if balls and form.pixel_shape != 1.0:
+        stored = stored_shape(press.image)
+        balls = tuple(square_ball(ball, stored, form.pixel_shape) for ball in balls)
     for i, ball in enumerate(balls or ()):
         check_ball(ball, frame.rgb.shape[:2], f"press {number}: balls[{i}]")
     return PressFrame(
@@ -196,16 +246,28 @@ def _balls(press: str, given: object, radius_px: float) -> tuple[Ball, ...]:
     return tuple(balls)
 
 
-def linear_frame(image: Image, encoding: Encoding) -> LinearFrame:
-    """The image as linear light; FrameSetError when it is not an image."""
+def linear_frame(image: Image, form: FrameSpec) -> LinearFrame:
+    """The image as linear light on square pixels; FrameSetError when it is not an image."""
     if isinstance(image, np.ndarray):
-        return frame_of_values(image, encoding)
+        return frame_of_values(image, form.encoding, form.full_scale, form.pixel_shape)
+    return read_frame(replace(form, images=tuple(Path(path) for path in _paths(image))))
+
+
+def stored_shape(image: Image) -> tuple[int, int]:
+    """(H, W) of an image as it is stored."""
+    if isinstance(image, np.ndarray):
+        return image.shape[0], image.shape[1]
+    return read_info(Path(_paths(image)[0])).shape
+
+
+def _paths(image: Any) -> tuple[Any, ...]:
+    """The files of an image; FrameSetError when it names none."""
     paths: tuple[Any, ...] = (image,) if isinstance(image, str | Path) else tuple(image) if _is_series(image) else ()
     if not 1 <= len(paths) <= MAX_LIGHTS or not all(isinstance(path, str | Path) for path in paths):
         raise FrameSetError(
             f"a {type(image).__name__} is no frame: name an RGB image, or a grey one a light, or give a numpy array"
         )
-    return read_frame(FrameSpec(tuple(Path(path) for path in paths), encoding))
+    return paths
 
 
 def _is_series(image: object) -> bool:

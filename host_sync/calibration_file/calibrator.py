@@ -102,10 +102,17 @@ class Calibrator:
             return self.named()
         self._tell("looking for an earlier calibration")
         key = key_of_set(frame_set)
-        encoding = frame_set.presses[0].frame.encoding
+        frame = frame_set.presses[0].frame
 
         def facts(calibration: Calibration) -> Facts:
-            return facts_of(calibration, frame_set.name, key, encoding=encoding)
+            return facts_of(
+                calibration,
+                frame_set.name,
+                key,
+                encoding=frame.encoding,
+                full_scale=frame.full_scale,
+                pixel_shape=frame.pixel_shape,
+            )
 
         return self._take(key, facts, lambda: frames_of_set(frame_set))
 

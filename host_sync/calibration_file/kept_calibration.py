@@ -97,6 +97,8 @@ def facts_of(
     key: str = "",
     *,
     encoding: Encoding | None = None,
+    full_scale: int | None = None,
+    pixel_shape: float = 1.0,
     bundle: CalibrationBundle | None = None,
 ) -> Facts:
     """What the file of a calibration that is made now says of itself."""
@@ -108,6 +110,8 @@ def facts_of(
         made_from=made_from,
         key=key,
         encoding=encoding,
+        full_scale=full_scale,
+        pixel_shape=pixel_shape,
         bundle_id=None if record is None else record.calibration_id,
         gel_id=None if record is None else record.gel_id,
         fingerprint=None if record is None else record.fingerprint,

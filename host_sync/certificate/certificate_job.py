@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -20,7 +21,7 @@ from host_sync.certificate.specimen_file import ScanTable, SpecimenFile, read_sp
 from host_sync.certificate.specimen_measurement import judge, measured_quantity
 from host_sync.errors import HostError, MeasurementError
 from host_sync.frames.frame_set import FrameSet, FrameSpec
-from host_sync.frames.frame_set_file import Encoding, read_frame_set_file
+from host_sync.frames.frame_set_file import read_frame_set_file
 from host_sync.frames.linear_light import read_frame
 from host_sync.measurement.quantity import Quantity
 from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER
@@ -59,9 +60,9 @@ def certificate_of_frame_set(
     kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
     kept.write_report(out / CALIBRATION_FOLDER)
     calibration = kept.calibration
-    encoding = read_frame_set_file(frame_set.path).encoding
+    form = FrameSpec((), read_frame_set_file(frame_set.path).encoding, frame_set.full_scale, frame_set.pixel_shape)
     checked = [
-        check_specimen(path, one, calibration, encoding, out / f"{number:02d}-{path.stem}", tell)
+        check_specimen(path, one, calibration, form, out / f"{number:02d}-{path.stem}", tell)
         for number, (path, one) in enumerate(read, start=1)
     ]
     certificate = certify(frame_set.name, calibration, checked, list(_hashed(frame_set.path, read)))
@@ -78,16 +79,19 @@ def write_certificate(certificate: Certificate, out: Path) -> None:
 
 
 def check_specimen(
-    path: Path, specimen: SpecimenFile, calibration: Calibration, encoding: Encoding, out: Path, tell: Tell
+    path: Path, specimen: SpecimenFile, calibration: Calibration, form: FrameSpec, out: Path, tell: Tell
 ) -> CheckedSpecimen:
-    """Reconstruct and measure every scan of a specimen; a scan that fails is named in its result."""
+    """Reconstruct and measure every scan of a specimen; a scan that fails is named in its result.
+
+    form : of its images, which are not named in it
+    """
     surfaces: list[ResultSurface] = []
     quantities: list[Quantity] = []
     failures: list[str] = []
     for number, scan in enumerate(specimen.scan, start=1):
         tell(f"{specimen.name}: scan {number} of {len(specimen.scan)}")
         try:
-            surface = _surface(path.parent, scan, calibration, encoding, out / f"scan-{number:02d}", specimen.name)
+            surface = _surface(path.parent, scan, calibration, form, out / f"scan-{number:02d}", specimen.name)
             quantity = measured_quantity(specimen, surface)
         except (DeviceError, HostError) as error:
             failures.append(str(error))
@@ -98,7 +102,7 @@ def check_specimen(
 
 
 def _surface(
-    folder: Path, scan: ScanTable, calibration: Calibration, encoding: Encoding, out: Path, name: str
+    folder: Path, scan: ScanTable, calibration: Calibration, form: FrameSpec, out: Path, name: str
 ) -> ResultSurface:
     """The surface of one scan: read where it was reconstructed before, else reconstructed now."""
     if scan.result is not None:
@@ -109,7 +113,7 @@ def _surface(
                 f"{calibration.calibration_id} is to be judged: name the image, or reconstruct it again"
             )
         return surface
-    frame = FrameSpec(tuple(folder / image for image in _images(scan)), encoding)
+    frame = replace(form, images=tuple(folder / image for image in _images(scan)))
     reconstruction = reconstruct(read_frame(frame), calibration, frame.name, keep_noise=True)
     write_result(out, reconstruction, calibration, name)
     return read_result(out)

@@ -91,7 +91,15 @@ def video(
         check_replaceable(out, RECORD_FILE)  # before minutes of work
         kept = obtain_calibration(calibration, library, lambda words: tell(words, None, None), paper=method == "paper")
         known, stated = kept.calibration, encoding or kept.facts.encoding
-        solver = FrameSolver(known, method or known.preferred, stated, weighted=weighted, force=force)
+        solver = FrameSolver(
+            known,
+            method or known.preferred,
+            stated,
+            full_scale=kept.facts.full_scale,
+            pixel_shape=kept.facts.pixel_shape,
+            weighted=weighted,
+            force=force,
+        )
         names = printable(sequence.name), printable(calibration)
         order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, *names)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)

@@ -4,21 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from device.balls.sphere import Ball
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set_file import Encoding, FileTable, ImageNames, PressTable, read_frame_set_file
-from host_sync.frames.image_file import ImageInfo, read_info
+from host_sync.frames.full_scale import count_values, full_scale_of
+from host_sync.frames.image_file import ImageInfo, read_image, read_info
+from host_sync.frames.square_pixels import square_pitch, square_place, square_shape
+
+COUNTED_SCANS: Final = 8
+"""At most so many scans show, beside reference and presses, where counts of 16 bit end."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameSpec:
-    """One frame: an RGB image, or a grey one a light (three in R, G, B order), and how their values encode light."""
+    """One frame: an RGB image, or a grey one a light (three in R, G, B order), and how their values encode light.
+
+    full_scale : count at which a pixel of 16 bit is saturated; None for the largest
+    pixel_shape : height of a stored pixel over its width
+    """
 
     images: tuple[Path, ...]
     encoding: Encoding
+    full_scale: int | None = None
+    pixel_shape: float = 1.0
 
     @property
     def name(self) -> str:
@@ -58,6 +70,10 @@ class ScanSpec:
 class FrameSet:
     """A checked frame set; every frame has the same (H, W) `shape` and as many lights.
 
+    pixel_pitch_um, shape : of square pixels, which frames are brought to when they are read
+    pixel_shape : height of a stored pixel over its width
+    full_scale : count at which a pixel of 16 bit is saturated; None where no frame has 16 bit
+    states_full_scale : it stands in the file, or in an image's header
     lights : their names with their colours, empty where the file does not say
     lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
     pupil_height_mm : the camera's height over untouched skin; None where the file does not say
@@ -73,10 +89,31 @@ class FrameSet:
     lights: tuple[str, ...] = ()
     lamps_mm: tuple[tuple[float, float, float], ...] = ()
     pupil_height_mm: float | None = None
+    pixel_shape: float = 1.0
+    full_scale: int | None = None
+    states_full_scale: bool = False
+
+    def scaled_as(self, full_scale: int | None) -> FrameSet:
+        """The same with scans of a full scale that another set's frames show, where this one states none.
+
+        Raises
+        ------
+        FrameSetError
+            The frames hold counts above it.
+        """
+        if None in (self.full_scale, full_scale) or self.states_full_scale or self.full_scale == full_scale:
+            return self
+        if (self.full_scale or 0) > (full_scale or 0):
+            raise FrameSetError(
+                f"{self.path}: its frames hold counts above {full_scale}, at which those of the calibration are "
+                "saturated: use a calibration of this camera mode, or state full_scale"
+            )
+        scans = tuple(replace(scan, frame=replace(scan.frame, full_scale=full_scale)) for scan in self.scans)
+        return replace(self, scans=scans, full_scale=full_scale)
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
-    """Read and check a frame set file; only the headers of its images are read.
+    """Read and check a frame set file; of its images, only headers are read and, of 16 bit, where their counts end.
 
     calibrates : refuse a set without a calibration press
 
@@ -86,10 +123,11 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         Names the file and the key, or the image, that is wrong.
     """
     file = read_frame_set_file(path, calibrates=calibrates)
+    pitch_um, pixel_shape = square_pitch(file.pixel_pitch_um)
 
     def frame(image: ImageNames) -> FrameSpec:
         names = (image,) if isinstance(image, str) else image
-        return FrameSpec(tuple(path.parent / name for name in names), file.encoding)
+        return FrameSpec(tuple(path.parent / name for name in names), file.encoding, file.full_scale, pixel_shape)
 
     reference = frame(file.reference.image) if file.reference else None
     press_frames = [frame(press.image) for press in file.press]
@@ -97,27 +135,56 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     keyed = [("reference.image", reference)] if reference else []
     keyed += [(f"press[{i}].image", spec) for i, spec in enumerate(press_frames)]
     keyed += [(f"scan[{i}].image", scan.frame) for i, scan in enumerate(scans)]
-    shape, channels = _common_form(keyed, path)
+    stored, channels, known = _common_form(keyed, path)
+    if file.full_scale is None:
+        full_scale, is_stated = _full_scale([spec for _, spec in keyed], len(scans), known, path)
+    else:
+        full_scale, is_stated = file.full_scale, True
     lights = _light_names(file, channels, path)
-    presses = tuple(
-        _press(i, press, press_frames[i], shape, file.pixel_pitch_um, path) for i, press in enumerate(file.press)
-    )
+    if full_scale is not None:
+        reference = reference and replace(reference, full_scale=full_scale)
+        press_frames = [replace(spec, full_scale=full_scale) for spec in press_frames]
+        scans = tuple(replace(scan, frame=replace(scan.frame, full_scale=full_scale)) for scan in scans)
+    presses = tuple(_press(i, press, press_frames[i], stored, pitch_um, path) for i, press in enumerate(file.press))
     return FrameSet(
         path,
         file.name,
-        file.pixel_pitch_um,
-        shape,
+        pitch_um,
+        square_shape(stored, pixel_shape),
         reference,
         presses,
         scans,
         lights,
         _lamps(file, path),
         file.pupil_height_mm,
+        pixel_shape,
+        full_scale,
+        is_stated,
     )
 
 
-def _common_form(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[tuple[int, int], int]:
-    """(H, W) and channels of all frames, each checked to be an RGB image or grey ones of one size."""
+def _full_scale(
+    frames: Sequence[FrameSpec], scans: int, known: dict[Path, ImageInfo], path: Path
+) -> tuple[int | None, bool]:
+    """The count at which frames of 16 bit are saturated, and whether headers state it; the last frames are scans."""
+    first_scan = len(frames) - scans
+    counted = [*frames[:first_scan], *frames[first_scan :: max(1, scans // COUNTED_SCANS)]]
+    images = [image for spec in counted for image in spec.images if known[image].bits == 16 and not known[image].is_raw]
+    if not images:
+        return None, False
+    stated = max((known[image].full_scale or 0 for image in images), default=0) or None
+    histogram = count_values(read_image(image) for image in dict.fromkeys(images))
+    try:
+        found = full_scale_of(histogram, stated, frames[0].encoding)
+    except FrameSetError as error:
+        raise FrameSetError(f"{path}: {error}") from error
+    return found, found == stated
+
+
+def _common_form(
+    frames: Sequence[tuple[str, FrameSpec]], path: Path
+) -> tuple[tuple[int, int], int, dict[Path, ImageInfo]]:
+    """(H, W) and channels of all frames, each an RGB image or grey ones of one size; and what every image is."""
     known: dict[Path, ImageInfo] = {}
     first_key, shape = "", (0, 0)
     for key, spec in frames:
@@ -139,7 +206,7 @@ def _common_form(frames: Sequence[tuple[str, FrameSpec]], path: Path) -> tuple[t
                 f"{path}: {key}: has {_channels_of(counts[spec])} and {first_key} {counts[frames[0][1]]}: "
                 "name the same lights in every frame"
             )
-    return shape, counts[frames[0][1]]
+    return shape, counts[frames[0][1]], known
 
 
 def _channels_of(count: int) -> str:
@@ -196,14 +263,25 @@ def check_ball(ball: Ball, shape: tuple[int, int], place: str) -> None:
         )
 
 
+def square_ball(ball: Ball, shape: tuple[int, int], pixel_shape: float) -> Ball:
+    """A labelled ball of a frame that is stored with (H, W) `shape`, in square pixels; its contact does not grow."""
+    column, row = square_place(ball.column, ball.row, shape, pixel_shape)
+    contact_px = ball.contact_radius_px * min(pixel_shape, 1.0 / pixel_shape)
+    return replace(ball, column=column, row=row, contact_radius_px=contact_px)
+
+
 def _press(
     number: int, press: PressTable, frame: FrameSpec, shape: tuple[int, int], pixel_pitch_um: float, path: Path
 ) -> PressSpec:
-    """The press with lengths in pixels, its balls checked against frame and sphere."""
+    """The press with lengths in square pixels, its balls checked against frame and sphere.
+
+    shape : of the frame as it is stored, in whose pixels the file gives balls
+    """
     radius_px = press.ball_radius_mm * 1000.0 / pixel_pitch_um
     balls = None if press.balls is None else tuple(Ball(b.x, b.y, b.r, radius_px) for b in press.balls)
+    balls = balls and tuple(square_ball(ball, shape, frame.pixel_shape) for ball in balls)
     for i, ball in enumerate(balls or ()):
-        check_ball(ball, shape, f"{path}: press[{number}].balls[{i}]")
+        check_ball(ball, square_shape(shape, frame.pixel_shape), f"{path}: press[{number}].balls[{i}]")
     _check_tolerances(press, f"{path}: press[{number}]")
     return PressSpec(
         name=f"press-{number:02d}",

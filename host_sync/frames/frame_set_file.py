@@ -22,6 +22,8 @@ MAX_LIGHTS: Final = 8
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+# msgspec reads memory that is not its own where a fixed tuple and a bounded number are alternatives.
+PixelPitch = Length | Annotated[tuple[Length, ...], msgspec.Meta(min_length=2, max_length=2)]
 Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Height = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
@@ -82,12 +84,15 @@ class ScanTable(_Table, frozen=True):
 class FileTable(_Table, frozen=True):
     """The whole file.
 
+    pixel_pitch_um : of pixels that are not square, along a row and down a column
+    full_scale : count at which a pixel of 16 bit is saturated
     pupil_height_mm : height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it
     """
 
     name: str
-    pixel_pitch_um: Length
+    pixel_pitch_um: PixelPitch
     encoding: Encoding
+    full_scale: Annotated[int, msgspec.Meta(ge=255, le=65535)] | None = None
     pupil_height_mm: Length | None = None
     light: Annotated[tuple[LightTable, ...], msgspec.Meta(max_length=MAX_LIGHTS)] = ()
     reference: ReferenceTable | None = None

@@ -1,4 +1,4 @@
-"""From image files and arrays to linear light."""
+"""From image files and arrays to linear light on square pixels."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from device.imaging.flat_field import SATURATED, LinearFrame
+from device.imaging.flat_field import SATURATED, LinearFrame, demosaic
 from device.surface.fields import Float32Array
+from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.frame_set_file import MAX_LIGHTS, Encoding
-from host_sync.frames.image_file import read_pixels
+from host_sync.frames.full_scale import clip_level
+from host_sync.frames.image_file import Pixels, read_image
+from host_sync.frames.square_pixels import square_frame
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:
@@ -23,17 +26,37 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
     FrameSetError
         An image is missing, truncated or not what the frame set described; names it.
     """
-    images = [read_pixels(path) for path in spec.images]
+    images = [read_image(path) for path in spec.images]
+    first = images[0]
     for path, image in zip(spec.images, images, strict=True):
-        if (len(images) > 1 and image.ndim != 2) or image.shape[:2] != images[0].shape[:2]:
+        is_other = isinstance(image, RawFrame) if len(images) > 1 else False
+        if is_other or (len(images) > 1 and len(image.shape) != 2) or image.shape[:2] != first.shape[:2]:
             raise FrameSetError(f"{path}: changed in size or kind since the frame set was checked: load it again")
-    planes = [light_of_values(image.dtype, spec.encoding)[image] for image in images]
+    if isinstance(first, RawFrame):
+        if spec.encoding != "linear":
+            raise FrameSetError(
+                f'{spec.name}: is a camera raw file, whose counts are linear light: state encoding = "linear"'
+            )
+        return square_frame(demosaic(first), spec.pixel_shape)
+    planes = [_light(image, spec) for image in images if not isinstance(image, RawFrame)]
     rgb = planes[0] if planes[0].ndim == 3 else np.stack(planes, axis=-1)
-    return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
+    return square_frame(_linear_frame(rgb), spec.pixel_shape)
 
 
-def frame_of_values(values: NDArray[Any], encoding: Encoding) -> LinearFrame:
+def _light(image: Pixels, spec: FrameSpec) -> Float32Array:
+    return light_of_values(image.dtype, spec.encoding, spec.full_scale)[image]
+
+
+def _linear_frame(rgb: Float32Array, clipped_from: float = 1.0) -> LinearFrame:
+    return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED * clipped_from), axis=-1))
+
+
+def frame_of_values(
+    values: NDArray[Any], encoding: Encoding, full_scale: int | None = None, pixel_shape: float = 1.0
+) -> LinearFrame:
     """The frame in an array of shape (H, W, N), one channel a light: uint8 or uint16, or fractions of full scale.
+
+    full_scale, pixel_shape : as of `FrameSpec`
 
     Raises
     ------
@@ -46,21 +69,25 @@ def frame_of_values(values: NDArray[Any], encoding: Encoding) -> LinearFrame:
             f"channel a light, up to {MAX_LIGHTS}"
         )
     if values.dtype in (np.uint8, np.uint16):
-        rgb = light_of_values(values.dtype, encoding)[values]
+        frame = _linear_frame(light_of_values(values.dtype, encoding, full_scale)[values])
     elif values.dtype.kind == "f" and np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:
         rgb = np.asarray(decode_srgb(values.astype(np.float64)) if encoding == "srgb" else values, np.float32)
+        frame = _linear_frame(rgb, clip_level(*np.unique(rgb, return_counts=True)) or 1.0)
     else:
         raise FrameSetError(
             f"an array of {values.dtype} from {values.min()} to {values.max()} is no frame: give uint8, uint16, or "
             "fractions of full scale from 0 to 1"
         )
-    return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
+    return square_frame(frame, pixel_shape)
 
 
-def light_of_values(dtype: np.dtype[Any], encoding: Encoding) -> Float32Array:
-    """Fraction of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or uint16."""
+def light_of_values(dtype: np.dtype[Any], encoding: Encoding, full_scale: int | None = None) -> Float32Array:
+    """Fraction of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or uint16.
+
+    full_scale : of uint16; None is the largest count
+    """
     highest = np.iinfo(dtype).max
-    values = np.arange(highest + 1) / highest
+    values = np.arange(highest + 1) / (full_scale if full_scale and dtype == np.uint16 else highest)
     return (decode_srgb(values) if encoding == "srgb" else values).astype(np.float32)
 
 

@@ -22,7 +22,7 @@ from device.errors import RecordError
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
-from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_pixels
+from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_image
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -224,8 +224,8 @@ def _read_file(path: Path) -> Pixels | RawFrame:
         raise FrameSetError(f"{path}: is not a file: remove it from the folder")
     if path.suffix.lower() in (".tif", ".tiff") and _page_count(path) == _RAW_PAGES:
         return read_raw(path)
-    pixels = read_pixels(path)
-    if pixels.ndim != 3:
+    pixels = read_image(path)
+    if len(pixels.shape) != 3 and not isinstance(pixels, RawFrame):
         raise FrameSetError(f"{path}: is grey: a sequence takes RGB images")
     return pixels
 

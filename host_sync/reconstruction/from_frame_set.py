@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from device.calibration.limits import PITCH_GROSS_SHARE
 from device.errors import DeviceError
 from device.io.atomic import check_replaceable
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.calibration_report.report import REPORT_FILE
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
@@ -23,6 +25,7 @@ from host_sync.results.doubts import stated_doubts
 from host_sync.results.files import DetailName
 
 CALIBRATION_FOLDER = "calibration"
+SAME_PIXEL_SHAPE: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +80,11 @@ def reconstruct_frame_set(
     OutputError
         Nothing can be written to `out`.
     """
-    scans = chosen_scans(frame_set, names)
     check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)  # before minutes of work
+    chosen_scans(frame_set, names)
     kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
-    _check_pitch(frame_set, kept.calibration.pitch_um)
+    _check_pixels(frame_set, kept)
+    scans = chosen_scans(frame_set.scaled_as(kept.facts.full_scale), names)
     kept.write_report(out / CALIBRATION_FOLDER)
     calibration = kept.calibration
     done: dict[str, tuple[str, ...]] = {}
@@ -99,10 +103,16 @@ def reconstruct_frame_set(
     return done, failures
 
 
-def _check_pitch(frame_set: FrameSet, pitch_um: float) -> None:
-    """Refuse a calibration of another pixel pitch than the frame set states."""
+def _check_pixels(frame_set: FrameSet, kept: KeptCalibration) -> None:
+    """Refuse a calibration of pixels of another pitch or shape than the frame set states."""
+    pitch_um, shape = kept.calibration.pitch_um, kept.facts.pixel_shape
     if abs(frame_set.pixel_pitch_um / pitch_um - 1.0) > PITCH_GROSS_SHARE:
         raise FrameSetError(
             f"{frame_set.path}: pixel_pitch_um: {frame_set.pixel_pitch_um:g} is not the calibration's {pitch_um:g}: "
             "use a calibration of this camera mode"
+        )
+    if abs(frame_set.pixel_shape / shape - 1.0) > SAME_PIXEL_SHAPE:
+        raise FrameSetError(
+            f"{frame_set.path}: pixel_pitch_um: pixels are {frame_set.pixel_shape:.3g} times as high as wide here, and "
+            f"{shape:.3g} times in the calibration: use a calibration of this camera mode"
         )

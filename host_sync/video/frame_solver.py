@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.imaging.flat_field import NormalizedImage
+from device.imaging.flat_field import NormalizedImage, flat_field_correct
 from device.imaging.frame_measures import shaded_fraction
 from device.surface.fields import Float32Array, GradientField, MaskArray, full_rectangle
 from hal.frame import RawFrame
@@ -15,7 +15,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
 from host_sync.frames.frame_set_file import Encoding
-from host_sync.frames.linear_light import light_of_values
+from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
 from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity
@@ -65,6 +65,7 @@ class FrameSolver:
     calibration : of every frame
     method : how slopes are estimated
     encoding : how stored values encode light; not needed for raw frames
+    full_scale, pixel_shape : of stored frames, as of `FrameSpec`
     force : also solve frames that the calibration cannot explain
     weighted : False gives every pixel the same weight and fills holes with flat skin: faster, less accurate
     """
@@ -75,6 +76,8 @@ class FrameSolver:
         method: Method,
         encoding: Encoding | None,
         *,
+        full_scale: int | None = None,
+        pixel_shape: float = 1.0,
         weighted: bool = True,
         force: bool = False,
     ) -> None:
@@ -85,6 +88,7 @@ class FrameSolver:
         self._calibration = calibration
         self.method: Method = method
         self.encoding = encoding
+        self._full_scale, self._pixel_shape = full_scale, pixel_shape
         self.force = force
         self._light: dict[np.dtype[Any], Float32Array] = {}
         rows, columns, _ = calibration.flat_field.shape
@@ -100,7 +104,15 @@ class FrameSolver:
 
     def clone(self) -> FrameSolver:
         """A solver of the same frames with its own working arrays, for another thread."""
-        return FrameSolver(self._calibration, self.method, self.encoding, weighted=self.weighted, force=self.force)
+        return FrameSolver(
+            self._calibration,
+            self.method,
+            self.encoding,
+            full_scale=self._full_scale,
+            pixel_shape=self._pixel_shape,
+            weighted=self.weighted,
+            force=self.force,
+        )
 
     def solve(self, frame: StoredFrame, out: Float32Array) -> FrameStatistics:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its statistics.
@@ -148,9 +160,12 @@ class FrameSolver:
             return raw_intensity(frame.pixels, self._flat_field, self._intensity)
         if self.encoding is None:
             raise SequenceError(f"{frame.name}: values may be linear light or sRGB: choose with --encoding")
+        if self._pixel_shape != 1.0:
+            whole = frame_of_values(frame.pixels, self.encoding, self._full_scale, self._pixel_shape)
+            return flat_field_correct(whole, self._calibration.flat_field)
         dtype = frame.pixels.dtype
         if dtype not in self._light:
-            self._light[dtype] = light_of_values(dtype, self.encoding)
+            self._light[dtype] = light_of_values(dtype, self.encoding, self._full_scale)
         return stored_intensity(frame.pixels, self._light[dtype], self._flat_field, self._intensity)
 
     def _gradients(self, intensity: NormalizedImage) -> GradientField:

@@ -194,11 +194,14 @@ def test_half_a_jpeg_with_a_forged_end_is_refused(tmp_path: Path, flags: list[in
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda path: path.write_text("no image"), "is not a PNG, TIFF or JPEG"),
-        (lambda path: cv2.imwrite(str(path), np.zeros((20, 30, 4), np.uint8)), "has 4 channels of 8 bit"),
+        (lambda path: path.write_text("no image"), "is not a PNG, TIFF, JPEG or camera raw image"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((20, 30, 4), np.uint8)), "has transparent pixels"),
         (lambda path: tifffile.imwrite(path, np.zeros((20, 30, 3), np.float32), photometric="rgb"), "holds float32"),
         (lambda path: tifffile.imwrite(path, np.zeros((2, 20, 30), np.uint8), photometric="minisblack"), "2 pages"),
-        (lambda path: tifffile.imwrite(path, np.zeros((20, 30), np.uint8), photometric="miniswhite"), "neither grey"),
+        (
+            lambda path: tifffile.imwrite(path, np.zeros((20, 30, 4), np.uint8), photometric="separated"),
+            "neither grey nor RGB",
+        ),
         (
             lambda path: path.write_bytes(
                 b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f\xff\xff\xff" * 2 + b"\x08\x02" + b"\0" * 9

@@ -1,0 +1,115 @@
+"""Camera raw files (DNG, NEF, CR2, ARW and others): the Bayer mosaic at its full size, by LibRaw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import tifffile
+
+from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
+from host_sync.errors import FrameSetError
+
+if TYPE_CHECKING:
+    import rawpy
+
+RAW_SUFFIXES: Final = frozenset(
+    f".{name}"
+    for name in (
+        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "fff", "iiq", "kdc", "mef", "mos", "mrw", "nef"),
+        *("nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f"),
+    )
+)
+_RAW_STARTS: Final = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FUJIFILMCCD-RAW", b"FOVb", b"\0MRM")
+_CFA: Final = (tifffile.PHOTOMETRIC.CFA, tifffile.PHOTOMETRIC.LINEAR_RAW)
+_DNG_VERSION: Final = 50706
+
+RAW_ERRORS: Final = (ValueError, RuntimeError, OSError)
+"""What `raw_shape` and `read_camera_raw` raise of a file that is damaged, beside FrameSetError."""
+
+
+def is_raw_file(path: Path, start: bytes) -> bool:
+    """Whether a file is a camera raw one by its first bytes, or by its suffix where those say nothing."""
+    is_tiff = start[:4] in (b"II*\0", b"MM\0*")
+    if start.startswith(_RAW_STARTS) or start[4:12] == b"ftypcrx " or (is_tiff and start[8:10] == b"CR"):
+        return True
+    return not is_tiff and path.suffix.lower() in RAW_SUFFIXES and bool(start)
+
+
+def is_raw_tiff(tiff: tifffile.TiffFile) -> bool:
+    """Whether a TIFF is a camera raw file: it holds a mosaic, in whichever page, or says that it is a DNG."""
+    pages = every_page(tiff)
+    return any(page.photometric in _CFA for page in pages) or _DNG_VERSION in pages[0].tags
+
+
+def every_page(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
+    """The pages of a TIFF, and after them those inside of pages."""
+    pages = [page.aspage() for page in tiff.pages]
+    return pages + [inner.aspage() for page in pages for inner in page.pages or ()]
+
+
+def is_page_whole(page: tifffile.TiffPage, size: int) -> bool:
+    """Whether every strip or tile of a page lies inside a file of that size."""
+    spans = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+    return bool(spans) and all(offset > 0 and offset + count <= size for offset, count in spans)
+
+
+def raw_shape(path: Path) -> tuple[int, int]:
+    """(H, W) of the mosaic; FrameSetError where it is none of a Bayer sensor, else one of `RAW_ERRORS`."""
+    with _opened(path) as raw:
+        _bayer_order(raw, path)
+        sizes = raw.sizes
+        return sizes.height // 2 * 2, sizes.width // 2 * 2
+
+
+def read_camera_raw(path: Path) -> RawFrame:
+    """The mosaic with its black and white levels; errors as for `raw_shape`."""
+    with _opened(path) as raw:
+        order = _bayer_order(raw, path)
+        visible = raw.raw_image_visible
+        rows, columns = (size // 2 * 2 for size in visible.shape)
+        mosaic = np.array(visible[:rows, :columns], np.uint16)
+        colours = raw.raw_colors_visible
+        blacks = [raw.black_level_per_channel[int(colours[row, column])] for row in (0, 1) for column in (0, 1)]
+        least = min(blacks)
+        for site, black in enumerate(blacks):
+            if black > least:
+                plane = mosaic[site // 2 :: 2, site % 2 :: 2]
+                plane -= np.minimum(plane, np.uint16(black - least))
+        white = raw.white_level
+    if not white or not white > least:
+        raise FrameSetError(f"{path}: is a camera raw file without a white level: save it as TIFF of 16 bit")
+    unknown = CameraSettings(math.nan, math.nan)
+    return RawFrame(mosaic, order, float(least), float(white), unknown, 0)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+    import rawpy  # here, because it takes a while to load
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except rawpy.LibRawError as error:
+        words = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise ValueError(words) from error
+
+
+def _bayer_order(raw: rawpy.RawPy, path: Path) -> BayerOrder:
+    import rawpy
+
+    unread = FrameSetError(
+        f"{path}: is a camera raw file, but not of a Bayer sensor: convert it to a TIFF of 16 bit with linear values"
+    )
+    if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
+        raise unread
+    names = raw.color_desc.decode()
+    colours = raw.raw_colors_visible
+    order = "".join(names[int(colours[row, column])] for row in (0, 1) for column in (0, 1))
+    if order not in BAYER_ORDERS:
+        raise unread
+    return order

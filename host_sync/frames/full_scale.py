@@ -1,0 +1,95 @@
+"""The count at which a camera is saturated, found where a file of 16 bit does not state it.
+
+Cameras of 10, 12 and 14 bit write their counts into 16 bit as they are, or shifted. The frames of one set show which:
+together they hold no count above the full scale, and where light is clipped, many pixels hold the same highest count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.frame import RawFrame
+from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set_file import Encoding
+from host_sync.frames.image_file import Pixels
+
+COUNTS: Final = 1 << 16
+LEAST_BITS: Final = 9
+"""Frames that hold smaller counts alone are dark ones of 16 bit."""
+
+AMBIGUOUS_BITS: Final = 14
+"""Up to so many bits, frames in sRGB may as well be dim ones of 16 bit."""
+
+CLIPPED_PIXELS: Final = 64
+NEAR_TOP: Final = 0.9
+"""Counts from this share of the highest one on are compared with it."""
+
+SPIKE: Final = 16.0
+"""Times as many pixels as at other counts near it hold the highest count where light is clipped."""
+
+SPIKE_COUNTS: Final = 8
+"""So many other counts must be there: an image of few values shows no spike."""
+
+
+def count_values(images: Iterable[Pixels | RawFrame]) -> NDArray[np.int64]:
+    """How many samples of all images of 16 bit hold each count: int64 array of 65536 entries."""
+    total = np.zeros(COUNTS, np.int64)
+    for image in images:
+        if not isinstance(image, RawFrame) and image.dtype == np.uint16:
+            total += np.bincount(image.ravel(), minlength=COUNTS)
+    return total
+
+
+def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: Encoding) -> int:
+    """The full scale of frames of 16 bit.
+
+    histogram : of the counts of all frames that share it
+    stated : what a file's header says; header fields for the highest sample are used in several senses, so that one
+        that is no limit of a number of bits, or that counts exceed, is passed over
+
+    Raises
+    ------
+    FrameSetError
+        It changes what the frames show and is not certain.
+    """
+    held = np.flatnonzero(histogram)
+    peak = int(held[-1]) if held.size else 0
+    bits = peak.bit_length()
+    if (level := clip_level(held, histogram[held])) is not None:
+        return int(level)
+    if stated is not None and peak <= stated < COUNTS - 1 and _is_limit(stated):
+        return stated
+    if not LEAST_BITS <= bits < 16:
+        return COUNTS - 1
+    full_scale = (1 << bits) - 1
+    if encoding == "srgb" and histogram[full_scale] < CLIPPED_PIXELS:
+        if bits > AMBIGUOUS_BITS:
+            return COUNTS - 1
+        raise FrameSetError(
+            f"no frame of 16 bit holds a count above {peak}: state full_scale, {full_scale} for a camera of {bits} bit "
+            f"or {COUNTS - 1} for dim frames; sRGB values depend on it"
+        )
+    return full_scale
+
+
+def clip_level(values: NDArray[Any], counts: NDArray[np.int64]) -> float | None:
+    """The highest value where it stands out from those below, as light that is clipped makes it; None where not.
+
+    values : those that occur, in ascending order
+    counts : how often each does
+    """
+    if not values.size or counts[-1] < CLIPPED_PIXELS:
+        return None
+    below = counts[(values >= NEAR_TOP * values[-1]) & (values < values[-1])]
+    if below.size < SPIKE_COUNTS or counts[-1] < SPIKE * below.mean():
+        return None
+    return float(values[-1])
+
+
+def _is_limit(count: int) -> bool:
+    """Whether a count is the largest of a number of bits, shifted or not."""
+    return count > 0 and (count // (count & -count) + 1).bit_count() == 1 and count.bit_length() >= LEAST_BITS
