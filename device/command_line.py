@@ -6,7 +6,7 @@ A command is named by "module:function" and imported when it is called or its he
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
@@ -24,14 +24,51 @@ class Command(NamedTuple):
     """A command of a program.
 
     function : "module:function"
-    summary : the first sentence of the function's docstring; empty for a name that is not listed
+    summary : the first sentence of the function's docstring
     examples : whole lines as a person types them
+    listed : False for a command that `--help` of the program does not list
     """
 
     name: str
     function: str
-    summary: str = ""
-    examples: tuple[str, ...] = ()
+    summary: str
+    examples: tuple[str, ...]
+    listed: bool = True
+
+
+class NewWords(NamedTuple):
+    """Words of this release for a command of the previous one.
+
+    words : what replaces the command's name
+    options : new names of its options
+    form : the new form, for a command whose arguments have another order: it is named and not run
+    """
+
+    words: tuple[str, ...]
+    options: Mapping[str, str] = {}
+    form: str | None = None
+
+
+def in_new_words(words: Sequence[str], old: Mapping[str, NewWords]) -> tuple[list[str], str | None]:
+    """Return the words of this release, and the sentence that names them; None for a command that is not old.
+
+    Raises
+    ------
+    OldCommand
+        Its arguments have another order now.
+    """
+    new = old.get(words[0]) if words else None
+    if new is None:
+        return list(words), None
+    name = " ".join(new.words)
+    if new.form is not None:
+        raise OldCommand(msg=f"`{words[0]}` is now `{new.form}`")
+    rest = [new.options.get(word, word) for word in words[1:]]
+    return [*new.words, *rest], f"`{words[0]}` is now `{name}`; the old name will be removed in the next release"
+
+
+class OldCommand(CycloptsError):
+    """A command of the previous release whose arguments have another order now: type the new form."""
 
 
 def make_app(name: str, purpose: str, exit_codes: str) -> App:
@@ -60,9 +97,9 @@ def add_commands(app: App, commands: Iterable[Command]) -> None:
         app.command(
             command.function,
             name=command.name,
-            help=command.summary or None,
-            help_epilogue=examples_text(command.examples) or None,
-            show=bool(command.summary),
+            help=command.summary,
+            help_epilogue=examples_text(command.examples),
+            show=command.listed,
         )
 
 

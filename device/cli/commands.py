@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from device.command_line import Command
+from device.command_line import Command, NewWords
 
-OLD_COMMANDS: Final = {"watch": "run", "shelf": "calibrations", "receive": "import-inbox"}
-"""Names of the previous release, still accepted but not listed."""
+OLD_COMMANDS: Final = {
+    "watch": NewWords(("run",)),
+    "shelf": NewWords(("calibrations",)),
+    "receive": NewWords(("calibrations", "import-inbox")),
+    "import-inbox": NewWords(("calibrations", "import-inbox")),
+}
+"""Commands of the previous release, still accepted but not listed."""
 
 COMMANDS: Final = (
     Command(
@@ -15,6 +20,7 @@ COMMANDS: Final = (
         "device.cli.screens:run_screens",
         "Show the screens on this terminal (the default command).",
         ("retroscan --board twin", "retroscan --board twin tui"),
+        listed=False,
     ),
     Command(
         "demo",
@@ -69,12 +75,6 @@ COMMANDS: Final = (
         ("retroscan pair", "retroscan pair --card /media/card"),
     ),
     Command(
-        "import-inbox",
-        "device.cli.pairing:import_pushed",
-        "Import the calibrations that a workstation pushed.",
-        ("retroscan import-inbox", "retroscan import-inbox --activate"),
-    ),
-    Command(
         "gel",
         "device.cli.calibrations:show_or_mount_gel",
         "Show or change the mounted gel; its calibration becomes active.",
@@ -85,12 +85,14 @@ COMMANDS: Final = (
         "device.cli.service:identity",
         "Print this device's id, created on first use.",
         ("retroscan identity",),
+        listed=False,
     ),
     Command(
         "guard-battery",
         "device.cli.service:guard_battery",
         "Power the device off once the battery is nearly empty.",
         ("retroscan guard-battery", "retroscan guard-battery --check"),
+        listed=False,
     ),
     Command(
         "status",
@@ -142,6 +144,12 @@ CALIBRATIONS: Final = (
         "device.cli.calibrations:export_calibration",
         "Copy a calibration into a folder.",
         ("retroscan calibrations export rg60bb5d63-000001-cal /media/card",),
+    ),
+    Command(
+        "import-inbox",
+        "device.cli.pairing:import_pushed",
+        "Import the calibrations that a workstation pushed.",
+        ("retroscan calibrations import-inbox", "retroscan calibrations import-inbox --activate"),
     ),
 )
 """Actions of `retroscan calibrations`."""

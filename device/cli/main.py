@@ -16,7 +16,16 @@ from cyclopts import App, CycloptsError, Parameter
 from device.cli.board import BOARD_FILE, DEFAULTS_FILE, VARIABLE, chosen_board
 from device.cli.commands import CALIBRATIONS, COMMANDS, OLD_COMMANDS
 from device.cli.console import Given, Options, print_error
-from device.command_line import BAD_ARGUMENTS, Folder, add_commands, examples_text, make_app, sentence, unknown_command
+from device.command_line import (
+    BAD_ARGUMENTS,
+    Folder,
+    add_commands,
+    examples_text,
+    in_new_words,
+    make_app,
+    sentence,
+    unknown_command,
+)
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
@@ -76,9 +85,10 @@ def launch(
     store
         Folder of scans and calibrations.
     """
-    if words and (new_name := OLD_COMMANDS.get(words[0])):
-        print_error(f"`{words[0]}` is now called `{new_name}`; the old name will be removed")
-        words = (new_name, *words[1:])
+    given_words, notice = in_new_words(words, OLD_COMMANDS)
+    words = tuple(given_words)
+    if notice is not None:
+        print_error(notice)
     elif words and not words[0].startswith("-") and words[0] not in app:
         return _fail(unknown_command(words[0], app), BAD_ARGUMENTS)
     command, given, hidden = app.parse_args(words, exit_on_error=False, print_error=False)

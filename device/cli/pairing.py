@@ -1,4 +1,4 @@
-"""`retroscan pair` and `retroscan import-inbox`: the device's side of pairing and of pushed calibrations."""
+"""`retroscan pair` and `calibrations import-inbox`: the device's side of pairing and of pushed calibrations."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from device.command_line import Command
+from device.command_line import Command, NewWords
 
 COMMANDS: Final = (
     Command(
@@ -19,19 +19,11 @@ COMMANDS: Final = (
     Command(
         "pull",
         "host_sync.cli.offload:pull_command",
-        "Copy every scan and calibration that the library lacks, read each one back, and leave receipts.",
+        "Copy what the library lacks from every paired device, or from those, cards and folders named.",
         (
+            "retrosync pull",
             "retrosync pull /media/card",
             "retrosync pull rg-bench --library scans --verify",
-        ),
-    ),
-    Command(
-        "sync",
-        "host_sync.cli.offload:sync_command",
-        "Pull from every paired device, or from those named, side by side.",
-        (
-            "retrosync sync",
-            "retrosync sync rg-bench --library scans",
         ),
     ),
     Command(
@@ -39,12 +31,6 @@ COMMANDS: Final = (
         "host_sync.cli.offload:push_command",
         "Put a calibration of the library into a device's inbox; the device verifies it on import.",
         ("retrosync push-calibration rg-bench rg60bb5d63-000001-cal",),
-    ),
-    Command(
-        "discover",
-        "host_sync.cli.devices:discover_command",
-        "List the devices that announce themselves on the local network.",
-        ("retrosync discover --seconds 5",),
     ),
     Command(
         "pair",
@@ -58,75 +44,37 @@ COMMANDS: Final = (
     Command(
         "status",
         "host_sync.cli.devices:status_command",
-        "List the paired devices and how the last sync with each went.",
+        "List the paired devices and how the last pull from each went; with --network, who announces itself.",
         (
             "retrosync status",
-            "retrosync status --json",
-        ),
-    ),
-    Command(
-        "search",
-        "host_sync.cli.library:search_command",
-        "List scans of a library; texts may use * and ?.",
-        (
-            "retrosync search --job 'J-17*' --verdict good --since 2026-01-31",
-            "retrosync search --part housing-3 --json",
-            "retrosync search valve --tag worn --save worn-valves",
-        ),
-    ),
-    Command(
-        "label",
-        "host_sync.cli.library:label_command",
-        "Give scans a name, tags or a note; without any, print what they have.",
-        (
-            "retrosync label valve-3 --name 'valve 3, before' --tag worn reference",
-            "retrosync label valve-3 --note 'edge chipped at six o clock'",
+            "retrosync status --network --json",
         ),
     ),
     Command(
         "list",
         "host_sync.cli.library:list_command",
-        "List the scans of a library, or what was refused and set aside.",
+        "List scans of a library, find them by any field, or change their labels; texts may use * and ?.",
         (
             "retrosync list --library scans",
+            "retrosync list --job 'J-17*' --verdict good --since 2026-01-31",
+            "retrosync list valve --tag worn --save worn-valves",
+            "retrosync list valve-3 --set-name 'valve 3, before' --add-tag worn reference",
+            "retrosync list --like rg60bb5d63-000007 -n 10",
             "retrosync list --set-aside --json",
         ),
     ),
     Command(
         "verify",
-        "host_sync.cli.library:verify_command",
-        "Compare a library with its intake record and hash its files: names what is lost, changed or unknown.",
+        "host_sync.cli.verify:verify_command",
+        "Compare a library with its intake record and hash its files; repair, mirror, forget or reproduce on request.",
         (
             "retrosync verify",
             "retrosync verify --library scans --partial 5% --json",
+            "retrosync verify --repair /media/card rg-bench",
+            "retrosync verify --library scans --mirror sftp://ada@nas/scans",
+            "retrosync verify rg60bb5d63-000002 --forget",
+            "retrosync verify --reproduce",
         ),
-    ),
-    Command(
-        "repair",
-        "host_sync.cli.library:repair_command",
-        "Fetch lost and damaged bundles again; damaged copies move to set-aside/.",
-        ("retrosync repair /media/card --library scans",),
-    ),
-    Command(
-        "mirror",
-        "host_sync.cli.library:mirror_command",
-        "Copy what another disk or an SFTP server lacks, and read back every file there.",
-        (
-            "retrosync mirror scans /mnt/disk/scans",
-            "retrosync mirror scans sftp://ada@nas/scans --verify",
-        ),
-    ),
-    Command(
-        "forget",
-        "host_sync.cli.library:forget_command",
-        "Take bundles that you removed yourself out of the intake record, so that `verify` no longer misses them.",
-        ("retrosync forget rg60bb5d63-000002 --library scans",),
-    ),
-    Command(
-        "reprocess",
-        "host_sync.cli.library:reprocess_command",
-        "Reconstruct scans with results again: the same version must give the same bits; others list changes.",
-        ("retrosync reprocess --library scans",),
     ),
     Command(
         "export",
@@ -149,8 +97,12 @@ COMMANDS: Final = (
     Command(
         "compare",
         "host_sync.cli.compare:compare_command",
-        "Compare a result with another height map of the same pixels, such as the maker's TMD file of the scan.",
-        ("retrosync compare results/groove scan/heightmap.tmd",),
+        "Compare two presses of one spot, or a result with another program's map of the same pixels.",
+        (
+            "retrosync compare results/before results/after --out change",
+            "retrosync compare rg60bb5d63-000007 rg60bb5d63-000031 --library scans --json",
+            "retrosync compare results/groove scan/heightmap.tmd",
+        ),
     ),
     Command(
         "measure",
@@ -159,24 +111,6 @@ COMMANDS: Final = (
         (
             "retrosync measure results/coin --form plane --parameters Sa Sz",
             "retrosync measure --library scans --recipe recipe.toml --json",
-        ),
-    ),
-    Command(
-        "alike",
-        "host_sync.cli.alike:alike_command",
-        "Find the surfaces of a library that look most like one; shifted and turned presses of it too.",
-        (
-            "retrosync alike rg60bb5d63-000007",
-            "retrosync alike results/coin --library scans -n 10 --json",
-        ),
-    ),
-    Command(
-        "same-spot",
-        "host_sync.cli.same_spot:same_spot_command",
-        "Compare two presses of one spot: the second minus the first, significant changes, what is too small to see.",
-        (
-            "retrosync same-spot results/before results/after --out change",
-            "retrosync same-spot rg60bb5d63-000007 rg60bb5d63-000031 --library scans --json",
         ),
     ),
     Command(
@@ -207,7 +141,6 @@ COMMANDS: Final = (
             "retrosync gage-rr --table values.csv --tolerance 0.5 --json",
         ),
     ),
-    Command("gage", "host_sync.cli.gage:gage_by_old_name"),
     Command(
         "report",
         "host_sync.cli.report:report_command",
@@ -260,8 +193,8 @@ COMMANDS: Final = (
         "host_sync.cli.reconstruct:paper_figures",
         "Draw the figures of the CVPR 2009 paper: reflectance maps, ambiguous colours, errors of a held-out ball.",
         ("retrosync paper-figures FRAMESET.toml --out pictures --format png pdf",),
+        listed=False,
     ),
-    Command("figures", "host_sync.cli.reconstruct:figures_by_old_name"),
     Command(
         "video",
         "host_sync.cli.video:video",
@@ -272,3 +205,21 @@ COMMANDS: Final = (
         ),
     ),
 )
+
+OLD_COMMANDS: Final = {
+    "sync": NewWords(("pull",)),
+    "discover": NewWords(("status", "--network")),
+    "search": NewWords(("list",)),
+    "label": NewWords(
+        ("list",), {"--name": "--set-name", "--tag": "--add-tag", "--untag": "--remove-tag", "--note": "--set-note"}
+    ),
+    "alike": NewWords(("list", "--like")),
+    "repair": NewWords(("verify", "--repair")),
+    "forget": NewWords(("verify", "--forget")),
+    "reprocess": NewWords(("verify", "--reproduce")),
+    "mirror": NewWords(("verify", "--mirror"), form="verify --library LIBRARY --mirror DESTINATION"),
+    "same-spot": NewWords(("compare",)),
+    "gage": NewWords(("gage-rr",)),
+    "figures": NewWords(("paper-figures",)),
+}
+"""Commands of the previous release, still accepted but not listed."""

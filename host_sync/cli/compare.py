@@ -1,30 +1,99 @@
-"""`retrosync compare`: a result against the maker's own height map of the same scan."""
+"""`retrosync compare`: two presses of one spot, or a result and another program's map of the same pixels."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from host_sync.cli.console import DONE, print_line
+from device.command_line import Folder, print_json
+from device.io.atomic import check_replaceable
+from host_sync.cli.console import DONE, print_line, status_spinner, tell_of_compiling
+from host_sync.errors import ViewError
+from host_sync.library.library import Library, default_library
+from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
     from host_sync.results.reader import ResultSurface
+    from host_sync.same_spot.comparing import SameSpotRecord
+
+LISTED: Final = 10
+COVERAGE: Final = 2.0
+"""± in the summary is so many standard uncertainties."""
 
 
-def compare_command(result: Path, other: Path, /) -> int:
-    """Compare a result with another height map of the same pixels, such as the maker's TMD file of the scan.
+def compare_command(
+    first: str,
+    second: str,
+    /,
+    *,
+    out: Folder | None = None,
+    library: Folder | None = None,
+    near: tuple[float, float, float] | None = None,
+    same_pixels: bool = False,
+    json: bool = False,
+) -> int:
+    """Compare two presses of one spot, or a result with another program's map of the same pixels.
+
+    Of two presses it finds where the object lies in the second one, subtracts, and lists significant changes with the
+    height that is too small to see. A surface file, or two maps with --same-pixels, is subtracted pixel by pixel.
 
     Parameters
     ----------
-    result
-        Folder that reconstruct wrote, or a surface file.
-    other
-        The map to compare it with: a surface file such as GelSight's TMD, or a result's folder.
+    first
+        The earlier result: a folder that reconstruct wrote, or a scan of the library by id, label's name or part.
+    second
+        The later one; or a surface file of the same pixels, such as GelSight's TMD.
+    out
+        Folder for the difference, its σ, a picture and same_spot.json; without it the summary is printed only.
+    library
+        Folder of the library; ~/Retrograph by default.
+    near
+        Where the object lies in the second press: mm down, mm right, degrees clockwise; for when it is not found.
+    same_pixels
+        Subtract pixel by pixel: both maps are of one press.
+    json
+        Print same_spot.json, or the figures of the difference, instead of the summary.
     """
+    if same_pixels or Path(first).is_file() or Path(second).is_file():
+        if out is not None or near is not None:
+            raise ViewError("--out and --near are for two presses: maps of the same pixels lie on one another")
+        return _compare_pixels(first, second, library, json=json)
+    folders = [_result(name, library) for name in (first, second)]
+    if folders[0].resolve() == folders[1].resolve():
+        raise ViewError(f"{first} and {second} are one result: name an earlier and a later press")
+    if out is not None:
+        check_replaceable(out, "same_spot.json")  # before the work
+    with status_spinner() as tell:
+        tell_of_compiling()
+        tell("loading compiled code")
+        from host_sync.results.reader import read_result
+        from host_sync.same_spot.comparing import compared, write_comparison
+
+        tell("reading both results")
+        surfaces = [read_result(folder, samples=False) for folder in folders]
+        tell("looking for the spot")
+        comparison = compared(surfaces[0], surfaces[1], near)
+        if out is not None:
+            write_comparison(comparison, out)
+    if json:
+        print_json(comparison.record)
+        return DONE
+    for line in _summary(comparison.record):
+        print_line(line)
+    return DONE
+
+
+def _compare_pixels(first: str, second: str, library: Path | None, *, json: bool) -> int:
+    """Print how far two maps of the same pixels differ, a plane subtracted."""
     from host_sync.measurement.map_difference import map_difference
 
-    surface, reference = _surface(result), _surface(other)
+    surface, reference = (_surface(name, library) for name in (first, second))
     found = map_difference(surface.height, reference.height)
+    if json:
+        doubts = [f"{one.record.name}: {doubt.sentence}" for one in (surface, reference) for doubt in one.doubts]
+        print_json({"difference": found, "doubts": doubts})
+        return DONE
     share = found.percent_of_depth
     of_depth = "" if share is None else f" = {share:.2f} % of the depth of {found.depth_um:.4g} µm"
     print_line(
@@ -37,8 +106,48 @@ def compare_command(result: Path, other: Path, /) -> int:
     return DONE
 
 
-def _surface(path: Path) -> ResultSurface:
+def _surface(name: str, library: Path | None) -> ResultSurface:
+    """Read a surface file, a result folder, or the newest result of a scan."""
     from host_sync.measurement.foreign_file import read_foreign
     from host_sync.results.reader import read_result
 
-    return read_foreign(path) if path.is_file() else read_result(path)
+    path = Path(name)
+    return read_foreign(path) if path.is_file() else read_result(_result(name, library))
+
+
+def _result(name: str, library: Path | None) -> Path:
+    folder = Path(name)
+    if (folder / RECORD_FILE).is_file():
+        return folder
+    held = Library(library or default_library())
+    held.require()
+    return held.newest_result(held.named(name))
+
+
+def _summary(record: SameSpotRecord) -> Iterator[str]:
+    down, right = (1e-3 * part for part in record.shift_um)
+    sigma = record.shift_sigma_um
+    about = "" if sigma is None else f" ± {COVERAGE * sigma:.2g} µm"
+    yield (
+        f"{record.second}: the object lies {right:+.3f} mm right and {down:+.3f} mm down of where it lay in "
+        f"{record.first}{about}, turned by {record.turn_deg:+.2f}°; {record.overlap_share:.0%} in common"
+    )
+    stated = record.height_sigma_median_um
+    of_sigma = "" if stated is None else f"; its standard uncertainty {stated:.3g} µm in the median"
+    yield f"difference: rms {record.residual_um:.3g} µm{of_sigma}"
+    for one in record.changes[:LISTED]:
+        yield (
+            f"changed: {one.height_um:+.2f} µm ± {COVERAGE * one.sigma_um:.2f} µm "
+            f"at {1e-3 * one.column_um:.2f} mm right, {1e-3 * one.row_um:.2f} mm down, "
+            f"{1e-3 * one.diameter_um:.2g} mm across"
+        )
+    if len(record.changes) > LISTED:
+        yield f"and {len(record.changes) - LISTED} changes more: --json lists them"
+    if not record.limits:
+        yield "nothing can be judged: the common field is too small or has too many holes"
+    else:
+        limits = ", ".join(f"{one.height_um:.2g} µm if {1e-3 * one.diameter_um:.2g} mm across" for one in record.limits)
+        more = "no other change" if record.changes else "no change"
+        yield f"{more} at this spot beyond {limits}; {record.judged_share:.0%} of the field judged"
+    for warning in record.warnings:
+        yield f"DOUBTFUL: {warning}"

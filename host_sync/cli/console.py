@@ -1,13 +1,12 @@
-"""Output of every command: plain lines, exit codes, progress; renamed commands."""
+"""Output of every command: plain lines, exit codes, progress."""
 
 from __future__ import annotations
 
-import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -45,17 +44,6 @@ def status_spinner() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=None)
         yield lambda words: progress.update(task, description=words)
-
-
-def renamed(command: Callable[..., int], *, old: str, new: str) -> Callable[..., int]:
-    """The command under its old name, for one release: it names the new one first."""
-
-    @functools.wraps(command)
-    def under_old_name(*arguments: Any, **named: Any) -> int:
-        print_error(f"`{old}` is now `{new}`; the old name will be removed in the next release", DONE)
-        return command(*arguments, **named)
-
-    return under_old_name
 
 
 OutputFile = Annotated[Path | None, Parameter(allow_leading_hyphen=True)]

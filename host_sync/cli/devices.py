@@ -1,4 +1,4 @@
-"""`retrosync discover`, `pair`, `status`: the devices of this workstation."""
+"""`retrosync pair` and `status`: the devices of this workstation."""
 
 from __future__ import annotations
 
@@ -18,24 +18,6 @@ UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0)
 def known_devices() -> PairedDevices:
     """The devices in this user's settings."""
     return PairedDevices(default_devices_folder())
-
-
-def discover_command(*, seconds: float = 3.0) -> int:
-    """List the devices that announce themselves on the local network.
-
-    Parameters
-    ----------
-    seconds
-        How long to listen.
-    """
-    from host_sync.offload.discovery import discover
-
-    found = discover(seconds)
-    for one in found:
-        print_line(f"{one.name}  {one.host}:{one.port}  {' '.join(one.addresses)}")
-    if not found:
-        return print_error("no device was found: check cable or network, or give its address to `pair`", CONNECTION)
-    return DONE
 
 
 def pair_command(
@@ -93,14 +75,20 @@ def _checked_port(port: int) -> int:
     return port
 
 
-def status_command(*, json: bool = False) -> int:
-    """List the paired devices and how the last sync with each went.
+def status_command(*, network: bool = False, seconds: float = 3.0, json: bool = False) -> int:
+    """List the paired devices and how the last pull from each went; with --network, who announces itself.
 
     Parameters
     ----------
+    network
+        List instead the devices that announce themselves on the local network.
+    seconds
+        How long to listen for announcements.
     json
         Print one JSON document instead of lines.
     """
+    if network:
+        return _list_announced(seconds, json=json)
     devices = known_devices()
     known = devices.all()
     if json:
@@ -118,6 +106,20 @@ def status_command(*, json: bool = False) -> int:
         print_line(f"  synced {state.synced:%Y-%m-%d %H:%M} UTC: {counted}; {clock}")
     if not known:
         print_line("No device is paired: `retrosync pair HOST` makes one known.")
+    return DONE
+
+
+def _list_announced(seconds: float, *, json: bool) -> int:
+    """List the devices that announce themselves on the local network."""
+    from host_sync.offload.discovery import discover
+
+    found = discover(seconds)
+    if json:
+        print_json({"announced": found})
+    for one in () if json else found:
+        print_line(f"{one.name}  {one.host}:{one.port}  {' '.join(one.addresses)}")
+    if not found:
+        return print_error("no device was found: check cable or network, or give its address to `pair`", CONNECTION)
     return DONE
 
 

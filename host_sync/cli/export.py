@@ -44,7 +44,7 @@ def export_command(
     ----------
     sources
         Folders that reconstruct wrote, or GelSight TMD files; or scans by id, its beginning or end, by the name that
-        `retrosync label` gave, or by that of the part, for the newest result of each.
+        `retrosync list SCAN --set-name` gave, or by that of the part, for the newest result of each.
     to
         gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
         are its raw frame, the counts as the sensor gave them.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from device.command_line import Folder, print_json
-from host_sync.cli.console import DONE, OutputFile, print_line, renamed
+from host_sync.cli.console import DONE, OutputFile, print_line
 from host_sync.cli.measure import chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
 from host_sync.library.library import Library
@@ -125,6 +125,3 @@ def _measured(
         unit = quantity.unit
         doubts += [f"{row.value}: {doubt.sentence}" for doubt in measurement.doubts]
     return found, unit, doubts
-
-
-gage_by_old_name = renamed(gage_command, old="gage", new="gage-rr")

@@ -1,32 +1,28 @@
-"""`retrosync search`, `list`, `verify`, `repair`, `mirror`, `forget`, `reprocess`."""
+"""`retrosync list`: scans of a library, found by any field, and their labels."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import fields
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from device.command_line import Folder, print_json
-from device.errors import DeviceError
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, status_spinner
-from host_sync.cli.devices import known_devices
+from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner
 from host_sync.errors import HostError
 from host_sync.library.index import Hit, Query, damaged_bundles, search
-from host_sync.library.labels import Label, label_scan, read_labels, save_search
+from host_sync.library.labels import label_scan, read_labels, save_search
 from host_sync.library.library import Library, default_library
 from host_sync.library.set_aside import list_set_aside
-from host_sync.library.verification import adopt as add_to_record
-from host_sync.library.verification import verify_library
-from host_sync.offload.resolve import open_source
+from host_sync.results.files import RECORD_FILE
+from host_sync.text import some_of
 
 
-def search_command(
+def list_command(
     *text: str,
     library: Folder | None = None,
     job: str | None = None,
@@ -42,14 +38,21 @@ def search_command(
     note: str | None = None,
     save: str | None = None,
     saved: str | None = None,
+    set_name: str | None = None,
+    add_tag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    remove_tag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    set_note: str | None = None,
+    like: str | None = None,
+    count: Annotated[int, Parameter(name=("--count", "-n"), validator=Number(gte=1))] = 5,
+    set_aside: bool = False,
     json: bool = False,
 ) -> int:
-    """List scans of a library; texts may use * and ?.
+    """List scans of a library, find them by any field, or change their labels; texts may use * and ?.
 
     Parameters
     ----------
     text
-        Words that stand anywhere in what is known of a scan.
+        Words that stand anywhere in what is known of a scan; with an option that changes labels, the scans to change.
     library
         Folder of the library; ~/Retrograph by default.
     job
@@ -69,7 +72,7 @@ def search_command(
     until
         Last day, by the device's clock.
     name
-        Name that `retrosync label` gave.
+        Name of the label.
     tag
         One of its tags.
     note
@@ -78,12 +81,32 @@ def search_command(
         Keep these conditions under a name.
     saved
         Use the conditions that were saved under this name; others are added.
+    set_name
+        Give one scan a name for lists and the viewer; an empty text removes it.
+    add_tag
+        Add tags to the scans.
+    remove_tag
+        Remove tags from the scans.
+    set_note
+        Give the scans a note; an empty text removes it.
+    like
+        List instead the surfaces that look most like this scan's or result folder's, shifted and turned presses too.
+    count
+        Number of surfaces that --like lists.
+    set_aside
+        List instead what was passed over or moved to set-aside/, with the reason.
     json
         Print one JSON document instead of lines.
     """
+    target = Library(library or default_library())
+    if set_name is not None or set_note is not None or add_tag or remove_tag:
+        return _change_labels(target, text, set_name, add_tag, remove_tag, set_note)
+    if like is not None:
+        return _list_alike(target, like, count, json=json)
+    if set_aside:
+        return _list_set_aside(target, json=json)
     if since is not None and until is not None and since > until:
         raise HostError(f"--since {since} is later than --until {until}: swap them")
-    target = Library(library or default_library())
     query = Query(job, part, operator, verdict, gel, device, since, until, name, tag, note, " ".join(text) or None)
     target.require()
     if saved is not None:
@@ -100,6 +123,66 @@ def search_command(
     for reason in damaged:
         print_error(reason, PARTLY)
     return PARTLY if damaged else DONE
+
+
+def _change_labels(
+    library: Library,
+    scans: Sequence[str],
+    name: str | None,
+    tags: Sequence[str],
+    removed: Sequence[str],
+    note: str | None,
+) -> int:
+    """Change the labels of scans that are named exactly, and print them; scans themselves stay as they are."""
+    if not scans:
+        raise HostError("name the scans to label: retrosync list SCAN --add-tag worn")
+    found = [library.named(one).scan_id for one in scans]
+    if name and len(found) > 1:
+        raise HostError("a name is for one scan: give several a tag")
+    for scan_id in found:
+        label = label_scan(library, scan_id, name=name, tag=tags, untag=removed, note=note)
+        print_line("  ".join((scan_id, label.name or "-", ",".join(label.tags) or "-", label.note or "-")))
+    return DONE
+
+
+def _list_alike(library: Library, scan: str, count: int, *, json: bool) -> int:
+    """List the surfaces that look most like one, and what could not be compared."""
+    library.require()
+    folder = Path(scan)
+    if not (folder / RECORD_FILE).is_file():
+        folder = library.newest_result(library.named(scan))
+    with status_spinner() as tell:
+        from host_sync.likeness.search import alike
+
+        answer = alike(folder, library.root, count, tell)
+    failed = [f"not compared: {name}: {reason}" for name, reason in answer.unreadable]
+    if answer.without_results:
+        names = some_of(answer.without_results)
+        failed.append(f"not compared, without results: {names}: run retrosync reconstruct --library {library.root}")
+    for words in failed:
+        print_error(words, PARTLY)
+    if json:
+        print_json(answer)
+        return PARTLY if failed else DONE
+    for one in answer.found:
+        print_line(f"{one.distance:7.2f}  {one.scan}  {one.folder}")
+    print_line(f"{answer.compared} surfaces compared; the less the number in front, the more alike")
+    for name, reason in answer.left_out:
+        print_line(f"not compared: {name}: {reason}")
+    return PARTLY if failed else DONE
+
+
+def _list_set_aside(library: Library, *, json: bool) -> int:
+    """List what was refused or replaced, with the reason."""
+    library.require()
+    if json:
+        print_json({"library": library.root, "set_aside": list_set_aside(library.root)})
+        return DONE
+    for entry in list_set_aside(library.root):
+        print_line(f"{entry.why.kind}/{entry.why.name}  {entry.why.time:%Y-%m-%d %H:%M} UTC: {entry.why.reason}")
+        if entry.folder is not None:
+            print_line(f"  kept in {entry.folder}")
+    return DONE
 
 
 COLUMNS = ("SCAN", "TAKEN", "VERDICT", "JOB", "PART", "GEL", "OPERATOR", "NAME", "TAGS", "NOTE")
@@ -139,237 +222,3 @@ def _with_saved(query: Query, library: Library, name: str) -> Query:
             except ValueError as error:
                 raise HostError(f"saved search {name!r}: {day} is {kept[day]!r}, not a date as 2026-01-31") from error
     return Query(**{one.name: kept[one.name] for one in fields(Query) if one.name in kept})
-
-
-def label_command(
-    *scans: str,
-    library: Folder | None = None,
-    name: str | None = None,
-    tag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
-    untag: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
-    note: str | None = None,
-) -> int:
-    """Give scans a name, tags or a note; without any, print what they have.
-
-    Scans themselves stay as they are.
-
-    Parameters
-    ----------
-    scans
-        Scans by id, its beginning or end, by their name, or by the name of the part.
-    library
-        Folder of the library; ~/Retrograph by default.
-    name
-        Name of the scan in lists and in the viewer; an empty text removes it.
-    tag
-        Tags to add.
-    untag
-        Tags to remove.
-    note
-        Note; an empty text removes it.
-    """
-    target = Library(library or default_library())
-    if not scans:
-        raise HostError("name the scans to label: retrosync label SCAN --tag worn")
-    found = [target.named(one).scan_id for one in scans]
-    if name and len(found) > 1:
-        raise HostError("a name is for one scan: give several a tag")
-    changes = name is not None or note is not None or tag or untag
-    for scan_id in found:
-        if changes:
-            label = label_scan(target, scan_id, name=name, tag=tag, untag=untag, note=note)
-        else:
-            label = read_labels(target.root).scans.get(scan_id, Label())
-        print_line("  ".join((scan_id, label.name or "-", ",".join(label.tags) or "-", label.note or "-")))
-    return DONE
-
-
-def list_command(*, library: Folder | None = None, set_aside: bool = False, json: bool = False) -> int:
-    """List the scans of a library, or what was refused and set aside.
-
-    Parameters
-    ----------
-    library
-        Folder of the library; ~/Retrograph by default.
-    set_aside
-        List instead what was passed over or moved to set-aside/, with the reason.
-    json
-        Print one JSON document instead of lines.
-    """
-    target = Library(library or default_library())
-    if not set_aside:
-        return search_command(library=target.root, json=json)
-    target.require()
-    if json:
-        print_json({"library": target.root, "set_aside": list_set_aside(target.root)})
-        return DONE
-    for entry in list_set_aside(target.root):
-        print_line(f"{entry.why.kind}/{entry.why.name}  {entry.why.time:%Y-%m-%d %H:%M} UTC: {entry.why.reason}")
-        if entry.folder is not None:
-            print_line(f"  kept in {entry.folder}")
-    return DONE
-
-
-def verify_command(
-    *, library: Folder | None = None, partial: str | None = None, adopt: bool = False, json: bool = False
-) -> int:
-    """Compare a library with its intake record and hash its files: names what is lost, changed or unknown.
-
-    Parameters
-    ----------
-    library
-        Folder of the library; ~/Retrograph by default.
-    partial
-        Hash only this fraction, such as 5%; the next partial run continues after it. Missing files are found in any
-        case.
-    adopt
-        Record whole bundles that the intake record lacks, such as an older release's; replaces a damaged record.
-    json
-        Print one JSON document instead of lines.
-    """
-    target = Library(library or default_library())
-    with status_spinner() as tell:
-        found = verify_library(target, tell, fraction=1.0 if partial is None else _fraction(partial))
-    if json:
-        added = {"added_to_record": add_to_record(target, found)} if adopt else {}
-        print_json({"library": target.root, **{name: getattr(found, name) for name in found.__slots__}, **added})
-        return DONE if found.complete else PARTLY
-    skipped = f", {found.skipped} not hashed this time" if found.skipped else ""
-    print_line(f"{found.sound} of {found.total} verified{skipped}")
-    for path in found.unlisted_files:
-        print_line(f"Note: {path} is in no manifest.")
-    for path in found.unfinished:
-        print_line(f"Note: {path} waits for its transfer to continue.")
-    if adopt:
-        print_line(f"{add_to_record(target, found)} added to the intake record.")
-    else:
-        for path in found.unrecorded:
-            print_line(f"Note: {path} is not in the intake record: `retrosync verify --adopt` adds it.")
-    if found.record_fault is not None:
-        print_error(found.record_fault, PARTLY)
-    for bundle in (*found.lost, *found.damaged):
-        print_error(f"{bundle.directory.name}: {bundle.reason}", PARTLY)
-    if found.lost or found.damaged:
-        print_line("`retrosync repair SOURCE` fetches these again from a card, a device or a mirror.")
-        print_line("`retrosync forget SCAN` takes one that you removed yourself out of the record.")
-    return DONE if found.complete else PARTLY
-
-
-def _fraction(text: str) -> float:
-    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?%?", text.strip())
-    if found is None or not 0.0 < float(found[1]) <= 100.0:
-        raise HostError(f"--partial {text!r}: give a fraction of the library, such as 5%")
-    return float(found[1]) / 100.0
-
-
-def forget_command(*names: str, library: Folder | None = None) -> int:
-    """Take bundles that you removed yourself out of the intake record, so that `verify` no longer misses them.
-
-    Parameters
-    ----------
-    names
-        Complete ids of the bundles.
-    library
-        Folder of the library; ~/Retrograph by default.
-    """
-    target = Library(library or default_library())
-    target.require()
-    with target.writing():
-        for name in names:
-            target.forget(name)
-            print_line(f"{name} is no longer expected.")
-    return DONE
-
-
-def repair_command(*sources: str, library: Folder | None = None) -> int:
-    """Fetch lost and damaged bundles again; damaged copies move to set-aside/.
-
-    Parameters
-    ----------
-    sources
-        Cards, folders, mirrors or paired devices, tried in this order.
-    library
-        Folder of the library; ~/Retrograph by default.
-    """
-    from host_sync.offload.repair import repair
-
-    target = Library(library or default_library())
-    target.require()
-    if not sources:
-        raise HostError("name a card, folder, mirror or paired device to fetch from")
-    with ExitStack() as stack, status_spinner() as tell:
-        opened = [stack.enter_context(open_source(source, known_devices())) for source in sources]
-        report = repair(target, opened, tell)
-    print_line(f"{len(report.repaired)} repaired, {len(report.failed)} not: {target.root}")
-    for failure in report.failed:
-        print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
-    if report.before.record_fault is not None:
-        print_error(report.before.record_fault, PARTLY)
-    return PARTLY if report.failed or report.before.record_fault else DONE
-
-
-def mirror_command(library: Folder, destination: str, *, verify: bool = False) -> int:
-    """Copy what another disk or an SFTP server lacks, and read back every file there.
-
-    Parameters
-    ----------
-    library
-        The library to copy.
-    destination
-        A folder, or sftp://USER@HOST:PORT/FOLDER.
-    verify
-        Hash again what is there already.
-    """
-    from host_sync.offload.mirror import SftpPlace, mirror_to_folder, mirror_to_sftp
-
-    target, place = Library(library), SftpPlace.parse(destination)
-    with status_spinner() as tell:
-        if place is None:
-            report = mirror_to_folder(target, Path(destination), tell, verify=verify)
-        else:
-            report = mirror_to_sftp(target, place, tell, verify=verify)
-    print_line(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {destination}")
-    for failure in report.failed:
-        print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
-    return PARTLY if report.failed else DONE
-
-
-def reprocess_command(
-    *names: str,
-    library: Folder | None = None,
-    job: Annotated[Any, Parameter(parse=False)] = None,
-) -> int:
-    """Reconstruct scans with results again: the same version must give the same bits; others list changes.
-
-    Parameters
-    ----------
-    names
-        Scans of the library; all that have results when none is named.
-    library
-        Folder of the library; ~/Retrograph by default.
-    """
-    from host_sync.evaluation.reprocess import reprocess
-    from host_sync.reconstruction.from_library import LibraryReconstructor
-
-    target = Library(library or default_library())
-    scans = [target.find(name) for name in names] or list(target.scans().bundles)
-    job = job or LibraryReconstructor(target)
-    identical, broken = 0, 0
-    for scan in scans:
-        try:
-            comparisons = reprocess(target, job, scan)
-        except (DeviceError, HostError) as error:
-            print_error(error, PARTLY)
-            broken += 1
-            continue
-        for comparison in comparisons:
-            identical += not comparison.differences
-            broken += not comparison.as_promised
-            verdict = "identical" if not comparison.differences else "differs"
-            print_line(f"{comparison.results}: {verdict}")
-            for difference in comparison.differences:
-                print_line(f"  {difference}")
-    print_line(f"{identical} identical, {broken} not as expected")
-    if broken:
-        return PARTLY if identical else BAD_INPUT
-    return DONE

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 
 from cyclopts import CycloptsError
 
-from device.command_line import add_commands, make_app, sentence
+from device.command_line import add_commands, in_new_words, make_app, sentence
 from device.errors import DeviceError
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
-from host_sync.cli.commands import COMMANDS
+from host_sync.cli.commands import COMMANDS, OLD_COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
 from host_sync.cli.unreachable_cycles import search_seldom
 from host_sync.errors import HostError, SourceError
@@ -34,7 +34,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     search_seldom()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return run(lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value"))
+    return run(lambda: _call(sys.argv[1:] if arguments is None else arguments))
+
+
+def _call(arguments: Sequence[str]) -> int | None:
+    """Call the command, by its words of this release."""
+    words, notice = in_new_words(arguments, OLD_COMMANDS)
+    if notice is not None:
+        print_error(notice, DONE)
+    result: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    return result
 
 
 def run(command: Callable[[], int | None]) -> int:

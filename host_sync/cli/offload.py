@@ -1,4 +1,4 @@
-"""`retrosync pull`, `sync`, `push-calibration`."""
+"""`retrosync pull` and `push-calibration`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from host_sync.library.library import Library, default_library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.paired_devices import this_host
-from host_sync.offload.pull import PullProgress, pull, sync, sync_one, utc_now
+from host_sync.offload.pull import PullProgress, pull, sync, utc_now
 from host_sync.offload.pull_log import PullReport
 from host_sync.offload.resolve import Address, is_folder, open_device, open_source
 from host_sync.offload.source import PATIENCE_S
@@ -39,88 +39,66 @@ MAX_PATIENCE_S: Final = 3600.0
 
 
 def pull_command(
-    source: str,
-    /,
-    *,
+    *sources: str,
     library: Folder | None = None,
     at: str | None = None,
     verify: bool = False,
     patience_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_PATIENCE_S))] = PATIENCE_S,
 ) -> int:
-    """Copy every scan and calibration that the library lacks, read each one back, and leave receipts.
+    """Copy what the library lacks from every paired device, or from those, cards and folders named.
+
+    Each copy is read back, and a receipt is left. Devices are pulled from side by side.
 
     Parameters
     ----------
-    source
-        A paired device, or a card, mount or folder that holds a device's store.
+    sources
+        Paired devices, and cards, mounts or folders that hold a device's store; all paired devices when none is named.
     library
         Folder of the library to copy to; ~/Retrograph by default.
     at
-        The device's present address, HOST or HOST:PORT, if it has changed since pairing.
+        The present address of the one device named, HOST or HOST:PORT, if it has changed since pairing.
     verify
         Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
     patience_s
-        Seconds without any data after which the device is given up; more for a slow or busy device.
-    """
-    target = Library(library or default_library())
-    devices = known_devices()
-    address = Address.parse(at) if at else None
-    with _progress() as show:
-        if is_folder(source):
-            opened = DirectorySource(Path(source))
-            report = pull(
-                opened,
-                target,
-                lambda state: show(opened.name, state),
-                ReceiptWriter(this_host(), utc_now),
-                verify=verify,
-            )
-        else:
-            device = devices.find(source)
-            with target.writing():
-                report = sync_one(
-                    device,
-                    target,
-                    devices,
-                    lambda device: open_device(device, devices, address, patience_s),
-                    lambda state: show(device.device_id, state),
-                    verify=verify,
-                )
-    return _print_report(report, str(target.root))
-
-
-def sync_command(*names: str, library: Folder | None = None, verify: bool = False) -> int:
-    """Pull from every paired device, or from those named, side by side.
-
-    Parameters
-    ----------
-    names
-        Paired devices; all when none is named.
-    library
-        Folder of the library to copy to; ~/Retrograph by default.
-    verify
-        Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
+        Seconds without any data after which a device is given up; more for a slow or busy device.
     """
     target, devices = Library(library or default_library()), known_devices()
-    wanted = [devices.find(name) for name in names] or devices.all()
-    if not wanted:
-        raise PairingError("no device is paired: `retrosync pair HOST` first")
-    with _progress() as show:
-        outcomes = sync(
-            wanted,
-            target,
-            devices,
-            lambda device: open_device(device, devices),
-            lambda device, state: show(device.device_id, state),
-            verify=verify,
-        )
+    folders = [source for source in sources if is_folder(source)]
+    wanted = [devices.find(source) for source in sources if source not in folders] if sources else devices.all()
+    if not sources and not wanted:
+        raise PairingError("no device is paired: `retrosync pair HOST` first, or name a card or folder")
+    if at is not None and (folders or len(wanted) != 1):
+        raise PairingError("--at is the address of one device: name that device alone")
+    address = Address.parse(at) if at else None
     codes = []
+    with _progress() as show:
+        reports = [(folder, _pull_folder(folder, target, show, verify=verify)) for folder in folders]
+        outcomes = []
+        if wanted:
+            outcomes = sync(
+                wanted,
+                target,
+                devices,
+                lambda device: open_device(device, devices, address, patience_s),
+                lambda device, state: show(device.device_id, state),
+                verify=verify,
+            )
+    alone = len(folders) + len(wanted) == 1
+    for folder, report in reports:
+        codes.append(_print_report(report, str(target.root) if alone else f"{folder}, {target.root}"))
     for device, outcome in zip(wanted, outcomes, strict=True):
         if isinstance(outcome, PullReport):
-            codes.append(_print_report(outcome, f"{device.device_id}, {target.root}"))
+            codes.append(_print_report(outcome, str(target.root) if alone else f"{device.device_id}, {target.root}"))
         else:
             codes.append(print_error(outcome, CONNECTION if isinstance(outcome, SourceError) else BAD_INPUT))
     return PARTLY if DONE in codes and max(codes) > DONE else max(codes)
+
+
+def _pull_folder(folder: str, target: Library, show: Show, *, verify: bool) -> PullReport:
+    """Copy what the library lacks from a card, mount or folder."""
+    opened = DirectorySource(Path(folder))
+    writer = ReceiptWriter(this_host(), utc_now)
+    return pull(opened, target, lambda state: show(opened.name, state), writer, verify=verify)
 
 
 def push_command(source: str, calibration: str, /, *, library: Folder | None = None, at: str | None = None) -> int:
@@ -142,7 +120,10 @@ def push_command(source: str, calibration: str, /, *, library: Folder | None = N
     bundle = Library(library or default_library()).find_calibration(calibration)
     with open_source(source, known_devices(), Address.parse(at) if at else None) as opened:
         push_calibration(opened, bundle)
-    print_line(f"{bundle.calibration_id} is in the inbox of {source}: `retroscan import-inbox --activate` imports it.")
+    print_line(
+        f"{bundle.calibration_id} is in the inbox of {source}: "
+        "`retroscan calibrations import-inbox --activate` imports it."
+    )
     return DONE
 
 

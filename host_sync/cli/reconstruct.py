@@ -23,7 +23,6 @@ from host_sync.cli.console import (
     PARTLY,
     print_error,
     print_line,
-    renamed,
     status_spinner,
     tell_of_compiling,
 )
@@ -263,6 +262,3 @@ def paper_figures(
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
-
-
-figures_by_old_name = renamed(paper_figures, old="figures", new="paper-figures")

@@ -23,7 +23,8 @@ def push_calibration(source: Source, bundle: CalibrationBundle) -> None:
     name = bundle.calibration_id
     if name in source.names(INBOX):
         raise SourceError(
-            f"{source.name}: has calibration {name} in its inbox already: run `retroscan import-inbox` on it"
+            f"{source.name}: has calibration {name} in its inbox already: "
+            "run `retroscan calibrations import-inbox` on it"
         )
     growing = f"{INBOX}/{partial_name(name)}"
     source.make_folder(growing)

@@ -1,4 +1,4 @@
-"""Changes the label of a scan from the page: the name, tags and note that `retrosync label` gives."""
+"""Changes the label of a scan from the page: the name, tags and note that `retrosync list SCAN --set-name` gives."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def test_list_and_search_give_scans(library: Library, capsys: pytest.CaptureFixt
     listed = facts(capsys, ["list", "--library", str(library.root)])
     assert [scan["scan_id"] for scan in listed["scans"]] == [scan.scan_id for scan in library.scans().bundles]
     assert listed["damaged"] == []
-    assert facts(capsys, ["search", "--library", str(library.root), "--job", "none such"])["scans"] == []
+    assert facts(capsys, ["list", "--library", str(library.root), "--job", "none such"])["scans"] == []
     assert facts(capsys, ["list", "--set-aside", "--library", str(library.root)])["set_aside"] == []
 
 

@@ -62,7 +62,7 @@ def test_a_copy_that_rotted_is_not_called_verified_and_its_receipt_is_taken_back
     assert capsys.readouterr().out.count("1 of 1 verified\n") == 2
 
 
-@pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["sync"], ["pair"]])
+@pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["pull"], ["pair"]])
 def test_what_is_not_there_is_bad_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     error = capsys.readouterr().err

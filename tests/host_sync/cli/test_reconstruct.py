@@ -27,8 +27,8 @@ from hal.hardware import Hardware
 from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
-from host_sync.cli.library import reprocess_command
 from host_sync.cli.main import main, run
+from host_sync.cli.verify import reproduce_results
 from host_sync.evaluation.reprocess import compare
 from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import LibraryReconstructor
@@ -368,10 +368,10 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
         scan = scanner.scan(Annotations()).bundle
     job = LibraryReconstructor(Library(root))
     _, folder = job.run(scan)
-    assert run(lambda: reprocess_command(library=root, job=job)) == 0
+    assert run(lambda: reproduce_results(Library(root), job=job)) == 0
     assert "1 identical, 0 not as expected" in capsys.readouterr().out
     pretend_another_version_wrote(folder)
-    assert run(lambda: reprocess_command(library=root, job=job)) == 0
+    assert run(lambda: reproduce_results(Library(root), job=job)) == 0
     said = capsys.readouterr().out
     assert "height_um.tif: differs by 0 um (median) and 2.5 um at most; 1 pixels changed validity" in said
     assert {path.name for path in folder.parent.iterdir()} == {folder.name, folder.name + "-old"}

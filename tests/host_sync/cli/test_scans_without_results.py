@@ -104,7 +104,7 @@ def test_a_mosaic_without_two_usable_scans_is_refused(
 def test_the_same_spot_says_which_scan_cannot_be_compared(
     library: Path, scans: list[ScanBundle], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["same-spot", scans[0].scan_id, "--library", str(library)]
+    given = ["compare", scans[0].scan_id, "--library", str(library)]
     assert main([*given, scans[3].scan_id]) == 2
     assert (
         f"has no results: run retrosync reconstruct --library {library} {scans[3].scan_id}" in capsys.readouterr().err
@@ -135,7 +135,7 @@ def test_a_population_is_reported_without_what_cannot_be_measured(
 def test_a_search_names_what_was_not_compared(
     library: Path, scans: list[ScanBundle], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["alike", scans[0].scan_id, "--library", str(library)]
+    given = ["list", "--like", scans[0].scan_id, "--library", str(library)]
     damage(scans[2], HEIGHT_FILE)
     for _ in range(2):  # a damaged result is named each time
         assert main([*given, "--json"]) == 1
@@ -149,7 +149,7 @@ def test_a_search_names_what_was_not_compared(
     shutil.rmtree(scans[2].directory)
     shutil.rmtree(scans[3].directory)
     assert main(given) == 0
-    assert main(["alike", scans[1].scan_id, "--library", str(library)]) == 0
+    assert main(["list", "--like", scans[1].scan_id, "--library", str(library)]) == 0
 
 
 def test_an_empty_library_ends_in_a_sentence(
@@ -159,10 +159,10 @@ def test_an_empty_library_ends_in_a_sentence(
     empty.mkdir()
     for given in (
         ["mosaic", "--out", str(tmp_path / "out")],
-        ["same-spot", "a", "b"],
+        ["compare", "a", "b"],
         ["report", "--population", "--out", str(tmp_path / "out")],
-        ["alike", "a"],
-        ["alike", str(scans[0].directory / "results" / "now")],
+        ["list", "--like", "a"],
+        ["list", "--like", str(scans[0].directory / "results" / "now")],
     ):
         assert main([*given, "--library", str(empty)]) == 2, given
         said = capsys.readouterr()

@@ -211,8 +211,8 @@ def test_what_is_lost_or_damaged_is_repaired_and_results_stay(library: Library, 
     assert entry.folder is not None
     assert (entry.folder / "raw.tif").read_bytes() == b"rot"
     third.path("raw.tif").unlink()
-    assert main(["repair", "--library", str(library.root)]) == 2
-    assert main(["repair", str(card.root), "--library", str(library.root)]) == 0
+    assert main(["verify", "--repair", "--library", str(library.root)]) == 2
+    assert main(["verify", "--repair", str(card.root), "--library", str(library.root)]) == 0
 
 
 def test_a_source_with_another_scan_under_the_id_repairs_nothing(
@@ -232,13 +232,13 @@ def test_a_source_with_another_scan_under_the_id_repairs_nothing(
 
 def test_a_mirror_gets_what_it_lacks_and_repairs_the_library(library: Library, tmp_path: Path) -> None:
     copy = tmp_path / "mirror"
-    arguments = ["mirror", str(library.root), str(copy)]
+    arguments = ["verify", "--library", str(library.root), "--mirror", str(copy)]
     assert main(arguments) == 0
     assert verify_library(Library(copy)).sound == SCANS + 1
     again = mirror_to_folder(library, copy, lambda _: None)
     assert (again.copied, len(again.already_there)) == ((), SCANS + 1)
     shutil.rmtree(scans(library)[0].directory)
-    assert main(["repair", str(copy), "--library", str(library.root)]) == 0
+    assert main(["verify", "--repair", str(copy), "--library", str(library.root)]) == 0
     assert verify_library(reopened(library)).complete
     rotten = read_scan(scans(Library(copy))[1].directory).path("raw.tif")
     rotten.chmod(0o644)
@@ -262,10 +262,10 @@ def test_an_address_of_a_mirror_is_read_or_refused() -> None:
 def test_a_scan_that_the_user_removed_is_forgotten_when_he_says_so(library: Library) -> None:
     first, second, *_ = scans(library)
     shutil.rmtree(first.directory)
-    assert main(["forget", first.scan_id, "--library", str(library.root)]) == 0
+    assert main(["verify", "--forget", first.scan_id, "--library", str(library.root)]) == 0
     assert verify_library(reopened(library)).complete
-    assert main(["forget", second.scan_id, "--library", str(library.root)]) == 2
-    assert main(["forget", "nobody", "--library", str(library.root)]) == 2
+    assert main(["verify", "--forget", second.scan_id, "--library", str(library.root)]) == 2
+    assert main(["verify", "--forget", "nobody", "--library", str(library.root)]) == 2
 
 
 def test_a_forged_receipt_frees_nothing_and_hides_nothing(

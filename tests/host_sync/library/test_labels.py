@@ -28,7 +28,7 @@ def scans(store: BundleStore, scan_record: Callable[..., ScanRecord]) -> list[Sc
 
 
 def listed(root: Path, capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
-    assert main(["search", *words, "--library", str(root), "--json"]) == 0
+    assert main(["list", *words, "--library", str(root), "--json"]) == 0
     return [scan["scan_id"] for scan in json.loads(capsys.readouterr().out)["scans"]]
 
 
@@ -36,23 +36,24 @@ def test_labels_are_given_found_and_taken_away(
     store: BundleStore, scans: list[ScanBundle], capsys: pytest.CaptureFixture[str]
 ) -> None:
     root, ids = store.root, [scan.scan_id for scan in scans]
-    label = ["label", "--library", str(root)]
-    assert main([*label, "valve", "--name", "valve 3, before", "--tag", "worn", "reference", "--note", "chipped"]) == 0
-    assert main([*label, ids[1], "plate", "--tag", "worn"]) == 0
+    label = ["list", "--library", str(root)]
+    words = ["--set-name", "valve 3, before", "--add-tag", "worn", "reference", "--set-note", "chipped"]
+    assert main([*label, "valve", *words]) == 0
+    assert main([*label, ids[1], "plate", "--add-tag", "worn"]) == 0
     capsys.readouterr()
     assert listed(root, capsys, "--tag", "worn") == ids
     assert listed(root, capsys, "--tag", "ref*") == ids[:1]
     assert listed(root, capsys, "--name", "VALVE*") == ids[:1]
     assert listed(root, capsys, "chipped", "ada") == ids[:1]
     assert listed(root, capsys, "--tag", "worn", "--part", "plate") == ids[2:]
-    assert main(["search", "--library", str(root)]) == 0
+    assert main(["list", "--library", str(root)]) == 0
     head, first, *_ = capsys.readouterr().out.splitlines()
     assert head.split() == ["SCAN", "TAKEN", "VERDICT", "JOB", "PART", "GEL", "OPERATOR", "NAME", "TAGS", "NOTE"]
     assert first[head.index("NAME") :].startswith("valve 3, before")
     assert first[head.index("TAGS") :].startswith("worn,reference")
-    assert main([*label, "valve", "--untag", "worn", "--name", "", "--note", ""]) == 0
+    assert main([*label, "valve", "--remove-tag", "worn", "--set-name", "", "--set-note", ""]) == 0
     assert capsys.readouterr().out.split() == [ids[0], "-", "reference", "-"]
-    assert main([*label, "valve", "--untag", "reference"]) == 0
+    assert main([*label, "valve", "--remove-tag", "reference"]) == 0
     assert ids[0] not in (root / LABELS_FILE).read_text()
     assert main(["verify", "--library", str(root), "--adopt"]) == 0
 
@@ -74,12 +75,12 @@ def test_a_search_is_kept_and_narrowed(
     assert listed(root, capsys, "--operator", "ada", "--since", "1970-01-01", "--save", "all of Ada") == ids
     assert listed(root, capsys, "--saved", "all of Ada") == ids
     assert listed(root, capsys, "--saved", "all of Ada", "--part", "seal") == ids[1:2]
-    assert main(["search", "--saved", "none", "--library", str(root)]) != 0
+    assert main(["list", "--saved", "none", "--library", str(root)]) != 0
     assert "(all of Ada): save one with --save" in capsys.readouterr().err
 
 
 def test_the_viewer_lists_scans_by_their_labels(store: BundleStore, scans: list[ScanBundle], tmp_path: Path) -> None:
-    assert main(["label", "--library", str(store.root), "seal", "--tag", "worn", "--name", "old seal"]) == 0
+    assert main(["list", "--library", str(store.root), "seal", "--add-tag", "worn", "--set-name", "old seal"]) == 0
     catalogue = Catalogue(store.root)
     listing = catalogue.list(ListFilter(words=("worn",)))
     assert [words for words in listing.complaints if scans[1].scan_id in words] != []  # found, though without heights
@@ -89,16 +90,16 @@ def test_the_viewer_lists_scans_by_their_labels(store: BundleStore, scans: list[
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["valve", "--tag", "two words"], "without blanks"),
-        (["valve", "seal", "--name", "both"], "a name is for one scan"),
-        (["none", "--tag", "a"], "holds no scan"),
-        ([], "name the scans"),
+        (["valve", "--add-tag", "two words"], "without blanks"),
+        (["valve", "seal", "--set-name", "both"], "a name is for one scan"),
+        (["none", "--add-tag", "a"], "holds no scan"),
+        (["--add-tag", "a"], "name the scans"),
     ],
 )
 def test_what_is_no_label_is_refused(
     words: list[str], said: str, store: BundleStore, scans: list[ScanBundle], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["label", "--library", str(store.root), *words]) != 0
+    assert main(["list", "--library", str(store.root), *words]) != 0
     assert said in capsys.readouterr().err
     assert scans
 
@@ -107,6 +108,6 @@ def test_damaged_labels_are_named(
     store: BundleStore, scans: list[ScanBundle], capsys: pytest.CaptureFixture[str]
 ) -> None:
     (store.root / LABELS_FILE).write_text("{")
-    assert main(["search", "--library", str(store.root)]) != 0
+    assert main(["list", "--library", str(store.root)]) != 0
     assert "labels.json: is damaged" in capsys.readouterr().err
     assert scans

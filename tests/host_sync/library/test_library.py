@@ -116,7 +116,7 @@ def test_a_scan_that_was_taken_again_is_shown_as_replaced(
     new = store.publish_scan(record, lambda directory: (directory / "raw.tif").write_bytes(b"raw") and None)
     assert [hit.replaced_by for hit in search(library, Query())] == [new.scan_id, None]
     assert [hit.scan_id for hit in search(library, Query(text="replaced"))] == [old.scan_id]
-    assert main(["search", "--library", str(library.root)]) == 0
+    assert main(["list", "--library", str(library.root)]) == 0
     assert "good (replaced)" in capsys.readouterr().out
     shutil.rmtree(new.directory)
     assert [hit.replaced_by for hit in search(library, Query())] == [None]
@@ -174,7 +174,7 @@ def test_what_a_record_says_never_moves_the_terminal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     annotated(scan_record, store, job="\x1b]0;owned\x07\x1b[2J", part="a\nb\u202ec µ")
-    assert main(["search", "--library", str(library.root)]) == 0
+    assert main(["list", "--library", str(library.root)]) == 0
     said = capsys.readouterr().out
     assert r"\x1b]0;owned\x07\x1b[2J  a\nb\u202ec µ" in said
     assert said.count("\n") == 2  # a header and the scan
@@ -204,9 +204,9 @@ def test_searching_from_the_command_line(
     store: BundleStore, library: Library, publish_scan: PublishScan, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scan = publish_scan(store)
-    assert main(["search", "--job", "j-*", "--since", "1970-01-01", "--library", str(library.root)]) == 0
+    assert main(["list", "--job", "j-*", "--since", "1970-01-01", "--library", str(library.root)]) == 0
     assert scan.scan_id in capsys.readouterr().out
-    assert main(["search", "--job", "other", "--library", str(library.root)]) == 0
-    assert main(["search", "--since", "2026-02-01", "--until", "2026-01-01", "--library", str(library.root)]) == 2
+    assert main(["list", "--job", "other", "--library", str(library.root)]) == 0
+    assert main(["list", "--since", "2026-02-01", "--until", "2026-01-01", "--library", str(library.root)]) == 2
     assert capsys.readouterr().out == ""
-    assert main(["search", "--library", str(library.root / "absent")]) == 2
+    assert main(["list", "--library", str(library.root / "absent")]) == 2

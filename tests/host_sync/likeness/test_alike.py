@@ -58,7 +58,7 @@ def test_the_command_lists_the_other_press_and_what_was_not_compared(
     library: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = str(library / "scans" / "groove-0" / "results" / "one")
-    assert main(["alike", asked, "--library", str(library), "--json", "-n", "2"]) == 0
+    assert main(["list", "--like", asked, "--library", str(library), "--json", "-n", "2"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [answer["found"][0]["scan"], answer["compared"], len(answer["found"])] == ["groove-1", 3, 2]
     assert answer["left_out"][0][0] == "empty-0"

@@ -84,9 +84,9 @@ def test_a_hostile_card_harms_nobody_else(
     errors = check_answers(capsys, code, what)
     assert code == (0 if what in QUIET else 1)
     assert code == 0 or len(errors.splitlines()) == 1
-    for command in (["verify"], ["search"], ["list", "--set-aside"]):
+    for command in (["verify"], ["list"], ["list", "--set-aside"]):
         assert main([*command, "--library", str(library)]) == 0, capsys.readouterr().err
-    assert main(["search", "--library", str(library)]) == 0
+    assert main(["list", "--library", str(library)]) == 0
     found = capsys.readouterr().out
     assert all(scan in found for scan in others)
     check_answers(capsys, main(pull), f"{what}, again")
@@ -109,12 +109,12 @@ def test_a_spoiled_bundle_of_the_library_is_noticed_and_repaired(
     errors = check_answers(capsys, code, what)
     assert len(errors.splitlines()) == 1
     assert victim.scan.name in errors
-    main(["search", "--library", str(library)])
+    main(["list", "--library", str(library)])
     told = capsys.readouterr()
     assert "Traceback" not in told.err
     assert all(scan in told.out for scan in others)
     check_answers(capsys, main(["pull", str(victim.store), "--library", str(library)]), what)
-    assert main(["repair", str(victim.store), "--library", str(library)]) == 0
+    assert main(["verify", "--repair", str(victim.store), "--library", str(library)]) == 0
     assert main(["verify", "--library", str(library)]) == 0
     assert main(["list", "--set-aside", "--library", str(library)]) == 0
     assert victim.scan.name in capsys.readouterr().out

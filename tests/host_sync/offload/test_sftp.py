@@ -326,7 +326,7 @@ def test_sync_status_and_push_by_the_devices_name(
     settings.save(server.device())
     publish_scan(store)
     library = ["--library", str(tmp_path / "library")]
-    assert main(["sync", *library]) == 0
+    assert main(["pull", *library]) == 0
     assert main(["pull", "c0ffee", *library]) == 0
     assert "1 of 1 verified" in capsys.readouterr().out
     assert main(["status"]) == 0

@@ -91,7 +91,7 @@ def test_the_command_writes_difference_sigma_picture_and_record(
     results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "change"
-    assert main(["same-spot", *results, "--out", str(out)]) == 0
+    assert main(["compare", *results, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "changed: -1" in said
     assert "no other change at this spot beyond" in said
@@ -100,7 +100,7 @@ def test_the_command_writes_difference_sigma_picture_and_record(
     record = json.loads((out / "same_spot.json").read_text())
     assert record["height_sigma_median_um"] == pytest.approx(2.0**0.5, rel=0.01)
     assert len(record["changes"]) == 1
-    assert main(["same-spot", *results, "--json"]) == 0
+    assert main(["compare", *results, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == record
 
 
@@ -109,7 +109,7 @@ def test_another_object_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
         str(write_press(press_of_map(name, z_um), tmp_path))
         for name, z_um in zip(("before", "after"), two_presses(0.0, target_seed=8), strict=True)
     ]
-    assert main(["same-spot", *folders]) != 0
+    assert main(["compare", *folders]) != 0
     said = capsys.readouterr()
     assert said.err.startswith("retrosync: not registered: ")
     assert not said.out
@@ -118,11 +118,11 @@ def test_another_object_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_a_folder_with_something_else_is_not_replaced(
     results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["same-spot", *results, "--out", results[0]]) != 0
+    assert main(["compare", *results, "--out", results[0]]) != 0
     assert (Path(results[0]) / "result.json").is_file()
     assert capsys.readouterr().err
 
 
 def test_a_press_is_not_compared_with_itself(results: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["same-spot", results[0], f"{results[0]}/../{Path(results[0]).name}"]) == 2
+    assert main(["compare", results[0], f"{results[0]}/../{Path(results[0]).name}"]) == 2
     assert "are one result: name an earlier and a later press" in capsys.readouterr().err
