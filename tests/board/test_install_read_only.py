@@ -205,6 +205,13 @@ def test_an_initramfs_without_overlay_is_refused_by_name(
     ]
 
 
+def test_a_long_listing_is_read_to_its_end(live: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    """That of a real initramfs has thousands of lines: none of what reads it may stop early and fail the pipe."""
+    modules = (f"usr/lib/modules/6.12/kernel/{number}/{'x' * 60}.ko" for number in range(1200))
+    ran = live(" ".join([*modules, WHOLE]))
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
 def test_the_firmwares_own_copy_is_looked_at_too(
     fresh: Path, live: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
