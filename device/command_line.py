@@ -1,4 +1,4 @@
-"""What both command lines share: commands with examples, help, completion, JSON, what is wrong with arguments.
+"""Common part of both command lines: commands with examples, help, completion, JSON, sentences on wrong arguments.
 
 A command is named by "module:function" and imported when it is called or its help is shown.
 """
@@ -169,7 +169,7 @@ def examples_text(examples: Sequence[str]) -> str:
 
 
 def sentence(error: CycloptsError, app: App) -> str:
-    """What is wrong with the arguments, as one line."""
+    """Return what is wrong with the arguments, as one line."""
     if isinstance(error, UnknownCommandError) and error.unused_tokens:
         return unknown_command(error.unused_tokens[0], app)  # its own words would import every command
     if isinstance(error, MissingArgumentError) and error.argument is not None and error.argument.index is not None:

@@ -1,4 +1,4 @@
-"""What an interpreter leaves to the system when it ends.
+"""Work that an interpreter leaves to the system when it ends.
 
 At its end it collects what refers to itself, record types too, in any order: msgspec 0.22 may then free what is gone
 already, so that a program which has done its work dies of a segmentation fault (msgspec issue 717; in 5 of 25 runs of a

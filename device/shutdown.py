@@ -75,7 +75,7 @@ def signals_as_keyboard_interrupt(*signals: signal.Signals) -> Iterator[None]:
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    """Whether a frame runs within an import."""
+    """Return whether a frame runs within an import."""
     while frame is not None:
         if frame.f_code.co_filename == _IMPORT:
             return True

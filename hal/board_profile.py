@@ -70,7 +70,7 @@ class CameraConfig(Table, frozen=True):
 
     @property
     def settings(self) -> CameraSettings:
-        """The same as a camera request."""
+        """Return the same as a camera request."""
         return CameraSettings(self.exposure_us, self.analogue_gain)
 
 
@@ -232,7 +232,7 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def lights_always_on(self) -> bool:
-        """Whether the lights cannot be switched: no frame shows one alone, or darkness."""
+        """True if the lights cannot be switched: no frame shows one alone, or darkness."""
         return self.uvc is not None and self.uvc.lights == "always on"
 
     @property

@@ -163,7 +163,7 @@ class Button(Protocol):
         ...
 
     def is_down(self) -> bool:
-        """Whether the button is down now."""
+        """Return whether the button is down now."""
         ...
 
     def clear_presses(self) -> int:

@@ -1,4 +1,4 @@
-"""Where the shipped board profiles are, and their names; nothing is read, so that help can list them at once."""
+"""Places and names of the shipped board profiles; nothing is read, so that help can list them at once."""
 
 from __future__ import annotations
 

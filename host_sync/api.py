@@ -1,4 +1,4 @@
-"""What a Python program uses: calibrate, reconstruct, integrate, measure, with numpy arrays in and out.
+"""Python interface: calibrate, reconstruct, integrate, measure, with numpy arrays in and out.
 
 Importing it takes a few hundredths of a second: what computes is imported when it is called.
 
@@ -97,7 +97,7 @@ class Result:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the heights, one sentence each."""
+        """Return what speaks against the heights, one sentence each."""
         return tuple(doubt.sentence for doubt in self.surface.doubts)
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a Python program hands to `host_sync.api`, checked: wrong values end in one sentence."""
+"""Checks of the arguments of `host_sync.api`: wrong values end in one sentence."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def pitch_and_shape(given: object) -> tuple[float, float]:
 
 
 def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, pixel_shape: float) -> FrameSpec:
-    """What images have in common, as a frame without images.
+    """Return what images have in common, as a frame without images.
 
     full_scale : as given; None finds it where images have 16 bit
 

@@ -78,17 +78,17 @@ class ExposureSearch:
 
     @property
     def is_complete(self) -> bool:
-        """Whether `result` can be asked for."""
+        """True if `result` can be asked for."""
         return self.taken == len(self._hardware.profile.lights)
 
     @property
     def instruction(self) -> str:
-        """Where to press next, one sentence."""
+        """Return where to press next, one sentence."""
         return f"press the ball as close to light {self._light.name} as possible, hold it, push the button."
 
     @property
     def request(self) -> PressBall:
-        """What the operator should press next."""
+        """Return what the operator should press next."""
         return PressBall(self._radius_mm, *_nearest_place(self._hardware.profile.sensor, self._light))
 
     def measure(self) -> None:
@@ -97,7 +97,7 @@ class ExposureSearch:
         self._responses.append(_response(self._hardware, self.plan))
 
     def result(self) -> ExposureBalance:
-        """What was found. Errors as for `auto_exposure`."""
+        """Return what was found. Errors as for `auto_exposure`."""
         highest = [max(values) for values in zip(*self._responses, strict=True)]
         found, limit = _plan_for(self._hardware, self.plan.settings, highest)
         return ExposureBalance(found, _levels(highest, found), self._before, _levels(highest, self._before), limit)

@@ -11,7 +11,7 @@ from hal.hardware import Hardware
 
 
 def calibration_settings(hardware: Hardware, root: Path) -> CaptureSettings:
-    """What the next calibration is taken with; a balance of another gel, board or other lights does not count.
+    """Return what the next calibration is taken with; a balance of another gel, board or other lights does not count.
 
     hardware : with the mounted gel
     """

@@ -40,7 +40,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class CaptureSettings:
-    """How to take a frame.
+    """Settings of the camera and the lights for one frame.
 
     settings : requested from the camera
     currents_ma : of each light as its driver grants it, mA
@@ -75,7 +75,7 @@ class CaptureSettings:
         return cls(asked.settings if asked else again, hardware.lights.granted_ma(currents_ma), granted)
 
     def matches(self, granted: CameraSettings, step_us: float) -> bool:
-        """Whether settings that a frame shows are these; exposures come in steps of `step_us`."""
+        """Return whether settings that a frame shows are these; exposures come in steps of `step_us`."""
         if self.granted is not None:
             near_us = max(0.5 * step_us, MIN_TOLERANCE_US)
             wanted, near_gain = self.granted, SAME_GAIN * self.granted.analogue_gain

@@ -13,7 +13,7 @@ from hal.hardware import Hardware
 
 
 def with_active_gel(hardware: Hardware, root: Path) -> Hardware:
-    """The same devices, with the mounted gel in the profile instead of the board's default gel.
+    """Return the same devices, with the mounted gel in the profile instead of the board's default gel.
 
     Raises
     ------

@@ -75,18 +75,18 @@ class CalibrationProgress:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has passed or failed."""
+        """True if it has passed or failed."""
         return self.phase in {"passed", "failed"}
 
 
 def press_places() -> list[tuple[float, float]]:
-    """Where to press the ball: fractions of the field's columns and rows, row by row."""
+    """Return where to press the ball: fractions of the field's columns and rows, row by row."""
     return [((column + 0.5) / COLUMNS, (row + 0.5) / ROWS) for row in range(ROWS) for column in range(COLUMNS)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LastCalibration:
-    """What a new calibration is compared with: reference and inverse map of the last one of this gel and lights."""
+    """Reference and inverse map of the last calibration of this gel and lights, for comparison with a new one."""
 
     reference: RawFrame
     inverse_map: InverseMap
@@ -117,7 +117,7 @@ class GuidedCalibration:
 
     @property
     def request(self) -> OperatorRequest:
-        """What the operator should do now."""
+        """Return what the operator should do now."""
         place = self.progress.place
         return LiftOff() if place is None else PressBall(self.ball_radius_mm, *place)
 

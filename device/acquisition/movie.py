@@ -59,7 +59,7 @@ class Movie:
         return len(self.frames) - self.best - self.averaged
 
     def record(self) -> MovieRecord:
-        """What the bundle says of it."""
+        """Return what the bundle says of it."""
         began_ns = self.frames[0].sensor_timestamp_ns
         return MovieRecord(
             binning=MOVIE_BINNING,

@@ -61,7 +61,7 @@ class PreciseCapture:
 
 
 def exposures_record(precise: PreciseCapture) -> ExposuresRecord:
-    """What the raw frame is made of, and the names of the frames beside it."""
+    """Return what the raw frame is made of, and the names of the frames beside it."""
     return ExposuresRecord(
         averaged=precise.averaged,
         moved=precise.moved,

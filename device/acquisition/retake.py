@@ -17,5 +17,5 @@ class Retake:
     annotations: Annotations
 
     def is_replaced_by(self, level: VerdictLevel) -> bool:
-        """Whether a press with this verdict replaces it: not one that is worse, or to be taken again itself."""
+        """Return whether a press with this verdict replaces it: not one that is worse, or to be taken again itself."""
         return level != "retake" and not (level == "doubtful" and self.level == "good")

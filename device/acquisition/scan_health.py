@@ -78,7 +78,7 @@ class ScanHealth:
 
     @property
     def knows_shares(self) -> bool:
-        """Whether each light was measured alone under this calibration; before, no light level is known."""
+        """True if each light was measured alone under this calibration; before, no light level is known."""
         return self._shares is not None
 
     def light_change_since(self, at_ns: int) -> dict[str, float | None]:
@@ -200,7 +200,9 @@ class ScanHealth:
 
 
 def _covers_field(press: PressMeasure, region: UntouchedRegion | None) -> bool:
-    """Whether a gentle object covers the whole field: little relief stands out, and yet the field is not untouched."""
+    """Return whether a gentle object covers the whole field: little relief stands out, and yet the field is not
+    untouched.
+    """
     fraction = press.contact_fraction
     if fraction is None or fraction >= LIGHT_CONTACT:
         return False

@@ -80,7 +80,7 @@ class Assessment:
 
     @property
     def awaits_lift(self) -> bool:
-        """Whether the press is good if the lights prove right: its frame shows too little untouched skin to tell."""
+        """True if the press is good if the lights prove right: its frame shows too little untouched skin to tell."""
         return self.evidence.lacks_only_lights
 
 
@@ -251,7 +251,7 @@ class Scanner:
         return Assessment(press, look, fault, evidence)
 
     def lights_proven(self, assessed: Assessment) -> bool:
-        """Whether the lights were measured on untouched skin since a press."""
+        """Return whether the lights were measured on untouched skin since a press."""
         changes = self.health.light_change_since(assessed.press.frame.sensor_timestamp_ns)
         return None not in changes.values()
 

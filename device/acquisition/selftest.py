@@ -37,7 +37,7 @@ PUSH_TIMEOUT_S: Final = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What the test of one part found."""
+    """Outcome of the test of one part."""
 
     part: str
     state: State

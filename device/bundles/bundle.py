@@ -1,4 +1,4 @@
-"""What scan and calibration bundles share: a directory, its record, and access to the files that the record lists."""
+"""Common part of scan and calibration bundles: a directory, its record, and access to the files that it lists."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RAW_OVERHEAD_BYTES: Final = 1 << 20
 
 
 class Manifest(Protocol):
-    """What the records of both kinds of bundle hold."""
+    """Common fields of the records of both kinds of bundle."""
 
     @property
     def identity(self) -> Identity:

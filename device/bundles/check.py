@@ -43,7 +43,7 @@ class CheckStandard(Record, frozen=True, tag_field="schema", tag=STANDARD_SCHEMA
 
     @property
     def identity(self) -> tuple[StandardKind, str, float]:
-        """What its checks have in common, see `CheckRecord.standard`."""
+        """Return what its checks have in common, see `CheckRecord.standard`."""
         return self.kind, self.name, self.value_um
 
 
@@ -74,19 +74,19 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
     @property
     def standard(self) -> tuple[StandardKind, str, float]:
-        """Which standard was pressed: kind, name and certified value (µm)."""
+        """Return which standard was pressed: kind, name and certified value (µm)."""
         return self.kind, self.name, self.value_um
 
     @property
     def passed(self) -> bool:
-        """Whether the measured value deviates by no more than is allowed, from the certificate and the first check."""
+        """True if the measured value deviates by no more than is allowed, from the certificate and the first check."""
         if self.measured_um is None:
             return False
         return abs(self.measured_um - self.value_um) <= self.limit_um and not self.has_drifted
 
     @property
     def has_drifted(self) -> bool:
-        """Whether it deviates from the first check by more than is allowed."""
+        """True if it deviates from the first check by more than is allowed."""
         if self.measured_um is None or self.first_um is None or self.drift_limit_um is None:
             return False
         return abs(self.measured_um - self.first_um) > self.drift_limit_um
@@ -108,7 +108,7 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
     @property
     def _other(self) -> str:
-        """Which other ball it reads as, in words; empty if none."""
+        """Return which other ball it reads as, in words; empty if none."""
         if self.kind != "ball" or self.measured_um is None:
             return ""
         other_um = look_alike_um(self.value_um, self.limit_um, self.measured_um)

@@ -80,7 +80,7 @@ class Fingerprint(Record, frozen=True):
         )
 
     def mismatch(self, other: Fingerprint) -> str | None:
-        """What differs, as a sentence (`self` is the calibration's, `other` the frame's), or None."""
+        """Return what differs, as a sentence (`self` is the calibration's, `other` the frame's), or None."""
         differences = [*self._setting_differences(other), *self._light_differences(other)]
         if not differences:
             return None

@@ -1,4 +1,4 @@
-"""Where bundles lie: the same plain folders in the device's store and in the workstation's library."""
+"""Places of bundles: the same plain folders in the device's store and in the workstation's library."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def partial_name(bundle_id: str) -> str:
 
 
 def is_bundle_id(name: str) -> bool:
-    """Whether a directory of this name can be a bundle."""
+    """Return whether a directory of this name can be a bundle."""
     return _BUNDLE_ID.fullmatch(name) is not None
 
 
@@ -73,7 +73,7 @@ def bundle_names(entries: Iterable[FolderEntry]) -> BundleNames:
 
 
 def is_utf_8(name: str) -> bool:
-    """Whether a file's name was valid UTF-8."""
+    """Return whether a file's name was valid UTF-8."""
     return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 

@@ -1,4 +1,4 @@
-"""What a scan's bundle says of the movie of its press."""
+"""Record of the movie of a press, in the bundle of its scan."""
 
 from __future__ import annotations
 

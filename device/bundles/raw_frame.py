@@ -35,7 +35,7 @@ Side = Annotated[int, msgspec.Meta(ge=2, le=MAX_SIDE_PX, multiple_of=2)]
 
 
 class RawHeader(Record, frozen=True, tag_field="schema", tag=RAW_SCHEMA):
-    """How a raw frame was taken; levels in dn; `crc32` covers the four planes' little-endian counts in page order."""
+    """Settings of a raw frame; levels in dn; `crc32` covers the four planes' little-endian counts in page order."""
 
     bayer_order: BayerOrder
     rows: Side

@@ -54,7 +54,7 @@ def bundle_of(receipt_file: str) -> str | None:
 
 
 def is_receipted(root: Path, kind: BundleKind, bundle_id: str, manifest: bytes) -> bool:
-    """Whether a receipt in a store names this kind, id and manifest; an unreadable receipt counts as absent.
+    """Return whether a receipt in a store names this kind, id and manifest; an unreadable receipt counts as absent.
 
     The folder of receipts is writable for workstations: nothing in it is trusted.
     """

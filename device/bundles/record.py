@@ -1,4 +1,4 @@
-"""What every record shares: strict, bounded JSON with a named schema version, and the hash and size of every file.
+"""Common part of every record: strict, bounded JSON with a named schema version, and the hash and size of every file.
 
 A manifest (`scan.json`, `calibration.json`) lists the bundle's files; `<manifest>.sha256` beside it is the checksum of
 the manifest itself, in the form that `sha256sum -c` reads. So every byte of a bundle is covered by a hash.
@@ -234,7 +234,7 @@ def verify_files(directory: Path, files: Mapping[str, FileEntry]) -> None:
 
 
 def _fault(folder: Folder, name: str, expected: FileEntry) -> str | None:
-    """What is wrong with a file, or None."""
+    """Return what is wrong with a file, or None."""
     try:
         with folder.opened(name) as stream:
             size = os.fstat(stream.fileno()).st_size

@@ -80,7 +80,7 @@ class LightFaultRecord(Record, frozen=True):
 
 
 class ExposuresRecord(Record, frozen=True):
-    """What the raw frame is made of, and the frames beside it.
+    """Exposures of the raw frame, and further frames of the same press.
 
     averaged : frames that were averaged
     moved : frames that were left out because the object had moved
@@ -104,7 +104,7 @@ class ExposuresRecord(Record, frozen=True):
 
 
 class Annotations(Record, frozen=True):
-    """What people wrote about a scan; no part of its identity."""
+    """Notes of people about a scan; no part of its identity."""
 
     job: Text | None = None
     part: Text | None = None

@@ -1,4 +1,4 @@
-"""Which board profile a command uses: `--board`, else the environment, else what the installation wrote."""
+"""Choice of the board profile: `--board`, else the environment, else what the installation wrote."""
 
 from __future__ import annotations
 

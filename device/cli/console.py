@@ -1,4 +1,4 @@
-"""What every command shares: lines on the terminal, types of arguments, the store of the options."""
+"""Common part of every command: lines on the terminal, types of arguments, the store of the options."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ from hal.interfaces import MayLift, PressObject
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Labels:
-    """What is stored with a scan.
+    """Labels that are stored with a scan.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ def lights_off(*, options: Given) -> int:
 
 
 def annotations_of(labels: Labels | None) -> Annotations:
-    """What is written beside a scan."""
+    """Return the annotations that are stored with a scan."""
     return Annotations(**asdict(labels or Labels()))
 
 

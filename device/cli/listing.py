@@ -1,4 +1,4 @@
-"""What the store holds, without opening hardware: `retroscan status` and `retroscan list`, as sentences or JSON."""
+"""Contents of the store, without opening hardware: `retroscan status` and `retroscan list`, as sentences or JSON."""
 
 from __future__ import annotations
 

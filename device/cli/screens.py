@@ -54,7 +54,7 @@ class InstrumentThread:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the loop ended without being stopped; leaving the context then raises its error."""
+        """True if the loop ended without being stopped; leaving the context then raises its error."""
         return self._running is not None and self._running.done()
 
     def __enter__(self) -> Self:

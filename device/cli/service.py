@@ -1,4 +1,4 @@
-"""What system services use: `retroscan identity`, `retroscan guard-battery`, and reports to the service manager."""
+"""Commands of system services: `retroscan identity`, `retroscan guard-battery`, and reports to the service manager."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class NoBattery(DeviceError, LookupError):
 
 
 def is_low(reading: PowerReading) -> bool:
-    """Whether a reading shows an empty battery; unmeasured values are ignored."""
+    """Return whether a reading shows an empty battery; unmeasured values are ignored."""
     low_charge = reading.battery_share is not None and reading.battery_share <= EMPTY_FRACTION
     low_voltage = reading.battery_mv is not None and reading.battery_mv <= EMPTY_MV
     return low_charge or low_voltage

@@ -23,7 +23,7 @@ FIRST_PRESS: Final = "Press the area's upper left corner, then push the button."
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverMap:
-    """What is covered.
+    """Covered part of an area.
 
     covered : bool array of shape (h, w), square cells from the upper left corner
     last : middle of the last press that was placed, as fractions of width and height
@@ -65,7 +65,7 @@ class CoverTask:
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing is missing."""
+        """True if nothing is missing."""
         return self._covering is not None and self.way is None
 
     def add(self, height: HeightMap | None) -> None:
@@ -82,7 +82,7 @@ class CoverTask:
         self.way = self._covering.stands[-1].way_to(place) if place else None
 
     def map(self) -> CoverMap | None:
-        """What is covered now; None before the first press."""
+        """Return what is covered now; None before the first press."""
         if (covering := self._covering) is None:
             return None
         last = covering.stands[-1]
@@ -93,7 +93,7 @@ class CoverTask:
         return CoverMap(covering.covered.copy(), (right, down))
 
     def sentence(self) -> str:
-        """What is covered, how far the last press overlaps those before it, and what to do, for people."""
+        """Return what is covered, how far the last press overlaps those before it, and what to do, for people."""
         if self.stand is None:
             return FIRST_PRESS
         if self._covering is None:

@@ -29,7 +29,7 @@ SLIVER: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where the instrument stood for a press.
+    """Place of the instrument during a press.
 
     right_mm, down_mm : its middle, from that of the first press, in the first press's directions
     clockwise_deg : its turn from the first press
@@ -42,7 +42,7 @@ class Stand:
     overlap: float
 
     def of_press(self, placed: Placement) -> Stand:
-        """Where a press stood whose way to here is `placed`."""
+        """Return where a press stood whose way to here is `placed`."""
         turn_deg = self.clockwise_deg - placed.clockwise_deg
         right, down = _turned(np.array([placed.right_mm, placed.down_mm]), turn_deg).tolist()
         return Stand(self.right_mm - right, self.down_mm - down, turn_deg, placed.overlap)
@@ -134,7 +134,7 @@ class Covering:
         return stand
 
     def _counted(self, middles: Float64Array, worth: Float64Array) -> Float64Array:
-        """What cells are worth, summed over those that fields with these middles, (h, w, 2), would newly cover."""
+        """Return the worth of the cells that fields with these middles, (h, w, 2), would newly cover, summed."""
         rows, columns = self.covered.shape
         missing = np.zeros((rows + 1, columns + 1))
         missing[1:, 1:] = (worth * ~self.covered).cumsum(axis=0).cumsum(axis=1)

@@ -31,7 +31,7 @@ _UPPER_FRACTION: Final = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GuideModel:
-    """What the press guide needs of the instrument.
+    """State of the instrument that the press guide reads.
 
     flat_field : float32 array of shape (h, w, 3), untouched skin at the small image's size
     slopes : the inverse map at that size; None without a calibration

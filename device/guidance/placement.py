@@ -1,4 +1,4 @@
-"""Where the instrument stands against an earlier press: shift and turn of two quick looks, or no answer.
+"""Place of the instrument relative to an earlier press: shift and turn of two quick looks, or no answer.
 
 Slopes without long waves, strongly reduced, are correlated over shift and turn with FFTs; the best places are verified
 over their true overlap. An answer needs a peak far above the noise and no other place nearly as good: guidance that is
@@ -57,7 +57,7 @@ Complex = NDArray[np.complex64]
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the instrument stands now against an earlier press, as the way back.
+    """Present place of the instrument relative to an earlier press, as the way back.
 
     right_mm, down_mm : move by this in the live view's directions brings its middle onto the earlier one's
     clockwise_deg : then turn by this, seen from behind the instrument
@@ -230,7 +230,7 @@ def _with(place: _Place, right: float | None = None, down: float | None = None, 
 
 
 def _vertex(before: float, middle: float, after: float) -> float:
-    """Where a parabola through values at -1, 0, 1 is highest, within ±0.5."""
+    """Return where a parabola through values at -1, 0, 1 is highest, within ±0.5."""
     bend = before - 2.0 * middle + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
 
@@ -240,7 +240,7 @@ def _signed(at: int, size: int) -> int:
 
 
 def _apart(one: _Place, other: _Place) -> bool:
-    """Whether two places are two."""
+    """Return whether two places are two."""
     away = float(np.hypot(one.right - other.right, one.down - other.down))
     return away > APART_PX or abs(one.turn - other.turn) > np.radians(APART_DEG)
 

@@ -44,8 +44,9 @@ class GuideReading:
 
 
 def advise(figures: PressFigures, still_s: float) -> tuple[Advice, str]:
-    """What to do about a live frame: one word for programs, one sentence for people. It says "ready" of no press that
-    the verdict would find at fault for the same figures."""
+    """Return what to do about a live frame: one word for programs, one sentence for people. It says "ready" of no press
+    that the verdict would find at fault for the same figures.
+    """
     fault = next(press_faults(figures), None)
     if fault:
         return fault.kind, _sentence(fault.cue or fault.sentence)

@@ -15,17 +15,17 @@ SPOT_DEG: Final = 1.5
 
 
 def placed(touch: RawFrame, model: QuickLookModel, target: Target) -> Placement | Unplaced:
-    """Where a touch lies against an earlier press. Errors as for `quick_look`."""
+    """Return where a touch lies against an earlier press. Errors as for `quick_look`."""
     return target.place(quick_look(bin_bayer(touch, model.binning), model).height)
 
 
 def on_the_spot(found: Placement | Unplaced) -> bool:
-    """Whether the instrument is known to stand where the earlier press was made."""
+    """Return whether the instrument is known to stand where the earlier press was made."""
     return isinstance(found, Placement) and found.distance_mm <= SPOT_MM and abs(found.clockwise_deg) <= SPOT_DEG
 
 
 def sentence(found: Placement | Unplaced) -> str:
-    """What to do, for people."""
+    """Return what to do, for people."""
     if isinstance(found, Unplaced):
         return f"Place unknown: {found.reason}."
     shift = f"±{2.0 * found.shift_sigma_mm:.1f} mm, ±{2.0 * found.turn_sigma_deg:.0f}°"

@@ -39,7 +39,7 @@ def without_ambient(frame: RawFrame, dark: RawFrame) -> RawFrame:
 
 
 def _nearly_equal(one: CameraSettings, other: CameraSettings) -> bool:
-    """Whether two frames were taken alike: exposures are reported in whole microseconds, or lines of the sensor."""
+    """Return whether two frames were taken alike: exposures are whole microseconds, or lines of the sensor."""
     exposure = abs(one.exposure_us - other.exposure_us) <= max(SAME * other.exposure_us, 1.0)
     return exposure and abs(one.analogue_gain - other.analogue_gain) <= SAME * other.analogue_gain
 

@@ -86,7 +86,7 @@ class NormalizedImage:
         return self.valid & ~self.clipped
 
     def faithful_at(self, pixels: Any) -> MaskArray:
-        """The same at some pixels alone: a window, or indices."""
+        """Return the same at some pixels alone: a window, or indices."""
         return np.asarray(self.valid[pixels] & ~self.clipped[pixels])
 
     @property
@@ -195,7 +195,7 @@ def check_exposed(frame: LinearFrame, name: str) -> None:
 
 
 def check_exposed_sample(sample: Float32Array, clipped_fraction: float, name: str) -> None:
-    """The same for every `EXPOSURE_STEP`-th row and column of a frame and its fraction of clipped pixels."""
+    """Check every `EXPOSURE_STEP`-th row and column of a frame and its fraction of clipped pixels."""
     if float(np.percentile(sample, 99)) < BLACK_FRAME:
         raise FrameError(f"{name} is black: check that the lights are on and the lens is open, then take it again")
     if clipped_fraction > 0.5:

@@ -36,7 +36,7 @@ IS_SHARP: Final = "Sharp: lock the ring here. Then calibrate, because the pictur
 
 @dataclass(frozen=True, slots=True)
 class FocusReading:
-    """How sharp the lens is set now.
+    """Present sharpness of the lens.
 
     figure, best : present and largest focus figure since the start
     advice : what to turn, one sentence

@@ -1,4 +1,4 @@
-"""What a frame of a press shows as a whole: its sharpness, and the fraction of the field in contact.
+"""Figures of a whole frame of a press: its sharpness, and the fraction of the field in contact.
 
 Sharpness is the ratio of fine to coarser contrast at the strongest edges. Only edges can be sharp: a frame with gentle
 slopes alone has no measurable focus and gets None.

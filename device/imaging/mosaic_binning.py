@@ -16,7 +16,7 @@ _MAX_COUNT: Final = np.iinfo(np.uint16).max
 
 
 def can_bin(shape: tuple[int, int]) -> bool:
-    """Whether a frame of `shape` (H, W) consists of 4x4 blocks."""
+    """Return whether a frame of `shape` (H, W) consists of 4x4 blocks."""
     return shape[0] % _BLOCK == 0 and shape[1] % _BLOCK == 0
 
 

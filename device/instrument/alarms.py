@@ -1,4 +1,4 @@
-"""What the operator must hear of before it stops the work: supply, battery, root file system and room for scans."""
+"""Alarms that come before something stops the work: supply, battery, root file system and room for scans."""
 
 from __future__ import annotations
 
@@ -42,5 +42,5 @@ def alarms(power: PowerReading, scans_left: int | None, root: str | None = None)
 
 
 def alarm_kinds(found: tuple[str, ...]) -> frozenset[str]:
-    """What the alarms are about, without their numbers: an alarm is announced once, not with every per cent."""
+    """Return what the alarms are about, without their numbers: an alarm is announced once, not with every per cent."""
     return frozenset("".join(letter for letter in sentence if not letter.isdigit()) for sentence in found)

@@ -58,7 +58,7 @@ class ButtonWatch:
         self._waiting_ns = self.began_ns = None
 
     def is_waiting(self) -> bool:
-        """Whether a push has begun that the next `wait` will report."""
+        """Return whether a push has begun that the next `wait` will report."""
         if self.began_ns is None and self._waiting_ns is None:
             with suppress(HalError):
                 self._waiting_ns = self._hardware.button.wait_for_push(0.0)

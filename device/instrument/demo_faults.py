@@ -64,7 +64,7 @@ def _held_bytes(folder: Path) -> int:
 
 
 class DemoFaults:
-    """Which faults are on, and the switch of each.
+    """Faults that are on, and the switch of each.
 
     Parameters
     ----------

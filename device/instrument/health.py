@@ -107,7 +107,7 @@ class BaselineScheduler:
         return updated
 
     def wants_lights_alone(self, live: LiveFrame, *, is_awaited: bool) -> bool:
-        """Whether each light should now be measured alone, which the first check needs; asked once per attempt.
+        """Return whether each light should now be measured alone, which the first check needs; asked once per attempt.
 
         is_awaited : whether a press waits for it
         """

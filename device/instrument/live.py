@@ -68,7 +68,7 @@ class LiveLoop:
         self._guide.set_light_levels(levels, drift)
 
     def motion(self, frame: RawFrame) -> float | None:
-        """How much a frame differs from the last live one; None if that is too old."""
+        """Return how much a frame differs from the last live one; None if that is too old."""
         at_ns = self._at_ns
         if at_ns is None or frame.sensor_timestamp_ns - at_ns > MAX_MOTION_AGE_S * 1e9:
             return None
@@ -129,7 +129,7 @@ class LiveLoop:
         return LiveFrame(frame, reading)
 
     def fires(self, reading: GuideReading) -> bool:
-        """Whether the auto-shutter fires now: once per contact, when it is still and the guide says ready."""
+        """Return whether the auto-shutter fires now: once per contact, when it is still and the guide says ready."""
         if reading.in_air:
             self._fired = False
         if self._fired or reading.advice != "ready" or reading.still_s < STILL_S:
@@ -144,5 +144,7 @@ class LiveLoop:
         return PERIOD_S if waits and not self.is_asleep() else UNSEEN_PERIOD_S
 
     def is_asleep(self) -> bool:
-        """Whether the lights are off because nothing has happened for a while: the next push only switches them on."""
+        """Return whether the lights are off because nothing has happened for a while: the next push only switches them
+        on.
+        """
         return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9

@@ -71,10 +71,10 @@ class LiveFigure:
 
 
 def focus_figure_of(states: StateStore, live: LiveLoop, clock: Clock) -> LiveFigure:
-    """How sharp the lens is set, while a person turns it."""
+    """Return how sharp the lens is set, while a person turns it."""
     return LiveFigure(states, live, clock, "focus", lambda: FocusMeter().read, "The focus figure")
 
 
 def skin_levels_of(states: StateStore, live: LiveLoop, clock: Clock) -> LiveFigure:
-    """How bright each light is on the skin."""
+    """Return how bright each light is on the skin."""
     return LiveFigure(states, live, clock, "levels", lambda: SkinLevels.of_frame, "Reading the light on the skin")

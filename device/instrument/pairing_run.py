@@ -62,7 +62,7 @@ class PairingRun:
 
 @dataclass(frozen=True, slots=True)
 class NetworkInfo:
-    """What to type on the workstation, and what to compare.
+    """Address to type on the workstation, and fingerprint to compare.
 
     addresses : IPv4, of cable and Wi-Fi; empty without a network
     key_fingerprint : of sshd's key as OpenSSH prints it, or why it cannot be read

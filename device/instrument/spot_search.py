@@ -36,7 +36,7 @@ class SpotSearch:
 
     @property
     def is_on(self) -> bool:
-        """Whether pushes compare touches, instead of scanning."""
+        """True if pushes compare touches, instead of scanning."""
         return self._target is not None
 
     def begin(self, spot: SpotState, target: Target) -> None:

@@ -65,7 +65,7 @@ class CalibrationState:
 
     @property
     def is_old(self) -> bool:
-        """Whether it should be checked with the calibration cap."""
+        """True if it should be checked with the calibration cap."""
         return self.age_s is not None and self.age_s > OLD_CALIBRATION_S
 
 

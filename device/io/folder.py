@@ -86,7 +86,7 @@ class Folder:
         os.close(self._descriptor)
 
     def entries(self, place: str = "") -> list[FolderEntry]:
-        """What a folder holds, sorted by name; more than `MAX_ENTRIES` is an error."""
+        """Return what a folder holds, sorted by name; more than `MAX_ENTRIES` is an error."""
         found: list[FolderEntry] = []
         with self._opened(place.split("/") if place else []) as descriptor, os.scandir(descriptor) as entries:
             for entry in entries:

@@ -62,6 +62,6 @@ def free_bytes(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
 
 
 def free_entries(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
-    """How many more files a file system can hold; 2^40 where it does not count them."""
+    """Return how many more files a file system can hold; 2^40 where it does not count them."""
     facts = statvfs(folder)
     return facts.f_favail if facts.f_files else _MANY

@@ -23,7 +23,7 @@ class ProgramFailed(MachineError):
 
 
 def run_program(arguments: Sequence[str], *, feed: str = "", timeout_s: float = TIMEOUT_S) -> str:
-    """What a program writes.
+    """Run a program and return its output.
 
     Parameters
     ----------

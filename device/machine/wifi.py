@@ -144,14 +144,14 @@ class NetworkManagerWifi:
 
 
 def password_complaint(password: str) -> str:
-    """What is wrong with a password of WPA; empty if nothing is."""
+    """Return what is wrong with a password of WPA; empty if nothing is."""
     if MIN_PASSWORD <= len(password.encode()) <= MAX_PASSWORD:
         return ""
     return f"a Wi-Fi password has {MIN_PASSWORD} to {MAX_PASSWORD} characters"
 
 
 def _security_of(words: str) -> Security:
-    """What nmcli's column SECURITY means, such as "WPA2 802.1X"."""
+    """Return what nmcli's column SECURITY means, such as "WPA2 802.1X"."""
     names = set(words.replace("--", "").split())
     if not names:
         return "open"

@@ -25,7 +25,7 @@ class WeakShare(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What one side sends: its share (32 bytes) and its associated data, both authenticated by the tags."""
+    """Message of one side: its share (32 bytes) and its associated data, both authenticated by the tags."""
 
     share: bytes
     associated_data: bytes
@@ -65,7 +65,7 @@ def session_key(
 
 
 def tag(key: bytes, sent: Message, session: bytes = b"") -> bytes:
-    """What proves to the other side that the sender of a message has the key: HMAC-SHA-512 over the message."""
+    """Return the proof for the other side that the sender of a message has the key: HMAC-SHA-512 over the message."""
     mac_key = hashlib.sha512(b"CPaceMac" + session + key).digest()
     return hmac.new(mac_key, sent.encoded(), hashlib.sha512).digest()
 

@@ -111,5 +111,5 @@ class Exchange:
         return Confirmation(tag=tag(self._key, self._own).hex())
 
     def is_confirmed(self, theirs: Confirmation) -> bool:
-        """Whether the other side knows the code, and both have seen the same shares and cards."""
+        """Return whether the other side knows the code, and both have seen the same shares and cards."""
         return bool(self._key) and hmac.compare_digest(tag(self._key, self._other).hex(), theirs.tag)

@@ -26,7 +26,7 @@ OFFLOAD_USER: Final = "retrosync"
 
 @dataclass(frozen=True, slots=True)
 class PairingSetup:
-    """How this device is set up for offload; the defaults are those of `docs/offload.md`.
+    """Set-up of this device for offload; the defaults are those of `docs/offload.md`.
 
     port : of the pairing window
     ssh_port, host_key : of sshd

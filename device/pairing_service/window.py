@@ -32,7 +32,7 @@ _POLL_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PairingOutcome:
-    """How a window ended: the paired workstation, or None; and a sentence for the screen."""
+    """Outcome of a window: the paired workstation, or None; and a sentence for the screen."""
 
     host: HostCard | None
     sentence: str
@@ -147,7 +147,7 @@ class PairingWindow:
                     call.hang_up()
 
     def _admit(self, call: _Call) -> bool:
-        """Whether there is room for a caller; callers that have said nothing yet make room, the oldest first."""
+        """Return whether there is room for a caller; callers that have said nothing yet make room, the oldest first."""
         with self._calling:
             same = [one for one in self._calls if one.address == call.address]
             for crowd, limit in ((same, MAX_PER_ADDRESS), (self._calls, MAX_CALLERS)):

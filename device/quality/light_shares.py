@@ -1,4 +1,4 @@
-"""Which light the intensity of untouched skin comes from, measured with each light alone.
+"""Fractions of the intensity of untouched skin that come from each light, measured with each light alone.
 
 Colour filters overlap, and near lights reach a field unevenly: in the corner that is farthest from the blue light,
 little more than half of the blue channel is that light's. There its loss of 2 % shows as 1 %. With each light's share w

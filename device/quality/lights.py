@@ -37,7 +37,7 @@ def border_levels(intensity: NormalizedImage) -> Levels | None:
 def light_complaint(
     levels: Levels | None, names: Sequence[str], flags: Mapping[str, str]
 ) -> tuple[Literal["doubtful", "retake"], str] | None:
-    """What is wrong with the lights, as a verdict's level and reason; None if nothing is.
+    """Return what is wrong with the lights, as a verdict's level and reason; None if nothing is.
 
     levels : from `border_levels`; None if not measured
     names : of the lights in R, G, B order

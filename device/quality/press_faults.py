@@ -1,4 +1,4 @@
-"""What is wrong with a press, in one place: press guide, auto-shutter and verdict say the same of the same figures."""
+"""Faults of a press, in one place: press guide, auto-shutter and verdict agree on the same figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a reference shows untouched skin: its light is smooth, without spots, and shaped as the last reference's."""
+"""Check of a reference: untouched skin's light is smooth, without spots, and shaped as the last reference's."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ def reference_fault(reference: LinearFrame) -> str:
 
 
 def changed_shape(reference: LinearFrame, last: LinearFrame) -> float:
-    """How much the light's shape over the field differs from the last reference's, relative, lights' levels removed."""
+    """Return how much the light's shape over the field differs from the last reference's, relative, lights' levels
+    removed.
+    """
     ratio = block_means(reference.rgb) / np.maximum(block_means(last.rgb), np.float32(_DARK))
     ratio /= np.median(ratio, axis=(0, 1))
     return float(np.percentile(np.abs(ratio - 1.0), 95))

@@ -1,4 +1,4 @@
-"""What untouched skin shows: present light levels, their drift since calibration, defects of the gel.
+"""Findings on untouched skin: present light levels, their drift since calibration, defects of the gel.
 
 Light levels: the field is cut into blocks. A block of untouched skin differs from the reference by one factor per
 channel and by sensor noise; shading spreads more widely. Where enough blocks agree on the three factors, those are the
@@ -88,12 +88,12 @@ class UntouchedRegion:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the whole field is untouched."""
+        """True if the whole field is untouched."""
         return self.fraction >= WHOLE_FRACTION
 
     @property
     def is_tilt(self) -> bool:
-        """Whether the changes look like a tilt of the whole field rather than a change of the lights."""
+        """True if the changes look like a tilt of the whole field rather than a change of the lights."""
         changes = [level - 1.0 for level in self.levels]
         largest = max(abs(change) for change in changes)
         return largest > MIN_TILT_CHANGE and abs(sum(changes)) < TILT_BALANCE * largest
@@ -147,7 +147,7 @@ class ReferenceModel:
         return _as_levels(found)
 
     def assume_untouched(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion:
-        """The same as `detect` for a frame that is known to be untouched: every block counts."""
+        """Return the same as `detect` for a frame that is known to be untouched: every block counts."""
         ratio = self.ratio(intensity)
         return _region(shares.levels(ratio) if shares else ratio, np.ones(ratio.shape[:2], np.bool_))
 

@@ -34,7 +34,7 @@ _WORST_FIRST: Final[tuple[VerdictLevel, ...]] = ("retake", "doubtful")
 
 @dataclass(frozen=True, slots=True)
 class InstrumentContext:
-    """What is known apart from the frame itself; None means not measured, never 0.
+    """State of the instrument apart from the frame itself; None means not measured, never 0.
 
     motion : change of intensity between the last live frame and the scan's
     light_change : relative change of each light since calibration, by name
@@ -141,26 +141,26 @@ class Evidence:
 
     @property
     def lacks_only_lights(self) -> bool:
-        """Whether everything is good except that the lights' levels at this press are not known."""
+        """True if everything is good except that the lights' levels at this press are not known."""
         return self.verdict().reason == LIGHTS_UNKNOWN
 
     @property
     def light_fault(self) -> str:
-        """What is wrong with the lights, in a sentence; empty if nothing is known to be."""
+        """Return what is wrong with the lights, in a sentence; empty if nothing is known to be."""
         return "" if self._press.lights is None else self._press.lights[1]
 
     @property
     def lacks_contact(self) -> bool:
-        """Whether nothing touches the skin, as far as the frame can tell."""
+        """True if nothing touches the skin, as far as the frame can tell."""
         contact = self._press.contact_fraction
         return contact is not None and contact < MIN_CONTACT
 
     def with_light_change(self, change: Mapping[str, float | None]) -> Evidence:
-        """The same with another measurement of the lights."""
+        """Return the same with another measurement of the lights."""
         return replace(self, known=replace(self.known, light_change=change))
 
     def with_failed_check(self, sentence: str) -> Evidence:
-        """The same after a failed check of the check standard."""
+        """Return the same after a failed check of the check standard."""
         return replace(self, known=replace(self.known, failed_check=sentence))
 
     def verdict(self) -> VerdictRecord:
@@ -213,7 +213,7 @@ def border_figures(levels: Levels | None) -> dict[str, float | None]:
 
 
 def _frame_complaints(metrics: FrameMetrics) -> Iterator[tuple[VerdictLevel, str]]:
-    """What is wrong with the frame apart from the press."""
+    """Return what is wrong with the frame apart from the press."""
     if metrics.clipped > CLIPPED_DOUBTFUL:
         yield "doubtful", f"{metrics.clipped:.1%} of the frame is saturated: slopes there are interpolated"
     if metrics.sharp is not None and metrics.sharp < SHARP:
@@ -226,7 +226,7 @@ def _frame_complaints(metrics: FrameMetrics) -> Iterator[tuple[VerdictLevel, str
 
 
 def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
-    """What is wrong with operator, lights and gel."""
+    """Return what is wrong with operator, lights and gel."""
     if known.motion is not None and known.motion > MOTION_DOUBTFUL:
         yield "doubtful", f"the contact moved during the exposure ({known.motion:.0%} of intensity): hold still"
     yield from drift_complaints(known.light_change, known.reference_change)
@@ -237,7 +237,7 @@ def _complaints(known: InstrumentContext) -> Iterator[tuple[VerdictLevel, str]]:
 
 
 def dirt_sentence(fraction: float) -> str:
-    """What to do about a skin with defects over this fraction."""
+    """Return what to do about a skin with defects over this fraction."""
     return f"{fraction:.1%} of the skin is scratched or dirty: wipe or change the gel"
 
 
@@ -250,7 +250,7 @@ def _unknown_lights(known: InstrumentContext, lights: Sequence[str]) -> Iterator
 def drift_complaints(
     light_change: Mapping[str, float | None], reference_change: float | None
 ) -> Iterator[tuple[VerdictLevel, str]]:
-    """What has drifted since calibration, worst light first."""
+    """Return what has drifted since calibration, worst light first."""
     changes = {name: change for name, change in light_change.items() if change is not None}
     for name, change in sorted(changes.items(), key=lambda item: -abs(item[1])):
         if abs(change) > LIGHT_DRIFTED:

@@ -1,4 +1,4 @@
-"""How much too large the quick look reads a ball's radius: as the calibration's own balls show, and by its height.
+"""Bias of a ball's radius in the quick look, from the calibration's own balls and from its height.
 
 A light of a few millimetres' height comes nearer to skin that is pressed towards it, and shades its slopes more. An
 inverse map knows the height of the balls that it was trained on only: balls that stand lower read too flat.
@@ -24,7 +24,7 @@ class BallReading:
 
 @dataclass(frozen=True, slots=True)
 class BallBias:
-    """What the calibration's own balls show.
+    """Bias that the calibration's own balls have.
 
     fraction : their radius as read over the stated one, median
     top_um : height of their tops above the untouched skin, median, µm
@@ -51,8 +51,9 @@ class BallBias:
 
 
 def shading(lights_mm: Sequence[PositionMm], height_um: float) -> float:
-    """How much more skin at a height shows of its slopes than untouched skin, in the middle of the field, mean of the
-    lights: the inverse cube of their distance. At most half a light's height counts."""
+    """Return how much more skin at a height shows of its slopes than untouched skin, in the middle of the field, mean
+    of the lights: the inverse cube of their distance. At most half a light's height counts.
+    """
     found = []
     for x, y, z in lights_mm:
         aside, above = float(np.hypot(x, y)), z - min(max(height_um * 1e-3, 0.0), 0.5 * z)

@@ -23,7 +23,7 @@ WIDEST_PX: Final = 512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuickLookModel:
-    """What the device keeps in memory between presses: the active calibration at quick-look size.
+    """Model that the device keeps in memory between presses: the active calibration at quick-look size.
 
     binning : sensor pixels per quick-look pixel, in each direction
     flat_field : float32 array of shape (H / binning, W / binning, 3), the blurred reference

@@ -1,4 +1,4 @@
-"""Which calibration is active: one small file, replaced in one step."""
+"""Record of the active calibration: one small file, replaced in one step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What workstations may keep on the device: receipts of stored bundles, and an inbox of limited size.
+"""Allowance of workstations on the device: receipts of stored bundles, and an inbox of limited size.
 
 Both folders are writable with any workstation's key. They are tidied when the store needs room, so that what
 they hold does not cost a scan its place.
@@ -67,7 +67,7 @@ class _Shared:
         return -1
 
     def total_size(self, name: str) -> int:
-        """What an entry takes, bytes: all the files of a folder. Space counts where it is more than the size."""
+        """Return what an entry takes, bytes: all the files of a folder. Space counts where it is more than the size."""
         total = 0
         with suppress(OSError):
             facts = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False)

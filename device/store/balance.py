@@ -18,7 +18,7 @@ _REMEDY: Final = "remove it, and balance the exposure again"
 
 
 class BalanceRecord(Record, frozen=True, tag_field="schema", tag="retrograph.exposure-balance/1"):
-    """What the next calibration of a gel on a board is taken with.
+    """Exposure and currents for the next calibration of a gel on a board.
 
     currents_ma : of each light by its name, mA
     """

@@ -45,7 +45,7 @@ class CheckMeasure:
         return OWN_SHARE[kind] if self.own_share is None else self.own_share
 
     def question(self, standard: CheckStandard) -> str:
-        """What to ask the operator about a ball that reads as another common one; empty where there is no doubt."""
+        """Return the question to the operator about a ball that reads as another common one; empty without doubt."""
         if standard.kind != "ball" or self.value_um is None:
             return ""
         share = self.share_of(standard.kind)

@@ -20,7 +20,7 @@ _REMEDY: Final = "remove it, and store the presets again"
 
 
 class Presets(Record, frozen=True, tag_field="schema", tag=PRESETS_SCHEMA):
-    """What was stored to be chosen again."""
+    """Labels that were stored to be chosen again."""
 
     items: Annotated[tuple[Annotations, ...], msgspec.Meta(max_length=MAX_PRESETS)] = ()
 

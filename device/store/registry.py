@@ -230,7 +230,7 @@ def _copy_out(bundle: CalibrationBundle, folder: Path) -> None:
 
 
 def _difference(theirs: CalibrationKey, ours: CalibrationKey) -> str:
-    """How a calibration's key differs from the present one, and what to do."""
+    """Return how a calibration's key differs from the present one, and what to do."""
     if theirs.board != ours.board:
         return f"is foreign: made for board {theirs.board}, this is {ours.board}: calibrate here"
     if theirs.gel_id != ours.gel_id:

@@ -72,7 +72,7 @@ class RegistryFile(Record, frozen=True, tag_field="schema", tag="retrograph.cali
         return earlier[-1] if earlier else None
 
     def with_entry(self, slot: Slot, calibration_id: str, content: str) -> RegistryFile:
-        """The same with one more calibration; content that is registered already is not added twice."""
+        """Return the same with one more calibration; content that is registered already is not added twice."""
         if any(entry.content == content for entry in self.entries):
             return self
         version = max((entry.version for entry in self.entries), default=0) + 1

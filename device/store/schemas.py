@@ -65,7 +65,7 @@ def schema_bytes(schema: dict[str, Any]) -> bytes:
 
 
 def _tidied(schema: Any) -> Any:
-    """The same with docstrings without their indentation, which some versions of Python keep and others do not."""
+    """Return the schema with docstrings without indentation, which some versions of Python keep."""
     if isinstance(schema, dict):
         return {
             key: inspect.cleandoc(value) if key == "description" and isinstance(value, str) else _tidied(value)

@@ -18,7 +18,7 @@ _REMEDY: Final = "remove it, and choose the settings again"
 
 
 class Settings(Record, frozen=True, tag_field="schema", tag=SETTINGS_SCHEMA):
-    """What holds until it is changed.
+    """Settings that hold until they are changed.
 
     capture : how presses are taken
     number_parts : whether the part's number grows with every scan

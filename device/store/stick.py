@@ -36,7 +36,7 @@ NO_STICK: Final = "no USB stick is mounted: insert one, wait a moment, and try a
 
 @dataclass(frozen=True, slots=True)
 class StickExport:
-    """What became of an export: scans that are verified on the stick, those of them copied now, and what failed."""
+    """Outcome of an export: scans that are verified on the stick, those of them copied now, and what failed."""
 
     verified: int
     copied: int

@@ -17,7 +17,7 @@ _REMEDY: Final = "remove it, and enter job, part and operator again"
 
 
 class StickyAnnotations(Record, frozen=True, tag_field="schema", tag=STICKY_SCHEMA):
-    """What is stored with every scan until it is changed."""
+    """Annotations that are stored with every scan until they are changed."""
 
     annotations: Annotations = Annotations()
 

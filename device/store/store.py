@@ -195,7 +195,7 @@ class BundleStore:
         return read_active(self.root)
 
     def scans_left(self, bytes_per_scan: int) -> int:
-        """How many more scans of that size (bytes) fit, the reserve excluded.
+        """Return how many more scans of that size (bytes) fit, the reserve excluded.
 
         Raises
         ------
@@ -207,7 +207,8 @@ class BundleStore:
         return min(self._room_bytes() // bytes_per_scan, free_entries(self.root, self._statvfs) // ENTRIES_PER_SCAN)
 
     def scans_left_after_removal(self, bytes_per_scan: int) -> int:
-        """How many more scans of that size (bytes) fit once `make_room` has removed all it may; nothing is removed.
+        """Return how many more scans of that size (bytes) fit once `make_room` has removed all it may; nothing is
+        removed.
 
         Raises
         ------

@@ -25,7 +25,7 @@ from hal.interfaces import Camera, Clock, Indicator, Operator
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What drivers run on: the libraries of a real machine, or emulated ones.
+    """Ground that drivers run on: the libraries of a real machine, or emulated ones.
 
     open_input : from label, offset and active_low
     """

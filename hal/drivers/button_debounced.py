@@ -141,7 +141,7 @@ class DebouncedButton:
             line.wait(max(min(wake_ns) - now_ns, 1) * 1e-9 if wake_ns else None)
 
     def is_down(self) -> bool:
-        """Whether the button is down now."""
+        """Return whether the button is down now."""
         return self._opened().is_active()
 
     def clear_presses(self) -> int:

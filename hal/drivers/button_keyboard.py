@@ -20,7 +20,7 @@ FOREVER_S: Final = 3600.0
 
 
 class KeyLine(Protocol):
-    """Where whole lines come from."""
+    """Source of whole lines."""
 
     def wait(self, timeout_s: float) -> int:
         """Number of Enter keys pressed, as soon as there is one, or 0 after `timeout_s`.
@@ -118,7 +118,7 @@ class KeyboardButton:
 
 
 def _reads_lines(handle: int) -> bool:
-    """Whether a terminal hands out whole lines; a pipe does."""
+    """Return whether a terminal hands out whole lines; a pipe does."""
     if not os.isatty(handle):
         return True
     import termios

@@ -45,7 +45,7 @@ class CameraPipeline:
 
     @property
     def is_open(self) -> bool:
-        """Whether it streams."""
+        """True if it streams."""
         return self._camera is not None
 
     @property
@@ -151,7 +151,7 @@ class CameraPipeline:
             raise CameraError(f"camera {self.camera_id} does not stop within {CLOSING_S:g} s: power-cycle it")
 
     def _still_closing(self) -> int:
-        """How many cameras hang in being closed."""
+        """Return how many cameras hang in being closed."""
         self._closing = [thread for thread in self._closing if thread.is_alive()]
         return len(self._closing)
 

@@ -133,7 +133,7 @@ class GpiodInput:
 
 @dataclass(frozen=True, slots=True)
 class OutputRole:
-    """What an output line is for: its name and profile key in errors, the error's type, and its active level."""
+    """Purpose of an output line: its name and profile key in errors, the error's type, and its active level."""
 
     what: str
     key: str

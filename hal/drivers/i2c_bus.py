@@ -114,7 +114,7 @@ class I2cChip:
         return self._bus
 
     def _sentence(self, error: OSError, subject: str) -> str:
-        """What failed, where, and what to check."""
+        """Return what failed, where, and what to check."""
         about = f" ({subject})" if subject else ""
         where = f"0x{self._address:02x} on bus {self._number}"
         if self._bus_failed_to_open(error):

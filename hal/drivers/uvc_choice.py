@@ -1,4 +1,4 @@
-"""Which camera on USB is the sensor: found once by a part of its name, and from then on by all of it."""
+"""Choice of the camera on USB that is the sensor: found once by a part of its name, and from then on by all of it."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class KernelCamera:
         return StreamFormat(pix.width, pix.height, four_letters(pix.pixelformat), pix.bytesperline)
 
     def control_range(self, control: int) -> ControlRange | None:
-        """What a control accepts; None when the camera does not have it."""
+        """Return what a control accepts; None when the camera does not have it."""
         query = ControlQuery(id=control)
         try:
             self._do("VIDIOC_QUERYCTRL", query)

@@ -46,7 +46,7 @@ class VideoInfo:
 
 @dataclass(frozen=True, slots=True)
 class ControlRange:
-    """What a control accepts."""
+    """Values that a control accepts."""
 
     lowest: int
     highest: int
@@ -82,7 +82,7 @@ class VideoDevice(Protocol):
         ...
 
     def control_range(self, control: int) -> ControlRange | None:
-        """What a control accepts; None when the camera does not have it."""
+        """Return what a control accepts; None when the camera does not have it."""
         ...
 
     def read_control(self, control: int) -> int:

@@ -162,7 +162,7 @@ class SimulatedScene:
         self._pressed.change(self.clock.monotonic_ns(), press)
 
     def place_at(self, at_ns: int, press: Press | None) -> None:
-        """The same from a later time on: presses that deepen are placed one after the other."""
+        """Place the press from a later time on: presses that deepen are placed one after the other."""
         self._pressed.change(at_ns, press)
 
     def drive(self, currents_ma: Mapping[str, float]) -> None:

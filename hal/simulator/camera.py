@@ -121,7 +121,7 @@ class TwinCamera:
         return round(max(self._bench.twin.frame_period_us, self._current.exposure_us + _READOUT_US) * 1e3)
 
     def _granted(self, asked: CameraSettings) -> CameraSettings:
-        """What the sensor grants of a request."""
+        """Return the settings that the sensor grants of a request."""
         profile = self._bench.profile
         frame_us = None if profile.libcamera is None else profile.libcamera.frame_period_us
         return granted(profile.sensor.model, asked, profile.sensor.exposure_step_us, frame_us)

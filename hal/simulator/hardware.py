@@ -98,7 +98,7 @@ class TwinButton:
         return self._bench.take_button_press() if self._slept_until(released_ns, timeout_s) else None
 
     def is_down(self) -> bool:
-        """Whether the button is down now."""
+        """Return whether the button is down now."""
         now_ns = self._bench.clock.monotonic_ns()
         press = self._bench.next_button_press()
         return press is not None and press.began_ns <= now_ns <= press.began_ns + round(press.held_s * 1e9)
@@ -152,7 +152,7 @@ class TwinLights:
         return MAX_CURRENT_MA
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """The same currents (mA): the twin has no steps.
+        """Return the same currents (mA): the twin has no steps.
 
         Raises
         ------

@@ -61,7 +61,7 @@ class Lens:
         return float(np.hypot(self.column_mm[0, -1], self.row_mm[-1, 0]))
 
     def aim_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Where each pixel's line of sight meets the untouched skin: x and y (mm), broadcasting to (H, W)."""
+        """Return where each pixel's line of sight meets the untouched skin: x and y (mm), broadcasting to (H, W)."""
         if self.distortion == 0.0:
             return self.column_mm, self.row_mm
         stretch = 1.0 + self._bend() * (self.column_mm**2 + self.row_mm**2)

@@ -1,4 +1,4 @@
-"""What each sensor makes of a request: exposures in whole lines, gains by codes, and the limits of both.
+"""Settings that each sensor makes of a request: exposures in whole lines, gains by codes, and the limits of both.
 
 Codes and limits are those of the kernel drivers; how a request becomes a code, and which largest one libcamera lets
 through, is that of libcamera's camera helpers. A request beyond the limits is clamped without an error.
@@ -66,7 +66,7 @@ OTHER: Final = SensorControls((0, 480), in_decibels=True)
 
 
 def granted(model: str, asked: CameraSettings, step_us: float, frame_us: float | None = None) -> CameraSettings:
-    """What a sensor makes of a request.
+    """Return what a sensor makes of a request.
 
     step_us : the profile's exposure step, µs
     frame_us : locked frame duration, µs, or None where frames grow with their exposure

@@ -54,7 +54,7 @@ class Unfinished:
 
 @dataclass(frozen=True, slots=True)
 class _Job(Generic[Task, Outcome]):
-    """What a worker needs besides tasks; one object a job.
+    """Set-up of a worker; one object a job.
 
     setup : called once in each worker, returns what turns a task into an outcome there
     shared : folder that was made for this job on storage that all share
@@ -198,7 +198,7 @@ def _work(job: _Job[Task, Outcome], task: Task) -> Outcome:
 
 @lru_cache(1)
 def _prepared(job: _Job[Task, Outcome]) -> Callable[[Task], Outcome]:
-    """What does the tasks of a job in this worker, with one thread."""
+    """Return the function that does the tasks of a job in this worker, with one thread."""
     if (words := _unfit(job)) is not None:  # it may have come after the others were checked
         raise ClusterError(f"a worker that came later {words}")
     configure_cache()
@@ -212,7 +212,7 @@ def _prepared(job: _Job[Task, Outcome]) -> Callable[[Task], Outcome]:
 
 
 def _outcome(future: Future) -> Any:
-    """What became of a task that ended."""
+    """Return what became of a task that ended."""
     from distributed import KilledWorker
 
     if future.status == "finished":

@@ -43,12 +43,12 @@ class ScanTask:
 
 
 def _quiet(_: str) -> None:
-    """Where nobody looks at the steps."""
+    """Ignore a step."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanWork:
-    """How every scan of a batch is reconstructed; called in a process, it returns what does so.
+    """Options of the reconstruction of a batch; called in a process, it returns what does so.
 
     root : the library's folder
     method, band, force, detail : as for `LibraryReconstructor`
@@ -63,7 +63,7 @@ class ScanWork:
     tell: Callable[[str], None] = _quiet
 
     def __call__(self) -> Callable[[ScanTask], ScanOutcome]:
-        """What reconstructs scans in this process."""
+        """Return the function that reconstructs scans in this process."""
         import cv2
 
         from host_sync.calibration_file.calibrator import Calibrator
@@ -103,7 +103,7 @@ def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
 def reconstruct_all(
     scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, workers: int | None = None
 ) -> Iterator[ScanOutcome]:
-    """What became of every scan, once, by so many processes.
+    """Reconstruct scans by so many processes; return the outcome of each, once.
 
     workers : by default as many as the number of scans, cores and memory allow
 
@@ -116,7 +116,7 @@ def reconstruct_all(
 
 
 def one_by_one(scans: Sequence[ScanBundle], job: LibraryReconstructor) -> Iterator[ScanOutcome]:
-    """What became of every scan, in this process."""
+    """Reconstruct scans in this process; return the outcome of each."""
     with kept_memory():
         for scan in scans:
             try:
@@ -133,7 +133,7 @@ def reconstruct_scans(
     *,
     first_alone: bool = False,
 ) -> Iterator[ScanOutcome]:
-    """What became of every scan, once, by so many processes, in the order in which they are done.
+    """Return what became of every scan, once, by so many processes, in the order in which they are done.
 
     job : makes each calibration once, in this process; scans that have none are not sent to another
     workers : processes at a time, with one thread each
@@ -150,7 +150,7 @@ def reconstruct_scans(
 def reconstruct_on_cluster(
     scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, client: Client
 ) -> Iterator[ScanOutcome]:
-    """The same by the workers of a dask cluster, who share the library's folder with this computer.
+    """Reconstruct scans by the workers of a dask cluster, which share the library's folder with this computer.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def _with_calibrations(
     run: Callable[[Iterable[ScanTask], Path], Iterator[ScanOutcome]],
     place: Path,
 ) -> Iterator[ScanOutcome]:
-    """What became of every scan, with calibrations in files of a temporary folder.
+    """Return what became of every scan, with calibrations in files of a temporary folder.
 
     run : gets tasks, and that folder
     place : of that folder

@@ -43,7 +43,7 @@ _Stamp = tuple[str, int] | None
 
 
 class _Measured(msgspec.Struct, frozen=True):
-    """What a measurement was made of.
+    """Inputs of a measurement.
 
     result : name of the folder of results
     result_sha256 : of their record
@@ -56,7 +56,7 @@ class _Measured(msgspec.Struct, frozen=True):
 
 
 class _File(msgspec.Struct, frozen=True):
-    """What counts of a measurement's file."""
+    """Fields of a measurement's file that are read."""
 
     measured: _Measured | None = None
 
@@ -114,7 +114,8 @@ class LibraryWatch:
         self._failed: dict[str, tuple[frozenset[str], _Stamp]] = {}
 
     def look(self) -> Iterator[ScanOutcome]:
-        """What becomes of every scan that is new now; a folder among them is that of the results, which were measured.
+        """Return what becomes of every scan that is new now; a folder among them is that of the results, which were
+        measured.
 
         Raises
         ------
@@ -167,7 +168,7 @@ class LibraryWatch:
         return self._library.root / MEASUREMENTS / f"{name}.json"
 
     def _is_measured(self, name: str, results: Path) -> bool:
-        """Whether the measurement of a scan was made of these results by this recipe."""
+        """Return whether the measurement of a scan was made of these results by this recipe."""
         try:
             held = msgspec.json.decode(self._place(name).read_bytes(), type=_File)
             return held.measured == self._what(results)

@@ -1,4 +1,4 @@
-"""What became of a scan that was to be reconstructed."""
+"""Outcome of the reconstruction of one scan."""
 
 from __future__ import annotations
 

@@ -60,5 +60,5 @@ def _held_folder(place: Path, stack: ExitStack) -> Path:
 
 
 def _prefix() -> str:
-    """What the folders of this computer's jobs are called, but for the end of the name."""
+    """Return what the folders of this computer's jobs are called, but for the end of the name."""
     return f"{PREFIX}{re.sub('[^A-Za-z0-9]+', '_', socket.gethostname())}-"

@@ -1,4 +1,4 @@
-"""How many processes reconstruct at a time where nobody says it: bounded by scans, cores and memory."""
+"""Default number of processes that reconstruct at a time: bounded by scans, cores and memory."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def usable_memory(proc: Path = PROC, cgroups: Path = CGROUPS) -> int | None:
 
 
 def _available(proc: Path) -> Iterator[int]:
-    """What the kernel says is available, files' pages that it can drop among it."""
+    """Return what the kernel says is available, files' pages that it can drop among it."""
     found = _figures(proc / "meminfo").get("MemAvailable:")
     if found is not None:
         yield 1024 * found
 
 
 def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:
-    """What each control group (version 2) that holds this process has left; none where no group is bounded."""
+    """Return what each control group (version 2) that holds this process has left; none where no group is bounded."""
     try:
         own = next(line[3:] for line in (proc / "self" / "cgroup").read_text().splitlines() if line.startswith("0::"))
     except (OSError, StopIteration):

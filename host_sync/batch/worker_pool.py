@@ -34,7 +34,7 @@ class Lost:
 
     @property
     def reason(self) -> str:
-        """What happened, as a sentence."""
+        """Return what happened, as a sentence."""
         end = f"signal {-self.exit_code}" if self.exit_code and self.exit_code < 0 else f"exit code {self.exit_code}"
         return f"the process that worked on it ended {ATTEMPTS} times ({end}): try it alone, or with fewer workers"
 
@@ -66,7 +66,7 @@ class _Worker(Generic[Task, Outcome]):
             self.pipe.send(order.task)
 
     def outcome(self) -> Outcome:
-        """What became of its task.
+        """Return what became of its task.
 
         Raises
         ------

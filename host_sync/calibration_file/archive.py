@@ -36,7 +36,7 @@ _READ_ERRORS: Final = (OSError, ValueError, LookupError, EOFError, RuntimeError,
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=SCHEMA):
-    """What a calibration file says of itself.
+    """Description of a calibration file.
 
     calibration_id : of the calibration in it
     program : that made it
@@ -66,7 +66,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=S
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a file begins as a calibration file does."""
+    """Return whether a file begins as a calibration file does."""
     try:
         with path.open("rb") as stream:
             return stream.read(4) == b"PK\x03\x04"
@@ -85,7 +85,7 @@ def write_archive(stream: BinaryIO, facts: Facts, members: Mapping[str, bytes]) 
 
 
 def read_archive(source: Path | bytes, name: str) -> tuple[Facts, dict[str, bytes]]:
-    """What `write_archive` wrote to a file, or the bytes of one; `name` stands for it in messages.
+    """Return what `write_archive` wrote to a file, or the bytes of one; `name` stands for it in messages.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def read_archive(source: Path | bytes, name: str) -> tuple[Facts, dict[str, byte
 
 
 def read_facts(path: Path) -> Facts:
-    """What a calibration file says of itself; its content is not read. Errors as for `read_archive`."""
+    """Return what a calibration file says of itself; its content is not read. Errors as for `read_archive`."""
     try:
         with zipfile.ZipFile(path) as archive:
             _check_sizes(archive, str(path))

@@ -1,4 +1,4 @@
-"""Where a command's calibrations come from: a file that was named, the cache, or frames that calibrate now."""
+"""Sources of a command's calibrations: a file that was named, the cache, or frames that calibrate now."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Calibrator:
         obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None,
         paper: bool = False,
     ) -> Calibrator:
-        """What always gives the calibration in a file.
+        """Return a calibrator that always gives the calibration in a file.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Calibrator:
 
     @property
     def is_named(self) -> bool:
-        """Whether one calibration was named, which is taken whatever is asked for."""
+        """True if one calibration was named, which is taken whatever is asked for."""
         return self._given is not None
 
     def named(self) -> KeptCalibration:

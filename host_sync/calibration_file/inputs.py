@@ -1,4 +1,4 @@
-"""What calibrations are made from: a frame set, or a calibration bundle of a handheld."""
+"""Inputs of a calibration: a frame set, or a calibration bundle of a handheld."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _others(frame_set: FrameSet) -> list[FrameSpec]:
 
 
 def _settings(press: PressSpec, frame_set: FrameSet) -> tuple[Any, ...]:
-    """What a frame set says of a press."""
+    """Return what a frame set says of a press."""
     radii = (press.ball_radius_mm, press.radius_px, press.radius_tolerance_mm)
     return press.name, _source(press, frame_set), press.balls, *radii, press.grid_pitch_mm, press.grid_tolerance_mm
 

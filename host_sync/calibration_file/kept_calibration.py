@@ -46,7 +46,7 @@ class KeptCalibration:
 
     @property
     def summary(self) -> tuple[str, ...]:
-        """Whether it passed, and its key values; then what to press next, and notes, one sentence each."""
+        """Verdict and key values; then what to press next, and notes, one sentence each."""
         return calibration_lines(self.calibration)
 
     def write_report(self, target: Path) -> None:
@@ -101,7 +101,7 @@ def facts_of(
     pixel_shape: float = 1.0,
     bundle: CalibrationBundle | None = None,
 ) -> Facts:
-    """What the file of a calibration that is made now says of itself."""
+    """Return what the file of a calibration that is made now says of itself."""
     record = None if bundle is None else bundle.record
     return Facts(
         calibration_id=calibration.calibration_id,

@@ -1,4 +1,4 @@
-"""Whether a calibration that was read can be used: arrays of the shapes that kernels trust, numbers that are numbers.
+"""Checks of a calibration that was read: arrays of the shapes that kernels trust, numbers that are numbers.
 
 The types were checked when it was read. Kernels check no index, so that a table which points beyond its end would read
 foreign memory.

@@ -44,7 +44,7 @@ class ShownPress:
 
     @property
     def is_used(self) -> bool:
-        """Whether it shows a ball that is used."""
+        """True if it shows a ball that is used."""
         return bool(self.balls or self.given)
 
 

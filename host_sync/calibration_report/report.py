@@ -125,7 +125,7 @@ def _pitch_record(pitch: PixelPitch | None) -> dict[str, Any] | None:
 
 
 def _paper_record(model: PaperModel | None) -> dict[str, Any] | None:
-    """What the paper's model leaves unexplained; null where it was not fitted."""
+    """Return what the paper's model leaves unexplained; null where it was not fitted."""
     if model is None:
         return None
     return {

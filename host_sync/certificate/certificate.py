@@ -51,7 +51,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def agrees(self) -> bool:
-        """Whether every specimen was judged and agrees."""
+        """True if every specimen was judged and agrees."""
         return self.verdict == "agrees"
 
 
@@ -85,7 +85,7 @@ def certify(
 
 
 def verdict_of(results: Sequence[SpecimenResult]) -> Verdict:
-    """What all specimens together say: one that disagrees decides, and one that failed leaves it open."""
+    """Return what all specimens together say: one that disagrees decides, and one that failed leaves it open."""
     judged = [result for result in results if result.kind != "flat"]
     if any(result.agrees is False for result in judged):
         return "does not agree"

@@ -38,7 +38,7 @@ class ScanTable(_Table, frozen=True, kw_only=True):
 
 
 class MeasureTable(_Table, frozen=True, kw_only=True):
-    """Where and how it is measured; lengths and places as in a recipe, from the middle of the first pixel.
+    """Place and manner of its measurement; lengths and places as in a recipe, from the middle of the first pixel.
 
     from_um, to_um, width_um : line across a step or groove, or along a period
     edges_um : places of the edges along the line; found when not given

@@ -31,7 +31,7 @@ SUBJECT: Final = "specimen"
 
 
 class SpecimenResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What the scans of a specimen say; lengths µm, uncertainties expanded with k = 2.
+    """Values from the scans of a specimen; lengths µm, uncertainties expanded with k = 2.
 
     values_um : of every scan that shows the specimen
     expanded_um : of their mean; None where a scan's ± is not known

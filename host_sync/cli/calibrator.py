@@ -22,7 +22,7 @@ Tell = Callable[[str], None]
 def calibrator_for(
     named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None, *, paper: bool = False
 ) -> Calibrator:
-    """What gives a command its calibrations: the named file, else the user's cache or the frames themselves.
+    """Return the calibrator of a command: the named file, else the user's cache or the frames themselves.
 
     facts : receives those of each calibration, instead of the output
     paper : whether the paper's model is needed
@@ -77,7 +77,7 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
 
 
 def calibration_facts(kept: KeptCalibration, source: str) -> dict[str, object]:
-    """Which calibration is used, where it came from, and its verdict."""
+    """Return which calibration is used, where it came from, and its verdict."""
     calibration = kept.calibration
     return {
         "calibration_id": kept.facts.calibration_id,
@@ -98,7 +98,7 @@ def say_source(kept: KeptCalibration, source: str) -> None:
 
 
 def say_calibration(kept: KeptCalibration, source: str) -> None:
-    """The same, and its verdict."""
+    """Print the calibration and its verdict."""
     from host_sync.calibration_report.summary import calibration_lines
 
     say_source(kept, source)

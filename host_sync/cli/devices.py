@@ -124,7 +124,7 @@ def _list_announced(seconds: float, *, json: bool) -> int:
 
 
 def _describe_clock(offset_s: float | None) -> str:
-    """How far a device's clock was off; measured to about a second."""
+    """Return how far a device's clock was off; measured to about a second."""
     if offset_s is None:
         return "its clock was not measured"
     if abs(offset_s) < CLOCK_SEEN_S:

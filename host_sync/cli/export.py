@@ -126,7 +126,7 @@ def _export_surface(
 
 
 def _is_surface(place: Path) -> bool:
-    """Whether this is a file or a folder other than a scan; other names are looked up in the library."""
+    """Return whether this is a file or a folder other than a scan; other names are looked up in the library."""
     try:
         return place.is_file() or (place.is_dir() and not (place / SCAN_MANIFEST).is_file())
     except OSError:

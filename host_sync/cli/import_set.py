@@ -111,7 +111,7 @@ def _described(folder: Path, kind: Kind | None, said: Said) -> Draft:
 
 
 def _answers(draft: Draft, said: Said) -> Said:
-    """What the user answers to the questions of a draft; an answer that is none is asked for again."""
+    """Return the answers of the user to the questions of a draft; an answer that is none is asked for again."""
     for option in draft.missing():
         if option.startswith("--pixel-pitch-um"):
             said = replace(said, pixel_pitch_um=_length("Distance of neighbouring pixels on the skin, µm"))

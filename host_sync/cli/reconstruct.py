@@ -44,7 +44,7 @@ MethodName = Literal["direct", "paper"]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How scans are to be reconstructed; `facts` receives those of each calibration for JSON, None for lines."""
+    """Options of a reconstruction; `facts` receives those of each calibration for JSON, None for lines."""
 
     method: MethodName | None
     band: DetailBand | None

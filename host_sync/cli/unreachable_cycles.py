@@ -1,4 +1,4 @@
-"""How often a program searches for unreachable cycles: by itself Python does it hundreds of times to load libraries."""
+"""Rare searches for unreachable cycles: by itself Python does it hundreds of times to load libraries."""
 
 from __future__ import annotations
 

@@ -69,5 +69,5 @@ def view_command(
 
 
 def _has_desktop() -> bool:
-    """Whether a browser would open in a window and not in the terminal."""
+    """Return whether a browser would open in a window and not in the terminal."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

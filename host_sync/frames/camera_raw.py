@@ -33,7 +33,7 @@ RAW_ERRORS: Final = (ValueError, RuntimeError, OSError)
 
 
 def is_raw_file(path: Path, start: bytes) -> bool:
-    """Whether a file is a camera raw one by its first bytes, or by its suffix where those say nothing."""
+    """Return whether a file is a camera raw one by its first bytes, or by its suffix where those say nothing."""
     is_tiff = start[:4] in (b"II*\0", b"MM\0*")
     if start.startswith(_RAW_STARTS) or start[4:12] == b"ftypcrx " or (is_tiff and start[8:10] == b"CR"):
         return True
@@ -41,7 +41,7 @@ def is_raw_file(path: Path, start: bytes) -> bool:
 
 
 def is_raw_tiff(tiff: tifffile.TiffFile) -> bool:
-    """Whether a TIFF is a camera raw file: it holds a mosaic, in whichever page, or says that it is a DNG."""
+    """Return whether a TIFF is a camera raw file: it holds a mosaic, in whichever page, or says that it is a DNG."""
     pages = every_page(tiff)
     return any(page.photometric in _CFA for page in pages) or _DNG_VERSION in pages[0].tags
 
@@ -53,7 +53,7 @@ def every_page(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
 
 
 def is_page_whole(page: tifffile.TiffPage, size: int) -> bool:
-    """Whether every strip or tile of a page lies inside a file of that size."""
+    """Return whether every strip or tile of a page lies inside a file of that size."""
     spans = list(zip(page.dataoffsets, page.databytecounts, strict=True))
     return bool(spans) and all(offset > 0 and offset + count <= size for offset, count in spans)
 

@@ -94,7 +94,7 @@ class FrameSet:
     states_full_scale: bool = False
 
     def scaled_as(self, full_scale: int | None) -> FrameSet:
-        """The same with scans of a full scale that another set's frames show, where this one states none.
+        """Return the same with scans of a full scale that another set's frames show, where this one states none.
 
         Raises
         ------
@@ -218,7 +218,7 @@ def _channels(spec: FrameSpec, known: dict[Path, ImageInfo]) -> int:
 
 
 def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
-    """What the lights are called; FrameSetError where they are not as many as the channels of a frame."""
+    """Return what the lights are called; FrameSetError where they are not as many as the channels of a frame."""
     names = tuple(f"{light.name} ({light.colour})" if light.colour else light.name for light in file.light)
     if names and len(names) != channels:
         raise FrameSetError(
@@ -228,7 +228,7 @@ def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
 
 
 def _lamps(file: FileTable, path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Where the lights stand; FrameSetError where the file says it of some of them only."""
+    """Return where the lights stand; FrameSetError where the file says it of some of them only."""
     known = tuple(light.position_mm for light in file.light if light.position_mm is not None)
     if known and len(known) != len(file.light):
         raise FrameSetError(f"{path}: light: position_mm is stated for {len(known)} of {len(file.light)} lights")

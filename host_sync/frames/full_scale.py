@@ -36,7 +36,7 @@ SPIKE_COUNTS: Final = 8
 
 
 def count_values(images: Iterable[Pixels | RawFrame]) -> NDArray[np.int64]:
-    """How many samples of all images of 16 bit hold each count: int64 array of 65536 entries."""
+    """Return how many samples of all images of 16 bit hold each count: int64 array of 65536 entries."""
     total = np.zeros(COUNTS, np.int64)
     for image in images:
         if not isinstance(image, RawFrame) and image.dtype == np.uint16:
@@ -91,5 +91,5 @@ def clip_level(values: NDArray[Any], counts: NDArray[np.int64]) -> float | None:
 
 
 def _is_limit(count: int) -> bool:
-    """Whether a count is the largest of a number of bits, shifted or not."""
+    """Return whether a count is the largest of a number of bits, shifted or not."""
     return count > 0 and (count // (count & -count) + 1).bit_count() == 1 and count.bit_length() >= LEAST_BITS

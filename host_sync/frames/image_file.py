@@ -334,7 +334,7 @@ def jpeg_info(data: bytes) -> ImageInfo | None:
 
 
 def jpeg_has_end(data: bytes) -> bool:
-    """Whether an end marker follows the start of the image data, not only that of an embedded thumbnail."""
+    """Return whether an end marker follows the start of the image data, not only that of an embedded thumbnail."""
     begin = next((end for marker, _, end in _segments(data) if marker == _START_OF_SCAN), len(data))
     return data.rfind(JPEG_END) > begin
 

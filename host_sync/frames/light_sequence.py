@@ -41,7 +41,7 @@ class LightSequence:
     alone: Float32Array
 
     def over_untouched(self, intensity: NormalizedImage, flat_field: Float32Array) -> Float32Array:
-        """What each light alone shows over what it shows of untouched skin: float32 array of shape (H, W, 3).
+        """Return what each light alone shows over what it shows of untouched skin: float32 array of shape (H, W, 3).
 
         intensity : of the frame under all lights, over its reference
         flat_field : the reference's light, shape (H, W, 3)

@@ -210,7 +210,7 @@ def _opened(path: Path) -> cv2.VideoCapture:
 
 
 def _promises_another_page(tiff: tifffile.TiffFile) -> bool:
-    """Whether the last page found refers to a next one that does not exist."""
+    """Return whether the last page found refers to a next one that does not exist."""
     at = tiff.pages.next_page_offset
     if at is None:
         return True

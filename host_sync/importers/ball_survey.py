@@ -35,7 +35,7 @@ STAND_IN_FRAMES: Final = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPress:
-    """What shows in a press: its balls, or why none does."""
+    """Balls of a press, or the reason why none is visible."""
 
     frame: LinearFrame | None
     search: BallSearch
@@ -90,14 +90,14 @@ def fitting_radius(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> 
 
 
 def shows_balls(images: Sequence[Path], reference: Path | None) -> bool:
-    """Whether enough of these images show a ball, of whatever radius, that they are calibration presses."""
+    """Return whether enough of these images show a ball, of whatever radius, that they are calibration presses."""
     at_rest = FrameSpec((reference,), "srgb") if reference else None
     best = fitting_radius([FrameSpec((image,), "srgb") for image in images], at_rest)
     return best is not None and best.presses >= ENOUGH * best.looked_at
 
 
 def _flat_field(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> Float32Array | None:
-    """What frames are divided by; None where no frame can be read."""
+    """Return what frames are divided by; None where no frame can be read."""
     if reference is not None:
         return make_flat_field(_read(reference))
     count = min(len(frames), STAND_IN_FRAMES)

@@ -25,7 +25,7 @@ Circle = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What the user said, None where nothing: it goes before what files say."""
+    """Values that the user gave, None where nothing: they precede those of files."""
 
     pixel_pitch_um: float | None = None
     ball_radius_mm: float | None = None

@@ -90,7 +90,7 @@ def _is_flat(scan: _Scan) -> bool:
 
 
 def _read(file: Path) -> _Scan:
-    """What a scan's file says."""
+    """Return the contents of a scan's file."""
     keys = read_plain_yaml(file)
     names = keys.get("images", [])
     listed = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []

@@ -116,7 +116,7 @@ def _spread(files: Sequence[Path]) -> list[Path]:
 
 
 def _compared(image: Path, presses: Sequence[Path]) -> str:
-    """Whether an image looks "untouched", like "a press", or like a frame of "another exposure", beside presses.
+    """Return whether an image looks "untouched", like "a press", or like a frame of "another exposure", beside presses.
 
     The median of many presses shows mostly untouched skin: what differs from it in one place is a press.
     """
@@ -142,7 +142,7 @@ def _small(image: Path) -> Float32Array:
 
 
 def _marked_change(ratio: Float32Array) -> tuple[float, float]:
-    """How far colour differs from its surroundings where it does so most, and that over what is usual."""
+    """Return how far colour differs from its surroundings where it does so most, and that over what is usual."""
     colour = ratio - ratio.mean(axis=-1, keepdims=True)
     near = cv2.GaussianBlur(colour, (0, 0), 2.0) - cv2.GaussianBlur(colour, (0, 0), 12.0)
     size = np.linalg.norm(near, axis=-1)

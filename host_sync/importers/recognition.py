@@ -1,4 +1,4 @@
-"""Which program wrote a folder, by what the folder holds."""
+"""Recognition of the program that wrote a folder, by the folder's contents."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ UNTOUCHED_NOISE: Final = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperModel:
-    """What the method learns from balls.
+    """Model that the method fits to balls.
 
     maps : observed intensity by slope
     lambertian, harmonics : fits of spherical harmonics of orders 2 and 5 to the maps
@@ -105,7 +105,7 @@ class PaperModel:
 
     @property
     def residual_order_5(self) -> tuple[float, float, float]:
-        """The same for the harmonics up to order 5."""
+        """Return the same for the harmonics up to order 5."""
         return self.harmonics.residual
 
 

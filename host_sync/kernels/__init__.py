@@ -1,1 +1,1 @@
-"""What every compiled kernel needs: cache, parallel rows, planes."""
+"""Common part of every compiled kernel: cache, parallel rows, planes."""

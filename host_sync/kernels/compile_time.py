@@ -1,4 +1,4 @@
-"""How long a run spent compiling kernels, as numba reports it."""
+"""Time that a run spent compiling kernels, as numba reports it."""
 
 from __future__ import annotations
 

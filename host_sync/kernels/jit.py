@@ -183,7 +183,7 @@ def _globals_of(code: CodeType) -> Iterator[str]:
 
 
 def _facts(value: object, seen: set[int], user: FunctionType) -> Iterator[str]:
-    """What identifies the content of a value that a kernel uses."""
+    """Return the facts that identify the content of a value that a kernel uses."""
     if isinstance(value, PLAIN):
         yield f"{type(value).__name__} {value!r}"
     elif isinstance(value, Dispatcher):

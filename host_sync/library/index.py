@@ -108,7 +108,7 @@ def _labelled(hit: Hit, label: Label) -> Hit:
 
 
 def _answers(hit: Hit, query: Query) -> bool:
-    """Whether a hit meets the conditions on its label and on its text."""
+    """Return whether a hit meets the conditions on its label and on its text."""
     for wanted, values in ((query.name, (hit.name,)), (query.tag, hit.tags), (query.note, (hit.note,))):
         if wanted is not None and not any(fnmatchcase(one.casefold(), wanted.casefold()) for one in values if one):
             return False

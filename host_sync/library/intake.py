@@ -66,7 +66,7 @@ class IntakeHead(Record, frozen=True, tag_field="schema", tag="retrograph.intake
 
 @dataclass(frozen=True, slots=True)
 class IntakeHistory:
-    """What a record says.
+    """Contents of an intake record.
 
     last : the last entry of each bundle
     count : number of lines

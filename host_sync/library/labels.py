@@ -1,4 +1,4 @@
-"""What people write about scans after they were pulled: a name, tags, a note; and searches that they keep.
+"""Labels of scans, written after they were pulled: a name, tags, a note; and searches that they keep.
 
 Bundles are not touched: labels lie in `labels.json` of the library, by scan, and may be deleted at any time.
 """

@@ -191,7 +191,9 @@ class Library:
             return shutil.disk_usage(self.root).free
 
     def looks_whole(self, kind: BundleKind, bundle_id: str) -> bool:
-        """Whether it holds the bundle that its intake record names, by manifest and file sizes; no file is hashed."""
+        """Return whether it holds the bundle that its intake record names, by manifest and file sizes; no file is
+        hashed.
+        """
         directory = self.root / kind / bundle_id
         entry = self.intake().held.get((kind, bundle_id))
         try:
@@ -208,7 +210,7 @@ class Library:
             return sum(path.lstat().st_size for path in (self.root / kind / partial_name(bundle_id)).glob("*"))
 
     def intake(self) -> IntakeHistory:
-        """What the library has taken in so far, by its intake record."""
+        """Return what the library has taken in so far, by its intake record."""
         with self._intake_lock, self.translating("read"):
             if self._history is None:
                 self._history = read_intake(self.root)

@@ -1,4 +1,4 @@
-"""What a library refused or moved out of the way: folders and reasons under `<library>/set-aside`."""
+"""Bundles that a library refused or moved out of the way: folders and reasons under `<library>/set-aside`."""
 
 from __future__ import annotations
 

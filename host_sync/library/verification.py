@@ -28,14 +28,14 @@ _MANIFESTS: Final = frozenset({*MANIFESTS.values(), *(checksum_name(name) for na
 
 
 class VerifyCursor(Record, frozen=True, tag_field="schema", tag="retrograph.verify-cursor/1"):
-    """Where the last partial verification ended: "scans/<id>"."""
+    """End of the last partial verification: "scans/<id>"."""
 
     last: ShortText
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What a verification found.
+    """Findings of a verification.
 
     sound : how many bundles are whole
     lost : bundles of the intake record that the library no longer has, a sentence each
@@ -58,12 +58,12 @@ class Verification:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is lost, damaged or doubtful."""
+        """True if nothing is lost, damaged or doubtful."""
         return not self.lost and not self.damaged and self.record_fault is None
 
     @property
     def total(self) -> int:
-        """How many bundles were looked at, the lost ones included."""
+        """Return how many bundles were looked at, the lost ones included."""
         return self.sound + len(self.damaged) + len(self.lost)
 
 

@@ -1,4 +1,4 @@
-"""How descriptors of two presses of one object differ.
+"""Spread of the descriptors of two presses of one object.
 
 Learned from the twin's gallery by `python -m tests.benchmarks.likeness.gallery --whitening`, which prints the numbers.
 """

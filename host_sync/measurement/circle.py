@@ -201,7 +201,7 @@ class CircleMeasurand:
         return {"": (f"the edge is seen over {self.found.share:.0%} of the circle only",)}
 
     def definition_sigmas(self) -> Mapping[str, float]:
-        """How far the diameter depends on which level is called the edge."""
+        """Return how far the diameter depends on which level is called the edge."""
         return {"diameter": self._definition}
 
     def _at(self, z_um: Float32Array, level: float = 0.5) -> Circle:

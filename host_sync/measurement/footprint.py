@@ -1,4 +1,4 @@
-"""Where on the field a measurand lies: points all over it, for the doubts that hold for parts of the field."""
+"""Footprint of a measurand on the field: points all over it, for the doubts that hold for parts of the field."""
 
 from __future__ import annotations
 

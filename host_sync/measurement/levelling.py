@@ -123,7 +123,7 @@ class LevelSpread:
             square += (z_um[self._here] - self._nominal_um) ** 2
 
     def words(self, samples: int) -> str:
-        """What levelling does to the ± of heights; nothing without samples."""
+        """Return what levelling does to the ± of heights; nothing without samples."""
         known = np.isfinite(self._squares[0])
         if not samples or not known.any():
             return ""

@@ -156,7 +156,7 @@ class StepMeasurand(_Plain):
         return {self._label: (words,)}
 
     def definition_sigmas(self) -> Mapping[str, float]:
-        """How far the height depends on how much of the profile is used."""
+        """Return how far the height depends on how much of the profile is used."""
         return {self._label: definition_sigma_um(self.profile, self.edges)}
 
     def _between_um(self, first_um: float, second_um: float, profile: Profile) -> float:

@@ -81,11 +81,11 @@ class Measurement:
 
     @property
     def fails(self) -> bool:
-        """Whether a number fails its tolerance."""
+        """True if a number fails its tolerance."""
         return any(one.limits is not None and one.limits.verdict == "fail" for one in self.quantities)
 
     def numbers_only(self) -> Measurement:
-        """The same without maps, profiles and spectrum: a few kilobytes, of which thousands fit into memory.
+        """Return the same without maps, profiles and spectrum: a few kilobytes, of which thousands fit into memory.
 
         Height and surface are one invalid pixel.
         """

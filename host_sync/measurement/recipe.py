@@ -38,7 +38,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class LevelTable(_Table, frozen=True):
-    """What a height map is levelled on before anything is measured.
+    """Skin, points, line or plane that a height map is levelled on before anything is measured.
 
     on : untouched skin (found, or `regions_um`), three or more points, a line between two points (the slope across it
         stays), or the plane through `regions_um`

@@ -1,4 +1,4 @@
-"""Where on the skin the pixels of a height map lie.
+"""Places on the skin of the pixels of a height map.
 
 A camera that is not far away sees raised skin larger: what stands z over the untouched skin lies nearer to the middle
 of the field than its pixel does there, by the share z / h, where h is the height of the camera's pupil
@@ -42,7 +42,9 @@ class SkinPlaces:
         return cls(pitch_um, middle_um, 0.0 if record.pupil_height_mm is None else 1e-3 / record.pupil_height_mm)
 
     def levelled(self, zero_um: float, down: float, across: float) -> SkinPlaces:
-        """The same where heights have lost a plane: µm at the middle of the field, and per pixel down and across."""
+        """Return the same where heights have lost a plane: µm at the middle of the field, and per pixel down and
+        across.
+        """
         return replace(self, level=(zero_um, across / self.pitch_um, down / self.pitch_um))
 
     def of_part(self, rows: slice, columns: slice) -> SkinPlaces:
@@ -69,7 +71,7 @@ class SkinPlaces:
         return np.asarray(self.pitch_um**2 * shares * (shares - self.nearness_per_um * np.nan_to_num(rise)))
 
     def of_seen(self, places_um: Float64Array, z_um: Float64Array | float) -> Float64Array:
-        """Where skin lies that is seen at (column, row) on the grid of pixels: shape (..., 2), µm.
+        """Return where skin lies that is seen at (column, row) on the grid of pixels: shape (..., 2), µm.
 
         z_um : its heights, of shape (...); where one is not known the place is not
         """

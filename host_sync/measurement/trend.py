@@ -155,7 +155,7 @@ def trend_of(
 
 
 def is_doubt(warning: str) -> bool:
-    """Whether a number's warning is one that its trend states: a doubt, or a ± that is not whole."""
+    """Return whether a number's warning is one that its trend states: a doubt, or a ± that is not whole."""
     return warning.startswith((*get_args(DoubtKind), NO_PITCH_SIGMA))
 
 

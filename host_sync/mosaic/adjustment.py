@@ -28,7 +28,7 @@ SETTLED_PX: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
-    """Where the presses lie.
+    """Places of the presses.
 
     places : of each press, its motion into the mosaic (px of a press); None where nothing links it to the others
     used : of each link, whether it took part
@@ -139,7 +139,7 @@ def _weight(link: Link) -> Float64Array:
 
 
 def _rest(link: Link, places: dict[int, Motion]) -> Float64Array:
-    """What the link says less what the places say: (row, column) px, turn rad."""
+    """Return what the link says less what the places say: (row, column) px, turn rad."""
     one, other = places[link.first], places[link.second]
     said = other.back().of(one.of(link.here))
     # A place leads to the mosaic: the turn of a press is minus that of its place.

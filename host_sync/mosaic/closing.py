@@ -25,7 +25,7 @@ Step = tuple[int, int, Motion, float]
 
 
 def supports(links: list[Link], reach_px: float) -> list[int]:
-    """How many loops of three or four presses each link closes.
+    """Return how many loops of three or four presses each link closes.
 
     reach_px : half the diagonal of a press
     """

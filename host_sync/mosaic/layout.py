@@ -1,4 +1,4 @@
-"""Where presses are said to be: a CSV file with the columns scan, right_mm, down_mm."""
+"""Stated places of presses: a CSV file with the columns scan, right_mm, down_mm."""
 
 from __future__ import annotations
 

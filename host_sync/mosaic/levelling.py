@@ -34,7 +34,7 @@ GAUGE: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Meeting:
-    """How two presses differ over their overlap, block by block.
+    """Difference of two presses over their overlap, block by block.
 
     first, second : numbers of the presses
     here, there : float64 arrays of shape (N, 2), the blocks' middles in either press, px from its middle
@@ -62,7 +62,7 @@ class Levels:
     covariance: Float64Array
 
     def apart_um(self, meeting: Meeting) -> Float64Array:
-        """What still lies between two presses: float64 array of shape (blocks,)."""
+        """Return what still lies between two presses: float64 array of shape (blocks,)."""
         one, other = (self.planes[press] for press in (meeting.first, meeting.second))
         return np.asarray(
             meeting.apart_um + other[0] + meeting.there @ other[1:] - one[0] - meeting.here @ one[1:], np.float64

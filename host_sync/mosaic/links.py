@@ -50,7 +50,7 @@ MAX_SIGMA_PX: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Where a place of one press lies in another.
+    """Place of one press in another.
 
     first, second : numbers of the presses
     here, there : float64 arrays of shape (2,), the middle of the overlap in the first, and where it lies in the second;
@@ -89,7 +89,7 @@ class Link:
 
     @property
     def strength(self) -> float:
-        """What it weighs where links contradict each other."""
+        """Return what it weighs where links contradict each other."""
         return self.agreement * float(np.sqrt(self.overlap_share))
 
 

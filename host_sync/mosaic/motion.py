@@ -35,7 +35,7 @@ class Motion:
     turn: float = 0.0
 
     def of(self, places: Float64Array) -> Float64Array:
-        """Where places, an array of shape (…, 2), lie."""
+        """Return where places, an array of shape (…, 2), lie."""
         return np.asarray(places @ turning(self.turn).T + (self.down, self.right), np.float64)
 
     def then(self, other: Motion) -> Motion:

@@ -1,4 +1,4 @@
-"""Which presses may overlap, and where: correlation of the slopes of strongly reduced presses over shift and turn.
+"""Candidates for overlaps: correlation of the slopes of strongly reduced presses over shift and turn.
 
 A correlation over an overlap of A pixels has a noise of √A where the presses have nothing in common; the height of a
 peak over that noise ranks what `links` verifies.
@@ -44,7 +44,7 @@ Complex = NDArray[np.complex64]
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Where a press may lie in another.
+    """Possible place of a press in another.
 
     first, second : numbers of the presses
     motion : from the first to the second
@@ -59,7 +59,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Where presses are said to be.
+    """Stated places of presses.
 
     places_px : float64 array of shape (N, 2), their middles (row, column)
     within_px : how far off that may be
@@ -70,7 +70,7 @@ class Layout:
 
 
 def candidates(presses: list[Small], layout: Layout | None = None) -> list[Candidate]:
-    """What is worth verifying, best first."""
+    """Return what is worth verifying, best first."""
     step = max(1, -(-max(max(press.z_um.shape) for press in presses) // COARSE_PX))
     coarse = [reduced(press.z_um, step) for press in presses]
     px = step * presses[0].step

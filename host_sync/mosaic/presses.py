@@ -27,7 +27,7 @@ SAME_PITCH: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fields:
-    """What a press holds, arrays of shape (H, W).
+    """Fields of a press, arrays of shape (H, W).
 
     z_um : float32, height, NaN where invalid
     sigma_um : float32, standard uncertainty of the height, NaN where invalid; None if unknown

@@ -11,7 +11,7 @@ MOSAIC_FILE: Final = "mosaic.json"
 
 
 class PlaceRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a press lies in the mosaic, and the plane that was added to it.
+    """Place of a press in the mosaic, and the plane that was added to it.
 
     row_px, column_px : its middle, px of the mosaic from the middle of the first pixel
     turn_deg : of the press, clockwise on the screen
@@ -29,7 +29,7 @@ class PlaceRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LinkRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What two presses say of each other's place; None where it was not found.
+    """Relative place of two presses; None where it was not found.
 
     down_um, right_um, turn_deg : of the object from the first to the second
     sigma_um : standard uncertainty of the shift at the overlap, along the direction that is known least

@@ -67,7 +67,7 @@ def stitch(
 
 
 def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = lambda _: None) -> Plan:
-    """Where the presses lie and how they are levelled; errors as for `stitch`."""
+    """Return where the presses lie and how they are levelled; errors as for `stitch`."""
     check_together(presses)
     return _plan(presses, [small_of(press) for press in presses], layout, tell)
 

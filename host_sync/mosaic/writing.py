@@ -52,7 +52,7 @@ def write_mosaic(
 def mosaic_record(
     name: str, presses: list[Press], plan: Plan, canvas: Canvas, covered: float, unusable: Sequence[str] = ()
 ) -> MosaicRecord:
-    """What is known of the mosaic's places and links.
+    """Return what is known of the mosaic's places and links.
 
     unusable : why presses that were asked for are not among `presses`
     """
@@ -139,7 +139,7 @@ def _link_record(presses: list[Press], link: Link, pitch_um: float) -> LinkRecor
 
 
 def _seam(plan: Plan, number: int) -> dict[str, float]:
-    """What lies between both presses of a link after levelling; empty where it is not in use."""
+    """Return what lies between both presses of a link after levelling; empty where it is not in use."""
     one = plan.meetings.get(number)
     if one is None or not one.apart_um.size:
         return {}

@@ -155,7 +155,7 @@ def _has(path: Path, data: bytes) -> bool:
 
 
 def _copy_known(path: Path | None, entry: FileEntry, target: Path) -> bool:
-    """Whether a file of this machine was copied, and the copy is what the manifest states."""
+    """Copy a file of this machine; return whether the copy is what the manifest states."""
     part = target.with_name(target.name + PART)
     if path is None or part.exists():
         return False

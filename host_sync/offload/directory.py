@@ -101,7 +101,9 @@ class DirectorySource:
             ) from error
 
     def _is_there(self) -> bool:
-        """Whether the folder can still be listed: then a bad block concerns one file, else the whole card is gone."""
+        """Return whether the folder can still be listed: then a bad block concerns one file, else the whole card is
+        gone.
+        """
         try:
             return next(self.root.iterdir(), None) is not None
         except OSError:
@@ -132,7 +134,7 @@ def _stores(path: Path) -> list[Path]:
 
 
 def _is_store(path: Path) -> bool:
-    """Whether a folder of bundles is there; links below the path the user named are not followed."""
+    """Return whether a folder of bundles is there; links below the path the user named are not followed."""
     for kind in MANIFESTS:
         with suppress(OSError), Folder(path) as folder:
             folder.entries(kind)

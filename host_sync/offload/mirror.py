@@ -30,7 +30,7 @@ _REQUEST_BYTES: Final = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class MirrorReport:
-    """What mirroring did, by ids: copied and verified there, there already, or failed."""
+    """Outcome of mirroring, by ids: copied and verified there, there already, or failed."""
 
     copied: tuple[str, ...]
     already_there: tuple[str, ...]
@@ -132,7 +132,7 @@ async def _mirror(
 
 
 async def _mirror_one(client: asyncssh.SFTPClient, bundle: AnyBundle, root: str, *, verify: bool) -> bool:
-    """Whether a bundle was copied; False when the server has it."""
+    """Copy a bundle; return False when the server has it."""
     kind: BundleKind = "scans" if bundle.directory.parent.name == "scans" else "calibrations"
     final, partial = (f"{root}/{kind}/{name}" for name in (bundle.bundle_id, partial_name(bundle.bundle_id)))
     bundle.verify()

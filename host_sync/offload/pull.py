@@ -79,7 +79,7 @@ def pull_into(
     verify: bool = False,
     trust_record: bool = False,
 ) -> PullReport:
-    """The same for a library that the caller holds for writing; several sources may fill it side by side."""
+    """Return the same for a library that the caller holds for writing; several sources may fill it side by side."""
     log = PullLog(refused=lambda kind, name, reason: library.refuse(kind, name, reason, source.name))
     try:
         receipted = _receipted(source, log, receipts)
@@ -179,7 +179,7 @@ class _Survey:
 
 
 def _holds(library: Library, offer: RemoteBundle) -> bool:
-    """Whether the library has this very bundle.
+    """Return whether the library has this very bundle.
 
     Raises
     ------

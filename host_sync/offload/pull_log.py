@@ -1,4 +1,4 @@
-"""What a pull did: noted as it happens, and reported at the end."""
+"""Log of a pull: noted as it happens, and reported at the end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PullFailure:
 
 @dataclass(frozen=True, slots=True)
 class PullReport:
-    """What a pull did, by ids.
+    """Outcome of a pull, by ids.
 
     unread : of those already there, the ones that an earlier pull verified; not hashed again
     without_calibration : scans whose calibration neither the source nor the library holds
@@ -45,18 +45,18 @@ class PullReport:
 
     @property
     def complete(self) -> bool:
-        """Whether everything that the source offers is in the library now, and it took the receipts or takes none."""
+        """True if everything that the source offers is in the library now, and it took the receipts or takes none."""
         return not self.failed and not self.refused_receipts and self.lost is None
 
     @property
     def here(self) -> int:
-        """How many of the source's bundles are in the library now."""
+        """Return how many of the source's bundles are in the library now."""
         return len(self.copied) + len(self.already_there)
 
 
 @dataclass(slots=True)
 class PullLog:
-    """What a pull did so far.
+    """Outcome of a pull so far.
 
     refused : called with kind, name and reason of each failure, as it is noted
     """

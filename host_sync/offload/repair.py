@@ -20,7 +20,7 @@ from host_sync.offload.source import Source
 
 @dataclass(frozen=True, slots=True)
 class RepairReport:
-    """What a repair did, by ids.
+    """Outcome of a repair, by ids.
 
     repaired : fetched again, verified and published
     failed : lost or damaged, and not repaired, with the reason

@@ -39,7 +39,7 @@ class Address:
 
 
 def is_folder(name: str) -> bool:
-    """Whether the user named a folder, existing or not, rather than a paired device.
+    """Return whether the user named a folder, existing or not, rather than a paired device.
 
     Raises
     ------

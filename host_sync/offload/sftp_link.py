@@ -280,7 +280,7 @@ async def open_session(device: PairedDevice, private_key: Path, timeouts: Timeou
 
 
 def describe_refusal(device: PairedDevice, cause: BaseException) -> str:
-    """What a refusal means and what to do, in one sentence."""
+    """Return what a refusal means and what to do, in one sentence."""
     where = f"{device.device_id} ({device.host}:{device.port})"
     if isinstance(cause, asyncssh.HostKeyNotVerifiable):
         return (

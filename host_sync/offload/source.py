@@ -1,4 +1,4 @@
-"""What bundles are fetched from: a folder, a card, or a device over the network, behind one Protocol.
+"""Sources of bundles: a folder, a card, or a device over the network, behind one Protocol.
 
 A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source says
 is trusted.
@@ -75,5 +75,5 @@ class Source(Protocol):
         ...
 
     def clock_offset_s(self) -> float | None:
-        """How far the source's clock is ahead of ours, s; None when it has none or does not show it."""
+        """Return how far the source's clock is ahead of ours, s; None when it has none or does not show it."""
         ...

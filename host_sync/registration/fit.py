@@ -144,7 +144,7 @@ def fit(pair: Pair, start: Pose, *, turning: bool = True) -> Fit | None:
 
 
 def judged_at(pair: Pair, pose: Pose) -> Fit | None:
-    """How well the maps agree at a pose, which is not moved; None when they hardly overlap there."""
+    """Return how well the maps agree at a pose, which is not moved; None when they hardly overlap there."""
     there = _Equations.of(pair, pose, turning=True)
     return None if there is None else there.fit(pose)
 

@@ -38,7 +38,7 @@ class Pose:
         return float(np.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]))
 
     def place_of(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Where a place of the first map (row, column from its middle, px) lies in the second."""
+        """Return where a place of the first map (row, column from its middle, px) lies in the second."""
         cosine, sine = float(np.cos(self.turn)), float(np.sin(self.turn))
         return self.down + cosine * place[0] + sine * place[1], self.right - sine * place[0] + cosine * place[1]
 

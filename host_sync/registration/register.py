@@ -64,7 +64,7 @@ NOTHING_IN_COMMON: Final = "the two scans hardly overlap: choose two of the same
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where the object of the first map lies in the second.
+    """Place of the first map's object in the second map.
 
     pose : shift (px of the first map) and turn (rad) of the object, about the middle of the field
     covariance : float64 array of shape (3, 3) of down, right and turn, px and rad; infinite where undetermined
@@ -83,7 +83,7 @@ class Registration:
 
     @property
     def accepted(self) -> bool:
-        """Whether it may be used."""
+        """True if it may be used."""
         return not self.refused
 
     @property
@@ -158,7 +158,7 @@ def _from_person(pair: Pair, near: Pose, *, pinned: bool) -> Registration:
 
 
 def _turn_is_seen(turned: Fit, straight: Fit) -> bool:
-    """Whether a fit with a turn of its own is enough better than one that keeps the turn it started from."""
+    """Return whether a fit with a turn of its own is enough better than one that keeps the turn it started from."""
     return bool(np.nanmean(turned.residual) <= TURN_GAIN * np.nanmean(straight.residual))
 
 
@@ -256,7 +256,7 @@ def _rivalry(best: Fit, others: list[Fit]) -> str:
 
 
 def _apart(one: Pose, best: Pose) -> str:
-    """Where one pose lies from another, in words: "3.1 px up and 2.0 px right, turned by 0.40°"."""
+    """Return where one pose lies from another, in words: "3.1 px up and 2.0 px right, turned by 0.40°"."""
     down, right = one.down - best.down, one.right - best.right
     words = f"{abs(down):.1f} px {'down' if down >= 0.0 else 'up'} and {abs(right):.1f} px "
     words += "right" if right >= 0.0 else "left"

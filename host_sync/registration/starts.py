@@ -1,4 +1,4 @@
-"""Where a registration starts: the best places of several correlations over shift and rotation.
+"""Starts of a registration: the best places of several correlations over shift and rotation.
 
 Each correlation can be led astray by itself: slopes by an object that slides along itself, the rim of contact by
 another depth, the texture of the frames by what is fixed to the gel. So all of them give starts, and none decides.

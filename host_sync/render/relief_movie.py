@@ -32,7 +32,7 @@ WEBP: Final = {"quality": 82, "method": 2}
 
 
 def plays_in_browser() -> bool:
-    """Whether MP4 files that are written here play in browsers: the extra `movies` is installed."""
+    """Return whether MP4 files that are written here play in browsers: the extra `movies` is installed."""
     return _library() is not None
 
 

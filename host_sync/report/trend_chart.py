@@ -135,7 +135,8 @@ def draw_chart(
 
 
 def without_common_start(names: Sequence[str]) -> tuple[str, list[str]]:
-    """What all names begin with, up to a sign between their parts, and the rest of each: ids leave a chart no room.
+    """Return what all names begin with, up to a sign between their parts, and the rest of each: ids leave a chart no
+    room.
 
     Names whose common beginning is shorter than `LONG_START` stay as they are.
     """

@@ -139,14 +139,14 @@ def _extrapolated(share: float, where: str) -> Doubt:
 
 
 class _Specimen(msgspec.Struct, frozen=True):
-    """What is read of a specimen in a certificate."""
+    """Fields of a specimen that are read from a certificate."""
 
     name: str = ""
     agrees: bool | None = None
 
 
 class _Certificate(msgspec.Struct, frozen=True):
-    """What is read of a certificate."""
+    """Fields that are read from a certificate."""
 
     calibration_id: str
     verdict: str
@@ -154,7 +154,7 @@ class _Certificate(msgspec.Struct, frozen=True):
 
 
 def _check_standards(folder: Path, calibration_id: str | None, bundle: str | None) -> Iterator[Doubt]:
-    """What certificates beside the result or its calibration say of the calibration that it was made with.
+    """Return what certificates beside the result or its calibration say of the calibration that it was made with.
 
     calibration_id : None takes every certificate
     """
@@ -168,7 +168,7 @@ def _check_standards(folder: Path, calibration_id: str | None, bundle: str | Non
 
 
 def check_standard(folder: Path, record: ResultRecord) -> str:
-    """What certificates say of the calibration: "agrees: step 100, ball"; empty without one."""
+    """Return what certificates say of the calibration: "agrees: step 100, ball"; empty without one."""
     for place in _certificate_places(folder, record.calibration_bundle):
         found = _decoded(place, _Certificate)
         if found is not None and found.calibration_id == record.calibration_id:
@@ -177,7 +177,7 @@ def check_standard(folder: Path, record: ResultRecord) -> str:
 
 
 class _ScanManifest(msgspec.Struct, frozen=True):
-    """What is read of a scan's manifest."""
+    """Fields that are read from a scan's manifest."""
 
     identity: Identity
     calibration_id: str | None = None
@@ -187,7 +187,9 @@ class _ScanManifest(msgspec.Struct, frozen=True):
 
 
 def _said_later(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
-    """What the handheld said of a result in a library after its scan: failed checks, and that it was taken again."""
+    """Return what the handheld said of a result in a library after its scan: failed checks, and that it was taken
+    again.
+    """
     scan = folder.absolute().parent.parent
     if record.scan_id is None or scan.name != record.scan_id:
         return

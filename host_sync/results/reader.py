@@ -71,7 +71,7 @@ class ResultSurface:
 
     @property
     def detail(self) -> DetailName:
-        """Which detail the height map holds."""
+        """Return which detail the height map holds."""
         return self.record.surface_detail
 
     def with_detail(self, detail: DetailName | None) -> ResultSurface:
@@ -153,5 +153,5 @@ def max_sample_values(shape: tuple[int, int]) -> int:
 
 
 def _optional(path: Path, read: Callable[[Path], FieldT]) -> FieldT | None:
-    """What is read, or None when there is no such file."""
+    """Return what is read, or None when there is no such file."""
     return read(path) if path.is_file() else None

@@ -75,7 +75,7 @@ class FrameCheck(msgspec.Struct, frozen=True):
 
 
 def refusals(checks: Iterable[FrameCheck]) -> list[str]:
-    """What speaks against a frame, one clause each, in the order of the checks."""
+    """Return what speaks against a frame, one clause each, in the order of the checks."""
     return [check.words for check in checks if check.outcome == "refused"]
 
 

@@ -11,7 +11,7 @@ from device.bundles.scan import SCAN_MANIFEST
 
 
 class _Manifest(msgspec.Struct, frozen=True):
-    """What is read of a scan's manifest."""
+    """Fields that are read from a scan's manifest."""
 
     replaces: str | None = None
 

@@ -1,1 +1,1 @@
-"""The same spot again: what changed on an object between two presses, and how sure that is."""
+"""Comparison of one spot: what changed on an object between two presses, and how sure that is."""

@@ -1,4 +1,4 @@
-"""What a round change of one width does to a difference of heights, as the height that it would have.
+"""Response of a difference of heights to a round change of one width, as the height that it would have.
 
 A reconstruction integrates slopes. Slopes that err alike at all wavelengths give heights whose error grows with the
 wavelength, and errors in patches add to that. The filter is that of a Gaussian for such errors: its spectrum times the
@@ -67,6 +67,6 @@ def _of_one(width_px: float) -> float:
 
 
 def _filled(known: MaskArray, scale_px: float) -> Float32Array:
-    """How much of a Gaussian around each place is valid: float32 array of shape (h, w)."""
+    """Return how much of a Gaussian around each place is valid: float32 array of shape (h, w)."""
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), scale_px, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(share, np.float32)

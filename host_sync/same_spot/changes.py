@@ -94,7 +94,7 @@ class Limit(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Changes:
-    """What changed.
+    """Changes between two presses.
 
     found : significant changes, most significant first
     limits : detection limits, smallest diameter first; empty where nothing can be judged

@@ -35,7 +35,7 @@ RING_RGB: Final = (220, 30, 30)
 
 
 class SameSpotRecord(msgspec.Struct, frozen=True):
-    """What `same_spot.json` holds.
+    """Contents of `same_spot.json`.
 
     shift_um : (rows, columns), displacement of the object in the second press, down and right positive
     shift_sigma_um : standard uncertainty of the shift along the direction that is known least; None if undetermined
@@ -78,7 +78,7 @@ class Comparison:
 
 
 def compared(first: ResultSurface, second: ResultSurface, near: tuple[float, float, float] | None = None) -> Comparison:
-    """What changed from the first result to the second.
+    """Return what changed from the first result to the second.
 
     near : (mm down, mm right, degrees clockwise) of the object in the second press, as a person saw it
 

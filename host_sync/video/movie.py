@@ -55,7 +55,7 @@ class MovieFiles:
 
     @property
     def wanted(self) -> bool:
-        """Whether any movie is to be drawn."""
+        """True if any movie is to be drawn."""
         return self.mp4 is not None or bool(self.small)
 
 

@@ -81,14 +81,14 @@ class Access:
         return f"{self.origin}/?code={code}"
 
     def redeem(self, code: str) -> bool:
-        """Whether this is the code of an unused link; marks it as used."""
+        """Return whether this is the code of an unused link; marks it as used."""
         with self._lock:
             found = [one for one in self._codes if secrets.compare_digest(one.encode(), code.encode())]
             self._codes.difference_update(found)
         return bool(found)
 
     def knows_host(self, header: str) -> bool:
-        """Whether a Host header names this server: the random name on loopback, else the host or any IP address."""
+        """Return whether a Host header names this server: the random name on loopback, else host or IP address."""
         name, port = _split_host(header)
         if port != str(self.port) and not (port == "" and self.port == 80):
             return False
@@ -97,7 +97,7 @@ class Access:
         return name == self.host.lower() or _is_address(name)
 
     def holds_token(self, given: str | None) -> bool:
-        """Whether this is the session token."""
+        """Return whether this is the session token."""
         return given is not None and secrets.compare_digest(given.encode(), self.token.encode())
 
 

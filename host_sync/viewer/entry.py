@@ -49,7 +49,7 @@ Record = ResultRecord | SequenceRecord | DifferenceRecord
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What can be opened.
+    """Scan or result that can be opened.
 
     key : name in the page's requests; says nothing about the place on disk
     heights : file of the height maps
@@ -188,7 +188,7 @@ def relabelled(entry: Entry, scan_id: str, label: Label) -> Entry:
 
 
 def _title(hit: Hit | None, own: str) -> str:
-    """What lists call an entry: its label's name, else its part, else its own name."""
+    """Return what lists call an entry: its label's name, else its part, else its own name."""
     return (hit.name or hit.part or own) if hit else own
 
 

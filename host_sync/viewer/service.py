@@ -46,7 +46,7 @@ _DIFFERENCE_RECORD: Final = "difference.json"
 
 @dataclass(frozen=True, slots=True)
 class NearPose:
-    """Where a person says that the second scan lies: displacement of the object, µm, and clockwise rotation, degrees.
+    """Place of the second scan that a person states: displacement of the object, µm, and clockwise rotation, degrees.
 
     pinned : take it as it is, and do not look for the best place near to it
     """
@@ -135,7 +135,7 @@ class ViewerService:
         return float(z_um[row, column])
 
     def facts(self, key: str) -> dict[str, Any]:
-        """What the page needs before it draws."""
+        """Return the facts that the page needs before it draws."""
         entry = self.catalogue.find(key)
         with self._turn:
             z_um = self._heights.read(entry, entry.pages // 2)

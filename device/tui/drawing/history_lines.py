@@ -70,7 +70,7 @@ def chosen_scans(scans: Iterable[ScanEntry], words: str, order: Order) -> tuple[
 
 
 def _holds(entry: ScanEntry, word: str) -> bool:
-    """Whether a scan is of the kind that a word names, or holds the word in its texts."""
+    """Return whether a scan is of the kind that a word names, or holds the word in its texts."""
     word = " ".join(word.split())
     if _NUMBER.fullmatch(word) or word in _KINDS:
         return word in _kinds(entry)

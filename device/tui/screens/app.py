@@ -348,7 +348,7 @@ class FrameRateLimiter:
         return self._interval_s
 
     def is_due(self, now_s: float) -> bool:
-        """Whether a picture is due at this time; it then counts as drawn."""
+        """Return whether a picture is due at this time; it then counts as drawn."""
         if self._drawn_s is not None and now_s - self._drawn_s < self._interval_s * (1.0 - 1e-6):
             return False
         self._drawn_s = now_s

@@ -210,7 +210,7 @@ def _time_of(fields: dict[str, str]) -> datetime:
 
 
 def _complaint(fields: dict[str, str]) -> str:
-    """What is wrong with a date and time; empty if nothing is."""
+    """Return what is wrong with a date and time; empty if nothing is."""
     try:
         local = _time_of(fields)
     except ValueError:

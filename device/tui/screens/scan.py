@@ -283,7 +283,7 @@ def area_text(area: AreaState, last: LastScan | None) -> Content:
 
 
 def area_complaint(texts: dict[str, str]) -> str:
-    """What is wrong with an area's width or height; empty if nothing is."""
+    """Return what is wrong with an area's width or height; empty if nothing is."""
     for text in texts.values():
         try:
             length_mm = float(text)
@@ -295,7 +295,7 @@ def area_complaint(texts: dict[str, str]) -> str:
 
 
 def cue_text(state: InstrumentState) -> str:
-    """What to do now, in one sentence."""
+    """Return what to do now, in one sentence."""
     if state.activity == "out of order":
         return f"Out of order: {screen_advice(state.sentence)}"
     if state.activity in _ELSEWHERE:

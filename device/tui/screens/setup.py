@@ -287,7 +287,7 @@ def _standard(kind: StandardKind, fields: dict[str, str]) -> CheckStandard:
 
 
 def _standard_complaint(kind: StandardKind, fields: dict[str, str]) -> str:
-    """What is wrong with a check standard's figures; empty if nothing is."""
+    """Return what is wrong with a check standard's figures; empty if nothing is."""
     try:
         standard = _standard(kind, fields)
     except ValueError:
@@ -302,7 +302,7 @@ def _thickness_mm(fields: dict[str, str]) -> float:
 
 
 def _gel_complaint(fields: dict[str, str]) -> str:
-    """What is wrong with a new gel's name or thickness; empty if nothing is."""
+    """Return what is wrong with a new gel's name or thickness; empty if nothing is."""
     try:
         make_gel(fields["Name"], _thickness_mm(fields))
     except ValueError as error:
