@@ -2,7 +2,11 @@ from pathlib import Path
 
 import pytest
 from emulated_board import GAUGE_AT, emulated_hardware
+from fake_i2c import FakeI2cBus
 
+from hal.board_profile import load_board_profile
+from hal.clock import VirtualClock
+from hal.drivers.board_hardware import Machine, board_hardware
 from hal.drivers.power_board import BoardPower, read_throttled_file, run_vcgencmd, throttle_reading
 from hal.errors import PowerError
 from hal.interfaces import PowerReading
@@ -61,6 +65,17 @@ def test_a_gauge_that_is_another_chip_or_none_is_named(bench: SimulatedScene) ->
     reading = emulated.hardware.power.read()
     assert "no chip answers at 0x36 on bus 1" in reading.complaints[0]
     assert (reading.under_voltage, reading.was_under_voltage, reading.battery_share) == (True, True, None)
+
+
+@pytest.mark.parametrize("board", ["pi4-imx477", "pi4-imx477-binned", "pi5-imx296", "zero2w-imx708"])
+def test_a_shipped_board_asks_for_no_gauge_that_its_bill_does_not_list(board: str) -> None:
+    """Or its self-test would fail, and with it every update."""
+    clock = VirtualClock()
+    wire = FakeI2cBus({}, clock)
+    machine = Machine(open_bus=wire.open, throttled_file=lambda: "0", vcgencmd=lambda: "throttled=0x0\n")
+    reading = board_hardware(load_board_profile(board), clock, machine).power.read()
+    assert (reading.complaints, reading.under_voltage, reading.battery_share) == ((), False, None)
+    assert wire.opened == 0
 
 
 def test_a_silent_firmware_does_not_hide_the_battery(bench: SimulatedScene) -> None:
