@@ -107,6 +107,9 @@ class PressGuide:
         )
         still_s = self._still_s(frame.at_ns, motion, press.contact_fraction)
         advice, sentence = advise(figures, still_s)
+        in_air = press.contact_fraction is not None and press.contact_fraction < MIN_CONTACT
+        if not figures.light_is_right:
+            press = PressMeasure()
         return GuideReading(
             contact_fraction=press.contact_fraction,
             tilt_deg=press.tilt_deg,
@@ -117,7 +120,7 @@ class PressGuide:
             exposure=figures.exposure,
             depth_um=press.depth_um,
             depth_fraction=None if press.depth_fraction is None else press.depth_fraction / MAX_DEPTH,
-            in_air=press.contact_fraction is not None and press.contact_fraction < MIN_CONTACT,
+            in_air=in_air,
             advice=advice,
             sentence=sentence,
             cpu_ms=1e3 * (time.thread_time() - began_s),
@@ -184,7 +187,7 @@ def measure_press(smooth: Float32Array, model: GuideModel) -> PressMeasure:
     z_um = integrate_dct(p, q, model.pitch_um)
     base_um, top_um = (float(value) for value in np.percentile(z_um, (_BASE_PERCENTILE, _TOP_PERCENTILE)))
     contact = float((shaded | (z_um - base_um > RAISED * model.slab_um)).mean())
-    depth_um = top_um - base_um
+    depth_um = min(top_um - base_um, model.slab_um)  # skin cannot rise by more than the slab's thickness
     measured = PressMeasure(contact, depth_um, depth_um / model.slab_um, border=border)
     if contact < TILT_CONTACT:
         return measured

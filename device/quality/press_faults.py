@@ -51,6 +51,11 @@ class PressFigures:
     tilt_deg: float | None = None
     tilt_towards: str = ""
 
+    @property
+    def light_is_right(self) -> bool:
+        """Whether contact, depth and tilt mean something: they are read from light."""
+        return self.exposure >= UNDEREXPOSED and not self.lights
+
 
 def press_faults(figures: PressFigures) -> Iterator[PressFault]:
     """Every fault of a press, most urgent first. Wrong light makes contact, depth and tilt meaningless."""

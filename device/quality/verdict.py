@@ -168,6 +168,8 @@ class Evidence:
         metrics, known = self.metrics, self.known
         figures = metrics.figures | border_figures(self.border) | known.figures
         figures["contact_share"] = self._press.contact_fraction
+        if not self._press.light_is_right:
+            figures |= dict.fromkeys(("contact_share", "depth_share", "tilt_deg"))
         if metrics.exposure < BLACK_FRAME:
             flagged = "".join(f"; the driver reports {kind} at light {light}" for light, kind in self.flags.items())
             return VerdictRecord(

@@ -9,7 +9,7 @@ import numpy as np
 from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.quick_look.ball_bias import BallBias, BallReading
-from device.quick_look.measures import levelled, mean_line
+from device.quick_look.measures import MIN_CUTOFF_PX, RUN_UP, levelled, mean_line
 from device.quick_look.solver import QuickLook
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap
 
@@ -156,10 +156,16 @@ def step_um(height: HeightMap) -> float:
 
 
 def roughness_um(height: HeightMap) -> float:
-    """Ra over the middle of the field: mean over its rows and columns with a cut-off of 0.8 mm."""
+    """Ra over the middle of the field: mean over its rows with a cut-off of 0.8 mm, without a run-up at either end."""
     part = levelled(_middle(height.z_um, MIDDLE)).astype(np.float64)
     cutoff = ROUGHNESS_CUTOFF_UM / height.pitch_um
-    rough = np.stack([np.abs(line - mean_line(line, cutoff)) for line in part])
+    end = round(RUN_UP * cutoff)
+    if cutoff < MIN_CUTOFF_PX or part.shape[1] <= 2 * end + cutoff:
+        raise CheckNotMeasured(
+            f"the quick look's pixels of {height.pitch_um:.0f} µm are too few for a cut-off of "
+            f"{ROUGHNESS_CUTOFF_UM / 1e3:g} mm: check with a ball or a step"
+        )
+    rough = np.stack([np.abs(line - mean_line(line, cutoff))[end : part.shape[1] - end] for line in part])
     if not np.isfinite(rough).any(axis=1).any():
         raise CheckNotMeasured("the middle of the field has no heights: press the roughness specimen again")
     tiles = [_mean(tile) for band in np.array_split(rough, TILES) for tile in np.array_split(band, TILES, axis=1)]

@@ -1,6 +1,6 @@
 """Numbers read from a quick look: level, roughness of an area or a line, and two points against each other.
 
-The formulas are those of the workstation (ISO 25178-2, ISO 21920-2, ISO 16610-31), with numpy only.
+The formulas are those of the workstation (ISO 25178-2, ISO 21920-2, ISO 16610-21 and -31), with numpy only.
 """
 
 from __future__ import annotations
@@ -16,6 +16,18 @@ CUTOFFS_UM: Final = (250.0, 800.0, 2500.0)
 SECTIONS: Final = 5
 """A roughness profile has five cut-off lengths, of the largest cut-off that fits."""
 
+RUN_UP: Final = 0.5
+"""Length at each end of a line that the filter distorts and that is not evaluated, in cut-off lengths."""
+
+MIN_CUTOFF_PX: Final = 10.0
+"""Pixels of the shortest cut-off: fewer show little of what is shorter than it."""
+
+ROUNDING: Final = 1e-9
+
+MEAN_OF_RMS: Final = float(np.sqrt(2.0 / np.pi))
+SPAN_OF_RMS: Final = 6.0
+"""Mean absolute value and span of height errors over their standard deviation."""
+
 _ALPHA: Final = float(np.sqrt(np.log(2.0) / np.pi))
 _REACH: Final = 4.0
 _MIN_DETERMINANT: Final = 1e-6
@@ -29,11 +41,17 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Roughness:
-    """Mean and total height, µm: Sa and Sz of an area, Ra and Rz of a line; `cutoff_um` is None without a filter."""
+    """Mean and total height, µm: Sa and Sz of an area, Ra and Rz of a line; `cutoff_um` is None without a filter.
+
+    mean_sigma_um, total_sigma_um : standard uncertainties, from the scatter of a line's five sections and from what
+        height errors as large as those of untouched skin raise each number by; None where those were not measured
+    """
 
     mean_um: float
     total_um: float
     cutoff_um: float | None = None
+    mean_sigma_um: float | None = None
+    total_sigma_um: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +83,17 @@ def levelled(z_um: Float32Array) -> Float32Array:
     return np.asarray(z_um - (across * plane[0] + down * plane[1] + plane[2]), np.float32)
 
 
-def areal_roughness(z_um: Float32Array) -> Roughness:
-    """Sa and Sz of an area about its mean; level it first."""
+def areal_roughness(z_um: Float32Array, flatness_um: float | None = None) -> Roughness:
+    """Sa and Sz of an area about its mean; level it first.
+
+    flatness_um : rms of untouched skin's heights; None if not measured
+    """
     seen = z_um[np.isfinite(z_um)].astype(np.float64)
     if not seen.size:
         return Roughness(float("nan"), float("nan"))
     seen -= seen.mean()
-    return Roughness(float(np.abs(seen).mean()), float(seen.max() - seen.min()))
+    mean_um, total_um = float(np.abs(seen).mean()), float(seen.max() - seen.min())
+    return Roughness(mean_um, total_um, None, *_sigmas([mean_um], [total_um], flatness_um))
 
 
 def line_between(height: HeightMap, start: Point, end: Point) -> Float64Array:
@@ -88,25 +110,36 @@ def line_between(height: HeightMap, start: Point, end: Point) -> Float64Array:
     return np.asarray(upper * (1.0 - down) + lower * down)
 
 
-def line_roughness(z_um: Float64Array, step_um: float) -> Roughness:
-    """Ra and Rz of a line with the largest cut-off of which it holds five; of the levelled line (Pa, Pz) if none fits.
+def line_roughness(z_um: Float64Array, step_um: float, flatness_um: float | None = None) -> Roughness:
+    """Ra and Rz of a levelled line with the largest cut-off that fits; Pa and Pz of the line itself if none does.
+
+    A cut-off fits if the line holds five of it between two run-ups and it holds enough pixels. Ra and Rz are NaN where
+    Rz is less than twice Ra: that is form which the filter leaves, and no roughness.
 
     z_um : heights `step_um` apart
+    flatness_um : rms of untouched skin's heights; None if not measured
     """
-    length_um = step_um * (z_um.size - 1)
-    cutoff_um = max((one for one in CUTOFFS_UM if SECTIONS * one <= length_um), default=None)
+    seen = np.isfinite(z_um)
+    if seen.sum() < 2:
+        return Roughness(float("nan"), float("nan"))
     place = np.arange(z_um.size, dtype=np.float64)
+    heights = z_um - np.polyval(np.polyfit(place[seen], z_um[seen], 1), place)
+    cutoff_um = max((one for one in CUTOFFS_UM if _fits(one, heights.size, step_um)), default=None)
     if cutoff_um is None:
-        seen = np.isfinite(z_um)
-        if seen.sum() < 2:
-            return Roughness(float("nan"), float("nan"))
-        heights = z_um - np.polyval(np.polyfit(place[seen], z_um[seen], 1), place)
-        return _of_profile(heights, 1, None)
-    return _of_profile(z_um - mean_line(z_um, cutoff_um / step_um), SECTIONS, cutoff_um)
+        return _of_profile(heights, 1, None, flatness_um)
+    rough = heights - mean_line(heights, cutoff_um / step_um)
+    used = round(SECTIONS * cutoff_um / step_um)
+    first = (rough.size - used) // 2
+    return _of_profile(rough[first : first + used], SECTIONS, cutoff_um, flatness_um)
+
+
+def _fits(cutoff_um: float, samples: int, step_um: float) -> bool:
+    room_um = step_um * (samples - 1)
+    return MIN_CUTOFF_PX * step_um <= cutoff_um and (SECTIONS + 2.0 * RUN_UP) * cutoff_um <= room_um
 
 
 def mean_line(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
-    """Gaussian mean line, of first order at ends and holes (ISO 16610-31): float64 array of shape (N,)."""
+    """Gaussian mean line (ISO 16610-21), of first order at ends and holes (-31): float64 array of shape (N,)."""
     sigma = _ALPHA * cutoff_samples / np.sqrt(2.0 * np.pi)
     reach = max(int(np.ceil(_REACH * sigma)), 1)
     x = np.arange(-reach, reach + 1) / sigma
@@ -149,13 +182,33 @@ def difference(height: HeightMap, first: Point, second: Point, flatness_um: floa
     return Difference(dz_um, distance_um, angle, dz_sigma_um, distance_sigma_um, angle_sigma)
 
 
-def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None) -> Roughness:
+def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None, flatness_um: float | None) -> Roughness:
     heights = heights - np.nanmean(heights) if np.isfinite(heights).any() else heights
     parts = [part[np.isfinite(part)] for part in np.array_split(heights, sections)]
     spans = [float(part.max() - part.min()) for part in parts if part.size]
     if not spans:
         return Roughness(float("nan"), float("nan"), cutoff_um)
-    return Roughness(float(np.nanmean(np.abs(heights))), float(np.mean(spans)), cutoff_um)
+    means = [float(np.abs(part).mean()) for part in parts if part.size]
+    mean_um, total_um = float(np.nanmean(np.abs(heights))), float(np.mean(spans))
+    if total_um < 2.0 * mean_um * (1.0 - ROUNDING):
+        return Roughness(float("nan"), float("nan"), cutoff_um)
+    return Roughness(mean_um, total_um, cutoff_um, *_sigmas(means, spans, flatness_um))
+
+
+def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -> tuple[float | None, float | None]:
+    """Standard uncertainties of mean and total height: scatter of the sections, and what height errors add in squares.
+
+    means, spans : of each section, µm
+    """
+    if flatness_um is None:
+        return None, None
+    found = []
+    for sections, share in ((means, MEAN_OF_RMS), (spans, SPAN_OF_RMS)):
+        value = float(np.mean(sections))
+        scatter = float(np.std(sections, ddof=1) / np.sqrt(len(sections))) if len(sections) > 1 else 0.0
+        raised = value - float(np.sqrt(max(value**2 - (share * flatness_um) ** 2, 0.0)))
+        found.append(float(np.hypot(scatter, raised)))
+    return found[0], found[1]
 
 
 def _at(height: HeightMap, point: Point) -> tuple[float, float]:

@@ -7,7 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from device.quick_look.measures import MIN_CUTOFF_PX, ROUNDING
 from device.surface.fields import Float32Array, Float64Array, HeightMap
+from host_sync.errors import MeasurementError
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.footprint import line_places
@@ -35,6 +37,11 @@ class ProfileMeasurand:
     """
 
     def __init__(self, table: ProfileTable, height: HeightMap) -> None:
+        if table.l_filter_um is not None and table.l_filter_um < MIN_CUTOFF_PX * height.pitch_um:
+            raise MeasurementError(
+                f"l_filter_um: {table.l_filter_um:g} µm holds fewer than {MIN_CUTOFF_PX:g} pixels of "
+                f"{height.pitch_um:g} µm: choose a longer one"
+            )
         self.name = table.name
         self._table = table
         self._pitch_um = height.pitch_um
@@ -44,6 +51,8 @@ class ProfileMeasurand:
         self.masked_share = whole.masked_share
         self._letter = "P" if table.l_filter_um is None else "R"
         self._sections, self._trim = self._evaluation(whole)
+        found = self.values(height.z_um)
+        self._shows_form = found[f"{self._letter}z"] < 2.0 * found[f"{self._letter}a"] * (1.0 - ROUNDING)
 
     def trace(self, z_um: Float32Array) -> Profile:
         """The profile of a surface of shape (H, W), levelled and filtered, over the whole line."""
@@ -67,13 +76,18 @@ class ProfileMeasurand:
         return profile_parameters(Profile(part, whole.step_um), self._sections, self._letter)
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """A warning if the line is too short for its sections."""
+        """Warnings if the line is too short for its sections, or shows form and no roughness."""
         table = self._table
-        if table.l_filter_um is None or (self._trim and self._sections == table.sections):
+        if table.l_filter_um is None:
             return {}
-        ends = "" if self._trim else " and includes the ends that the filter distorts"
-        words = f"the line has room for {self._sections} of {table.sections} sections of {table.l_filter_um:g} µm{ends}"
-        return {"": (words,)}
+        every = []
+        if not self._trim or self._sections != table.sections:
+            ends = "" if self._trim else " and includes the ends that the filter distorts"
+            room = f"{self._sections} of {table.sections} sections of {table.l_filter_um:g} µm"
+            every.append(f"the line has room for {room}{ends}")
+        if self._shows_form:
+            every.append("Rz is less than twice Ra: this is form that the filter leaves; raise form_degree")
+        return {"": tuple(every)} if every else {}
 
     def definition_sigmas(self) -> Mapping[str, float]:
         """None: the standard defines every parameter."""

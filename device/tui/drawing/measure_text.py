@@ -30,8 +30,8 @@ def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: fl
         dz,
         f"distance {found.distance_um / 1e3:.3f}{_pm(found.distance_sigma_um / 1e3, 3)} mm",
         f"angle {found.angle_deg:.2f}{_pm(found.angle_sigma_deg, 2)}°" if has_heights else "",
-        _roughness("R", line_roughness(line_between(height, first, second), height.pitch_um)),
-        _roughness("S", areal_roughness(levelled(box_between(height, first, second)))),
+        _roughness("R", line_roughness(line_between(height, first, second), height.pitch_um, flatness_um)),
+        _roughness("S", areal_roughness(levelled(box_between(height, first, second)), flatness_um)),
     ]
     unknown = " · ± of heights: zero check first" if has_heights and found.dz_sigma_um is None else ""
     return f"{' · '.join(part for part in parts if part)}{unknown}"
@@ -49,9 +49,10 @@ def _pm(sigma: float | None, decimals: int) -> str:
 
 
 def _roughness(letter: str, found: Roughness) -> str:
-    """ "Ra 1.2 Rz 5.3 µm (λc 0.8 mm)", P instead of R without a cut-off; empty where there is nothing to measure."""
+    """ "Ra 1.20 ± 0.10 Rz 5.3 ± 0.8 µm (cut-off 0.8 mm)", P instead of R without one; empty where nothing is there."""
     if not np.isfinite(found.mean_um) or not found.total_um:
-        return ""
+        return "" if found.cutoff_um is None else "Ra, Rz not stated: the line shows form and no roughness"
     kind = "P" if letter == "R" and found.cutoff_um is None else letter
     cutoff = "" if found.cutoff_um is None else f" (cut-off {found.cutoff_um / 1e3:g} mm)"
-    return f"{kind}a {found.mean_um:.2f} {kind}z {found.total_um:.1f} µm{cutoff}"
+    mean, total = (_pm(found.mean_sigma_um, 2), _pm(found.total_sigma_um, 1))
+    return f"{kind}a {found.mean_um:.2f}{mean} {kind}z {found.total_um:.1f}{total} µm{cutoff}"

@@ -1,6 +1,6 @@
 """The press guide on the twin's live frames: contact, depth, tilt, motion and light."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from device.guidance.guide import GuideModel, PressGuide
 from device.guidance.reading import GuideReading
 from device.store.store import BundleStore
 from hal.hardware import Hardware
-from hal.simulator.bench import SimulatedScene
+from hal.simulator.bench import Faults, SimulatedScene
 from hal.simulator.gallery import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Plane, Sphere, Surface
@@ -91,6 +91,24 @@ def test_the_guide_sees_contact_under_lights_that_have_aged(hand: Hand) -> None:
     assert not hand.look(2).in_air
     hand.guide.set_light_levels((0.9, 0.9, 0.9))
     assert hand.look(2).in_air
+
+
+FAULTS: dict[str, Callable[[Faults], None]] = {
+    "open": lambda faults: faults.open_lights.add("red"),
+    "two open": lambda faults: faults.open_lights.update({"red", "blue"}),
+    "broken": lambda faults: setattr(faults, "lights_broken", True),
+    "dim": lambda faults: faults.dimmed.update(green=0.3),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_press_is_deeper_than_the_gel_under_a_broken_light(hand: Hand, fault: str) -> None:
+    FAULTS[fault](hand.bench.faults)
+    coin = specimen("coin")
+    for reading in (hand.look(2), hand.press(coin.surface, coin.indentation_mm)):
+        assert reading.advice in ("lights", "too dark")
+        assert (reading.depth_um, reading.depth_fraction, reading.contact_fraction) == (None, None, None)
+        assert reading.tilt_deg is None
 
 
 def test_without_a_reference_only_light_is_judged(hand: Hand) -> None:

@@ -1,10 +1,11 @@
 """Roughness and differences read on the device agree with the workstation's on the same map."""
 
+import re
+
 import numpy as np
 import pytest
 
 from device.quick_look.measures import (
-    SECTIONS,
     areal_roughness,
     difference,
     levelled,
@@ -17,8 +18,8 @@ from device.tui.drawing.measure_text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters
-from host_sync.profile.profile_line import Profile
-from host_sync.profile.profile_parameters import profile_parameters
+from host_sync.measurement.profile_measurand import ProfileMeasurand
+from host_sync.measurement.recipe import ProfileTable
 
 PITCH_UM = 24.0
 
@@ -48,10 +49,56 @@ def test_a_line_agrees_with_the_workstation(height: HeightMap, row: int) -> None
     assert ours.cutoff_um == 800.0
     cutoff = 800.0 / PITCH_UM
     np.testing.assert_allclose(mean_line(line, cutoff), profile_mean(line, cutoff), atol=1e-9)
-    profile = Profile(line - profile_mean(line, cutoff), PITCH_UM)
-    theirs = profile_parameters(profile, SECTIONS, "R")
-    assert ours.mean_um == pytest.approx(theirs["Ra"], rel=1e-9)
-    assert ours.total_um == pytest.approx(theirs["Rz"], rel=1e-9)
+    end_um = 239.0 * PITCH_UM
+    table = ProfileTable(name="line", from_um=(0.0, row * PITCH_UM), to_um=(end_um, row * PITCH_UM), l_filter_um=800.0)
+    theirs = ProfileMeasurand(table, height).values(height.z_um)
+    assert ours.mean_um == pytest.approx(theirs["Ra"], rel=0.01)
+    assert ours.total_um == pytest.approx(theirs["Rz"], rel=0.01)
+
+
+def test_roughness_is_that_of_the_texture_and_not_of_the_form() -> None:
+    place = PITCH_UM * np.arange(250)
+    texture = 2.0 * np.sin(2.0 * np.pi * place / 160.0)
+    for form in (0.05 * place, 1e-5 * (place - 3000.0) ** 2, 30.0 * np.sin(2.0 * np.pi * place / 12000.0)):
+        found = line_roughness(texture + form, PITCH_UM)
+        assert found.cutoff_um == 800.0
+        assert found.mean_um == pytest.approx(4.0 / np.pi, rel=0.03)
+        assert found.total_um == pytest.approx(4.0, rel=0.05)
+        smooth = line_roughness(form, PITCH_UM)
+        assert np.isnan(smooth.mean_um) or 2.0 * smooth.mean_um <= smooth.total_um < 0.3
+
+
+def test_half_of_a_wave_as_long_as_the_cut_off_is_transmitted() -> None:
+    place = PITCH_UM * np.arange(250)
+    found = line_roughness(np.sin(2.0 * np.pi * place / 800.0), PITCH_UM)
+    assert found.total_um == pytest.approx(1.0, rel=0.02)
+
+
+def test_too_few_pixels_or_cut_offs_give_the_line_itself() -> None:
+    coarse = line_roughness(np.sin(np.arange(40.0)), 50.0)  # six times 0.25 mm, in five pixels each
+    assert coarse.cutoff_um is None
+    short = line_roughness(np.sin(np.arange(160.0)), PITCH_UM)  # five times 0.8 mm, without run-ups
+    assert short.cutoff_um != 800.0
+    assert coarse.total_um >= 2.0 * coarse.mean_um
+
+
+def test_roughness_states_its_uncertainty() -> None:
+    rng = np.random.default_rng(3)
+    place = PITCH_UM * np.arange(250)
+    texture = 2.0 * np.sin(2.0 * np.pi * place / 160.0)
+    assert line_roughness(texture, PITCH_UM).mean_sigma_um is None
+    trials = [line_roughness(texture + rng.normal(0.0, 0.4, place.size), PITCH_UM, 0.4) for _ in range(20)]
+    for one in trials:
+        assert one.mean_sigma_um is not None
+        assert one.total_sigma_um is not None
+        assert abs(one.mean_um - 4.0 / np.pi) < 2.0 * one.mean_sigma_um
+        assert abs(one.total_um - 4.0) < 2.0 * one.total_sigma_um
+    flat = line_roughness(rng.normal(0.0, 0.4, place.size), PITCH_UM, 0.4)
+    assert flat.mean_sigma_um is not None
+    assert flat.mean_um <= 2.0 * flat.mean_sigma_um
+    row, column = np.mgrid[:60, :300].astype(np.float32)
+    words = measure_text(HeightMap(np.sin(column) + 0.0 * row, PITCH_UM), (30.0, 0.0), (30.0, 299.0), 0.1)
+    assert re.search(r"Ra \d\.\d\d ± \d\.\d\d Rz \d\.\d ± \d\.\d µm \(cut-off 0.8 mm\)", words)
 
 
 def test_a_slope_is_measured_with_its_uncertainty(height: HeightMap) -> None:
