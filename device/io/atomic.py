@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from device.errors import OutputError
+from device.io.folder import sync_descriptor
 from device.io.lock import FolderLocked, locked_directory
 from device.io.os_errors import explain_os_error
 
@@ -33,7 +34,7 @@ def sync_directory(path: Path) -> None:
 def _sync(path: Path, flags: int) -> None:
     descriptor = os.open(path, flags)
     try:
-        os.fsync(descriptor)
+        sync_descriptor(descriptor)
     finally:
         os.close(descriptor)
 
@@ -53,7 +54,7 @@ def atomic_file(path: Path, mode: int | None = None) -> Iterator[BinaryIO]:
                 os.fchmod(stream.fileno(), mode)
             yield stream
             stream.flush()
-            os.fsync(stream.fileno())
+            sync_descriptor(stream.fileno())
         partial.replace(path)
     except BaseException:
         with suppress(OSError):

@@ -52,6 +52,22 @@ class FolderEntry:
     kind: EntryKind
 
 
+_NO_SYNC: Final = frozenset({errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOTTY})
+
+
+def sync_descriptor(descriptor: int) -> None:
+    """Return when a file's bytes or a folder's entries are on the disk, or the file system has no such operation.
+
+    Network and shared folders (CIFS, VirtualBox, some FUSE) lack it, for folders above all: what is written there is as
+    durable as the share makes it.
+    """
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+
+
 def open_regular(path: Path, *, follow: bool = False) -> int:
     """Descriptor of a regular file for reading. `follow`: the last name may be a link, as the user named it.
 
@@ -124,13 +140,13 @@ class Folder:
                         while block := content.read(_COPY_BYTES):
                             stream.write(block)
                     stream.flush()
-                    os.fsync(stream.fileno())
+                    sync_descriptor(stream.fileno())
                 os.rename(partial, name, src_dir_fd=parent, dst_dir_fd=parent)
             except BaseException:
                 with suppress(OSError):
                     os.unlink(partial, dir_fd=parent)
                 raise
-            os.fsync(parent)
+            sync_descriptor(parent)
 
     def make_folder(self, place: str, mode: int = 0o777) -> None:
         """Make a folder; an existing folder is kept, anything else of that name is an error."""
@@ -144,7 +160,7 @@ class Folder:
         """Rename a file or folder durably; a folder never replaces anything."""
         with self._parent(place) as (parent, name), self._parent(new_place) as (new_parent, new_name):
             os.rename(name, new_name, src_dir_fd=parent, dst_dir_fd=new_parent)
-            os.fsync(new_parent)
+            sync_descriptor(new_parent)
 
     def remove_file(self, place: str) -> None:
         """Remove a file, or the link of that name; one that is absent is no error."""

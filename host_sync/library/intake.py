@@ -22,7 +22,7 @@ from device.bundles.layout import BundleKind
 from device.bundles.record import BundleId, Count, Record, Sha256, ShortText, Time, decode_record, sha256_bytes
 from device.errors import RecordError
 from device.io.atomic import replace_file, sync_directory
-from device.io.folder import open_regular
+from device.io.folder import open_regular, sync_descriptor
 
 INTAKE_FILE: Final = "intake.jsonl"
 HEAD_FILE: Final = "intake.head"
@@ -139,7 +139,7 @@ def append_intake(
         try:
             stream.write(msgspec.json.encode(entry) + b"\n")
             stream.flush()
-            os.fsync(stream.fileno())
+            sync_descriptor(stream.fileno())
         except OSError:
             stream.truncate(end)
             raise

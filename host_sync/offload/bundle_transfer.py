@@ -31,7 +31,7 @@ from device.bundles.record import (
 from device.bundles.scan import decode_scan
 from device.errors import RecordError
 from device.io.atomic import remove_tree_quietly
-from device.io.folder import IrregularFile, open_regular
+from device.io.folder import IrregularFile, open_regular, sync_descriptor
 from host_sync.offload.source import Source
 
 PART: Final = ".part"
@@ -234,7 +234,7 @@ def _flush(path: Path) -> None:
     """Write a file to the disk and drop it from memory, so that reading it back reads the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
     try:
-        os.fsync(descriptor)
+        sync_descriptor(descriptor)
         _drop_cache(descriptor)
     finally:
         os.close(descriptor)

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from device.errors import OutputError
-from device.io.atomic import atomic_directory
+from device.io.atomic import atomic_directory, publish_directory, write_output
+from device.io.folder import Folder
 from device.io.lock import locked_directory
 
 
@@ -58,3 +59,33 @@ def test_what_another_program_is_writing_is_not_touched(tmp_path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert (out / "result.json").read_text() == "second"
     assert list(out.parent.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOSYS, errno.ENOTSUP])
+def test_a_share_without_fsync_takes_files_and_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    write_output(tmp_path / "one.json", b"{}")
+    with atomic_directory(tmp_path / "out", "result.json") as folder:
+        (folder / "result.json").touch()
+    (tmp_path / ".scan").mkdir()
+    (tmp_path / ".scan" / "file").touch()
+    publish_directory(tmp_path / ".scan", tmp_path / "scan")
+    with Folder(tmp_path) as open_folder:
+        open_folder.write("two", b"2")
+        open_folder.rename("two", "three")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "out", "scan", "three"]
+
+
+def test_a_disk_that_fails_is_no_share_without_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OutputError, match="Input/output error"):
+        write_output(tmp_path / "one.json", b"{}")
+    assert list(tmp_path.iterdir()) == []
