@@ -5,10 +5,13 @@ A command is named by "module:function" and imported when it is called or its he
 
 from __future__ import annotations
 
+import codecs
+import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -155,11 +158,46 @@ class HelpFormatter:
         return found
 
 
+_PLAIN: Final = {
+    "±": "+/-",
+    "µ": "u",
+    "μ": "u",
+    "°": " deg",
+    "²": "2",
+    "³": "3",
+    "×": "x",
+    "–": "-",
+    "…": "...",
+    "σ": "s",
+}
+
+
+def write_any_sign() -> None:
+    """Let standard output and error take every sign: an encoding that lacks one writes it in plain letters.
+
+    Without a language set, and in older terminals and services, that encoding is ASCII.
+    """
+
+    def plain(error: UnicodeError) -> tuple[str, int]:
+        assert isinstance(error, UnicodeEncodeError)  # noqa: S101 - registered for encoding alone
+        lost = error.object[error.start : error.end]
+        return "".join(_PLAIN.get(one) or ascii(one)[1:-1] for one in lost), error.end
+
+    codecs.register_error("plain", plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="plain")
+
+
 def print_json(document: object) -> None:
-    """Print a document to standard output as one line of JSON; paths and times become texts."""
+    """Print a document to standard output as one line of JSON; paths and times become texts.
+
+    Signs beyond ASCII are escaped: every encoding holds them so.
+    """
     import msgspec
 
-    sys.stdout.write(msgspec.json.encode(document, enc_hook=str).decode() + "\n")
+    text = msgspec.json.encode(document, enc_hook=str).decode()
+    sys.stdout.write((text if text.isascii() else json.dumps(json.loads(text), separators=(",", ":"))) + "\n")
     sys.stdout.flush()
 
 

@@ -25,6 +25,7 @@ from device.command_line import (
     make_app,
     sentence,
     unknown_command,
+    write_any_sign,
 )
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
@@ -104,6 +105,7 @@ def launch(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     keep_types_at_exit()
+    write_any_sign()
     try:
         with signals_as_keyboard_interrupt(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             code = app.meta(arguments, exit_on_error=False, print_error=False, result_action="return_value")

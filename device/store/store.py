@@ -297,4 +297,7 @@ def default_store(service_store: Path = SERVICE_STORE) -> Path:
     """The service's folder when it exists and is writable, else `retroscan` in the user's data folder."""
     if service_store.is_dir() and os.access(service_store, os.W_OK):
         return service_store
-    return platformdirs.user_data_path("retroscan", appauthor=False)
+    try:
+        return platformdirs.user_data_path("retroscan", appauthor=False)
+    except RuntimeError as error:
+        raise StoreError("this user has no home folder for scans: set XDG_DATA_HOME, or name a store") from error

@@ -16,15 +16,11 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-from platformdirs import user_cache_path
 
 from device.io.atomic import replace_file
 from host_sync.calibration_file.kept_calibration import KeptCalibration, read_calibration_file
 from host_sync.errors import CalibrationFileError
-from host_sync.kernels.cache import KEPT_S, PACKAGES, state_of
-
-SETTING: Final = "RETROGRAPH_CACHE"
-"""Environment variable that names another folder; when it is empty nothing is kept."""
+from host_sync.kernels.cache import KEPT_S, PACKAGES, state_of, user_cache
 
 LIBRARIES: Final = ("numpy", "scipy", "opencv-contrib-python-headless", "numba")
 SUFFIX: Final = ".calibration"
@@ -46,10 +42,8 @@ class CalibrationCache:
     @classmethod
     def of_user(cls, environment: Mapping[str, str] = os.environ) -> CalibrationCache:
         """The user's cache."""
-        named = environment.get(SETTING)
-        if named is None:
-            return cls(user_cache_path("retrograph", appauthor=False) / "calibrations")
-        return cls(Path(named) / "calibrations" if named else None)
+        home = user_cache(environment)
+        return cls(home and home / "calibrations")
 
     def find(self, key: str) -> KeptCalibration | None:
         """The calibration with this key, None where there is none that can be read."""

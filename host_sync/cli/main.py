@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from cyclopts import CycloptsError
 
-from device.command_line import add_commands, in_new_words, make_app, sentence
+from device.command_line import add_commands, in_new_words, make_app, sentence, write_any_sign
 from device.errors import DeviceError
 from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS, OLD_COMMANDS
@@ -31,6 +31,7 @@ add_commands(app, COMMANDS)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
     keep_types_at_exit()
+    write_any_sign()
     search_seldom()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

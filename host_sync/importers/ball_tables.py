@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import zipfile
 import zlib
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 from typing import Final
 
@@ -93,21 +94,38 @@ def _draft(
 def read_table(path: Path) -> list[dict[str, str]]:
     """Rows of a table with a line of names; empty texts where a row is short.
 
+    Commas, semicolons or tabs separate columns, as the line of names shows; text is UTF-8, UTF-16 or Windows-1252, as
+    spreadsheets of any language write it.
+
     Raises
     ------
     FrameSetError
         It is no table.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            return list(csv.DictReader(stream, restkey="more", restval=""))
+        text = _decoded(path.read_bytes())
+        names = text.partition("\n")[0]
+        separator = max(",;\t", key=names.count)
+        rows = csv.DictReader(text.splitlines(), restkey="more", restval="", delimiter=separator)
+        rows.fieldnames = [name.strip() for name in rows.fieldnames or ()]
+        return [{key: one.strip() if isinstance(one, str) else one for key, one in row.items()} for row in rows]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FrameSetError(f"{path}: is no table: correct it, or name the calibration's folder") from error
 
 
-def _positive(value: str | None, path: Path) -> float:
+def _decoded(data: bytes) -> str:
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return data.decode("utf-16")
     try:
-        number = float(value or "")
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
+
+
+def _positive(value: str | None, path: Path) -> float:
+    """The length, with a decimal point or comma."""
+    try:
+        number = float((value or "").replace(",", ".", 1))
     except ValueError:
         number = float("nan")
     if not 0.0 < number < float("inf"):

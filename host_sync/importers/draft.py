@@ -153,7 +153,7 @@ def left_out(missing: Sequence[str]) -> tuple[str, ...]:
 
 
 def inside(source: Path, name: str) -> Path:
-    """The file of this name in a folder.
+    """The file of this name in a folder; of tables from Windows, with backslashes and letters of any case.
 
     Raises
     ------
@@ -161,9 +161,22 @@ def inside(source: Path, name: str) -> Path:
         The name leads out of the folder.
     """
     path = source / name
+    if not path.exists():
+        path = source / _as_spelled(source, name.replace("\\", "/"))
     if not path.resolve().is_relative_to(source.resolve()):
         raise FrameSetError(f"{source}: {name!r} is outside of the folder: fetch the folder whole")
     return path
+
+
+def _as_spelled(folder: Path, name: str) -> str:
+    """The name with the case of the folders and files that are there; what is not there stays as it is."""
+    at, parts = folder, []
+    for part in name.split("/"):
+        if part not in ("", ".", "..") and not (at / part).exists() and at.is_dir():
+            part = next((one.name for one in at.iterdir() if one.name.casefold() == part.casefold()), part)
+        parts.append(part)
+        at = at / part
+    return "/".join(parts)
 
 
 def _image(images: Sequence[Path], folder: Path) -> str:

@@ -49,8 +49,11 @@ DECODERS: Final[dict[BundleKind, Callable[[bytes, str | Path], ScanRecord | Cali
 
 
 def default_library() -> Path:
-    """The library's folder unless another is named."""
-    return Path.home() / "Retrograph"
+    """The library's folder unless another is named; LibraryError where the user has no home."""
+    try:
+        return Path.home() / "Retrograph"
+    except RuntimeError as error:
+        raise LibraryError("this user has no home folder: name the library with --library") from error
 
 
 class Library:

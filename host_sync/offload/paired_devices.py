@@ -19,7 +19,7 @@ from device.bundles.record import BundleId, Count, Record, decode_record, encode
 from device.io.atomic import replace_file
 from device.io.os_errors import explain_os_error
 from device.pairing.exchange import SshPublicKey
-from host_sync.errors import HostError, NoSource
+from host_sync.errors import HostError, LibraryError, NoSource
 
 SECRET: Final = 0o600
 _REMEDY: Final = "remove it and pair the device again"
@@ -53,8 +53,11 @@ class SyncState(Record, frozen=True, tag_field="schema", tag="retrograph.sync-st
 
 
 def default_devices_folder() -> Path:
-    """`retrograph` in the user's folder of settings."""
-    return platformdirs.user_config_path("retrograph", appauthor=False)
+    """`retrograph` in the user's folder of settings; LibraryError where the user has no home."""
+    try:
+        return platformdirs.user_config_path("retrograph", appauthor=False)
+    except RuntimeError as error:
+        raise LibraryError("this user has no home folder for settings: set HOME or XDG_CONFIG_HOME") from error
 
 
 class PairedDevices:

@@ -5,6 +5,7 @@ Everything in it can be computed again; the folders used longest ago are removed
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
 import shutil
@@ -16,9 +17,9 @@ from threading import Lock
 from typing import Final
 
 import numpy as np
-import platformdirs
 
 from host_sync.errors import ViewError
+from host_sync.kernels.cache import user_cache
 from host_sync.viewer.entry import Entry
 from host_sync.viewer.heights import Heights
 from host_sync.viewer.pyramid import Level, coarse_levels, finest_rows, level_count, padded_shape
@@ -32,8 +33,16 @@ _OWN: Final = re.compile(r"[0-9]+-[0-9a-f]{32}")
 
 
 def default_cache() -> Path:
-    """The default cache folder."""
-    return platformdirs.user_cache_path("retrograph", appauthor=False) / "viewer"
+    """The user's cache folder; where that cannot be written, one that is removed when the program ends."""
+    home = user_cache()
+    if home is not None:
+        with suppress(OSError):
+            (home / "viewer").mkdir(parents=True, exist_ok=True)
+        if os.access(home / "viewer", os.W_OK | os.X_OK):
+            return home / "viewer"
+    folder = mkdtemp(prefix="retrograph-view-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 class Cache:

@@ -11,9 +11,9 @@ import pytest
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file import calibrator, kept_calibration
-from host_sync.calibration_file.cache import SETTING
 from host_sync.calibration_report.report import report_files
 from host_sync.evaluation import figures, held_out_ball
+from host_sync.kernels.cache import USER_CACHE
 
 
 class Calibrated:
@@ -42,7 +42,7 @@ class Calibrated:
 def no_cache_of_the_user() -> Iterator[None]:
     """No command finds a calibration of an earlier run, or leaves one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(SETTING, "")
+        patch.setenv(USER_CACHE, "")
         yield
 
 

@@ -19,7 +19,6 @@ from pressed_frames import write_frame_set
 
 from device.errors import OutputError
 from host_sync import api
-from host_sync.calibration_file.cache import SETTING
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import (
     ArgumentError,
@@ -31,6 +30,7 @@ from host_sync.errors import (
     MosaicError,
     UnreadableResult,
 )
+from host_sync.kernels.cache import USER_CACHE
 from host_sync.mosaic.motion import Motion
 
 PUBLIC = {
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder in which the examples stand: a frame set, its calibration, and a result."""
     folder = write_frame_set(tmp_path_factory.mktemp("api") / "set").parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(SETTING, str(folder / "cache"))
+        patch.setenv(USER_CACHE, str(folder / "cache"))
         kept = api.calibrate_frame_set(folder / "frameset.toml")
         kept.write(folder / "gel.calibration")
         api.reconstruct(folder / "ball-6.png", kept, out=folder / "results" / "ball")

@@ -24,7 +24,7 @@ from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
-from host_sync.calibration_file.cache import SETTING, CalibrationCache
+from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import frames_of_set, key_of_set
 from host_sync.calibration_file.kept_calibration import (
@@ -40,6 +40,7 @@ from host_sync.cli.main import main
 from host_sync.denoising.null_colour import NullColour
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.kernels.cache import USER_CACHE
 from host_sync.lights.lamp_model import FittedLamps
 from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
 from host_sync.reconstruction.pipeline import reconstruct
@@ -80,7 +81,7 @@ def file(kept: KeptCalibration, tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.fixture
 def cache(kept: KeptCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CalibrationCache:
     """A cache that holds the calibration, and is the user's."""
-    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    monkeypatch.setenv(USER_CACHE, str(tmp_path / "cache"))
     found = CalibrationCache.of_user()
     assert found.keep(kept)
     return found
@@ -120,7 +121,7 @@ def test_a_place_that_cannot_be_written_is_named_before_the_work(
 def test_the_second_reconstruction_is_the_first_to_the_last_bit(
     frame_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    monkeypatch.setenv(USER_CACHE, str(tmp_path / "cache"))
     said = []
     for run in ("first", "second"):
         assert main(["reconstruct", str(frame_set), "--out", str(tmp_path / run)]) == 0
@@ -133,7 +134,7 @@ def test_the_second_reconstruction_is_the_first_to_the_last_bit(
 def test_the_papers_model_is_fitted_when_it_is_asked_for(
     frame_set: Path, kept: KeptCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(SETTING, str(tmp_path / "cache"))
+    monkeypatch.setenv(USER_CACHE, str(tmp_path / "cache"))
     cache, described = CalibrationCache.of_user(), load_frame_set(frame_set)
     plain = Calibrator(cache).of_frame_set(described)
     assert plain.calibration.paper is None

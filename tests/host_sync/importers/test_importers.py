@@ -246,3 +246,22 @@ def test_public_folders_are_imported(
     assert run(kind, Path(PUBLIC) / folder, *options, "--out", tmp_path / "set.toml") == 0
     found = loaded(tmp_path / "set.toml", calibrates=presses > 0)
     assert (len(found.presses), len(found.scans), len(found.lights)) == (presses, scans, lights)
+
+
+@pytest.mark.parametrize(
+    ("table", "encoding"),
+    [
+        ("experiment_reldir,diameter(mm)\r\n1.920mm\\0,1.920\r\n", "utf-8"),
+        ("experiment_reldir;diameter(mm)\r\n1.920mm\\0;1,920\r\n", "utf-8-sig"),
+        ("experiment_reldir\tdiameter(mm)\r\n1.920MM\\0\t1,920\r\n", "utf-16"),
+        ("experiment_reldir; diameter(mm); remark\r\n1.920mm/0; 1,920; größer\r\n", "cp1252"),
+    ],
+)
+def test_a_catalogue_made_on_windows_is_read(tmp_path: Path, table: str, encoding: str) -> None:
+    image(tmp_path / "set" / "1.920mm" / "0" / "gelsight.png")
+    image(tmp_path / "set" / "background.png")
+    (tmp_path / "set" / "catalog.csv").write_bytes(table.encode(encoding))
+    out = tmp_path / "set.toml"
+    assert run("gs_sdk", tmp_path / "set", "--pixel-pitch-um", 10, "--encoding", "srgb", "--out", out) == 0
+    (press,) = loaded(out).presses
+    assert press.ball_radius_mm == pytest.approx(0.96)

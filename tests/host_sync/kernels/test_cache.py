@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import host_sync
-from host_sync.kernels.cache import KEPT_S, SETTING, SUFFIX, configure_cache, prune_cache
+from host_sync.kernels.cache import KEPT_S, SETTING, SUFFIX, USER_CACHE, configure_cache, prune_cache
 from host_sync.kernels.compile_time import CompileTime
 from host_sync.kernels.jit import kernel_digest, njit
 
@@ -138,6 +138,7 @@ def test_every_import_of_a_kernel_caches_in_the_users_folder(tmp_path: Path) -> 
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     environment.pop(SETTING, None)
+    environment.pop(USER_CACHE, None)
     run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     used = tmp_path / "retrograph" / "kernels"
     assert run.stdout.splitlines() == [str(used)]
