@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import codecs
 import json
+import ntpath
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
 
 BAD_ARGUMENTS: Final = 2
+LONGEST_PLAIN: Final = 150
+"""A longer path of Windows is told as such: with what is written below it, it may exceed 260 characters."""
 
 
 class Command(NamedTuple):
@@ -227,7 +231,15 @@ def _folder(_: Any, tokens: Sequence[Any]) -> Path:
     text = tokens[0].value
     if not text:
         raise ValueError("an empty name is not a folder")
-    return Path(text)
+    return Path(long_path(text)) if os.name == "nt" else Path(text)
+
+
+def long_path(text: str) -> str:
+    """A path of Windows as its functions take it where it is longer than they take without being told."""
+    path = ntpath.abspath(text)
+    if len(path) < LONGEST_PLAIN or path.startswith("\\\\?\\"):
+        return text
+    return f"\\\\?\\UNC\\{path[2:]}" if path.startswith("\\\\") else f"\\\\?\\{path}"
 
 
 Folder = Annotated[Path, Parameter(converter=_folder)]

@@ -26,7 +26,7 @@ PORTABLE_ROOMS = (
     "device.interpreter_exit",
     "device.command_line",
 )
-PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs", "cyclopts"}
+PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs", "cyclopts", "filelock"}
 PORTABLE_HAL = {
     "hal",
     "hal.board_profile",

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from device.errors import OutputError
-from device.io.folder import sync_descriptor
+from device.io.folder import NO_FOLLOW, OPENS_FOLDERS, sync_descriptor
 from device.io.lock import FolderLocked, locked_directory
 from device.io.os_errors import explain_os_error
 
@@ -23,12 +23,14 @@ RESULTS: Final = "results"
 
 def sync_file(path: Path) -> None:
     """Return when the file's bytes are on the disk."""
-    _sync(path, os.O_RDONLY)
+    # Windows flushes what is open for writing only.
+    _sync(path, (os.O_RDONLY if OPENS_FOLDERS else os.O_RDWR) | NO_FOLLOW)
 
 
 def sync_directory(path: Path) -> None:
-    """Return when the directory's entries are on the disk."""
-    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+    """Return when the directory's entries are on the disk; at once where the system does not open folders (Windows)."""
+    if OPENS_FOLDERS:
+        _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def _sync(path: Path, flags: int) -> None:
@@ -50,7 +52,7 @@ def atomic_file(path: Path, mode: int | None = None) -> Iterator[BinaryIO]:
         partial.unlink(missing_ok=True)
         # Not os.fdopen: some writers look for the stream's name.
         with open(partial, "xb", opener=lambda name, flags: os.open(name, flags, mode or 0o666)) as stream:
-            if mode is not None:
+            if mode is not None and OPENS_FOLDERS:
                 os.fchmod(stream.fileno(), mode)
             yield stream
             stream.flush()

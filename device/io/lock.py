@@ -1,9 +1,11 @@
-"""The lock of a folder: the system's where the file system has locks, otherwise a lease file with owner and age."""
+"""The lock of a folder: the system's where the file system has locks, otherwise a lease file with owner and age.
+
+Where the system locks no folders (Windows), a file in or beside the folder is locked instead.
+"""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import socket
@@ -15,10 +17,16 @@ from typing import Final
 
 from device.io.folder import open_regular
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 LEASE_S: Final = 24 * 3600.0
 """A lease of another computer that is older than this is taken over."""
 
 LEASE_SUFFIX: Final = ".lease"
+LOCK_SUFFIX: Final = ".lock"
 _NO_LOCKS: Final = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS})
 _GUARD_S: Final = 60.0
 _POLL_S: Final = 0.2
@@ -46,6 +54,10 @@ def locked_directory(
     FolderLocked
         Another program holds it and `wait` is False.
     """
+    if fcntl is None:
+        with _locked_by_file(directory, wait=wait):
+            yield
+        return
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
@@ -55,7 +67,7 @@ def locked_directory(
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
-            with _leased(_lease_path(directory), sleep if wait else None):
+            with _leased(_companion(directory, LEASE_SUFFIX), sleep if wait else None):
                 yield
             return
         yield
@@ -63,10 +75,32 @@ def locked_directory(
         os.close(descriptor)
 
 
-def _lease_path(directory: Path) -> Path:
-    """Inside a folder that stays; beside a temporary one, whose content is published."""
+def _companion(directory: Path, suffix: str) -> Path:
+    """A file inside a folder that stays; beside a temporary one, whose content is published."""
     hidden = directory.name.startswith(".")
-    return directory.with_name(directory.name + LEASE_SUFFIX) if hidden else directory / f".retrograph{LEASE_SUFFIX}"
+    return directory.with_name(directory.name + suffix) if hidden else directory / f".retrograph{suffix}"
+
+
+@contextmanager
+def _locked_by_file(directory: Path, *, wait: bool) -> Iterator[None]:
+    """Hold the lock of a folder's companion file, which the system frees when the process ends."""
+    from filelock import FileLock, Timeout  # here, because a system that locks folders does without it
+
+    if not directory.is_dir():
+        absent = errno.ENOTDIR if directory.exists() else errno.ENOENT
+        raise OSError(absent, os.strerror(absent), str(directory))
+    path = _companion(directory, LOCK_SUFFIX)
+    lock = FileLock(path, timeout=-1 if wait else 0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise FolderLocked("another program holds its lock", directory) from error
+    try:
+        yield
+    finally:
+        lock.release()
+        with suppress(OSError):  # another program may hold it by now
+            path.unlink()
 
 
 @contextmanager

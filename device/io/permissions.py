@@ -17,8 +17,8 @@ SHARED_MODE: Final = 0o770
 UNWRITABLE: Final = 0o555
 _MANY: Final = 1 << 40
 
-StatVfs = Callable[[Path], os.statvfs_result]
-"""What a file system says of itself, as `os.statvfs` does."""
+StatVfs = Callable[[Path], "os.statvfs_result"]
+"""What a file system says of itself, as `os.statvfs` does, which Windows lacks: a store lives on a handheld."""
 
 
 def make_folder(folder: Path, mode: int) -> None:
@@ -41,7 +41,7 @@ def make_files_read_only(directory: Path) -> None:
         path.chmod(path.lstat().st_mode & UNWRITABLE)
 
 
-def require_writable(folder: Path, statvfs: StatVfs = os.statvfs) -> None:
+def require_writable(folder: Path, statvfs: StatVfs) -> None:
     """Return when this user can make files in a folder.
 
     Raises
@@ -55,13 +55,13 @@ def require_writable(folder: Path, statvfs: StatVfs = os.statvfs) -> None:
         raise OSError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def free_bytes(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
+def free_bytes(folder: Path, statvfs: StatVfs) -> int:
     """Space for this user on a file system, bytes."""
     facts = statvfs(folder)
     return facts.f_bavail * facts.f_frsize
 
 
-def free_entries(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
+def free_entries(folder: Path, statvfs: StatVfs) -> int:
     """Return how many more files a file system can hold; 2^40 where it does not count them."""
     facts = statvfs(folder)
     return facts.f_favail if facts.f_files else _MANY

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -43,7 +42,7 @@ def worker_bytes(shape: tuple[int, int]) -> int:
 
 def usable_cores() -> int:
     """Cores that this process may run on: fewer than the computer's where a service or container is confined."""
-    if sys.platform == "linux":
+    if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 

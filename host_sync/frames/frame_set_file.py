@@ -20,6 +20,7 @@ MAX_LIGHTS: Final = 8
 """No frame shows more."""
 
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
+_DEVICE: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 # msgspec reads memory that is not its own where a fixed tuple and a bounded number are alternatives.
@@ -100,6 +101,11 @@ class FileTable(_Table, frozen=True):
     scan: tuple[ScanTable, ...] = ()
 
 
+def names_a_folder(name: str) -> bool:
+    """Whether a folder may have this name on every system; Windows keeps some names for devices."""
+    return _SCAN_NAME.fullmatch(name) is not None and _DEVICE.fullmatch(name) is None
+
+
 def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
     """Tables of a frame set, each key checked; no image is read.
 
@@ -135,7 +141,7 @@ def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:
         raise FrameSetError(f"{path}: scan: missing: add a [[scan]] table for each frame to reconstruct")
     seen: set[str] = set()
     for i, scan in enumerate(file.scan):
-        if not _SCAN_NAME.fullmatch(scan.name) or scan.name.casefold() == CALIBRATION_FOLDER:
+        if not names_a_folder(scan.name) or scan.name.casefold() == CALIBRATION_FOLDER:
             raise FrameSetError(
                 f"{path}: scan[{i}].name: {scan.name!r} cannot name a result folder: "
                 f"use letters, digits, hyphens and dots, and not {CALIBRATION_FOLDER!r}"

@@ -13,7 +13,7 @@ from typing import Final
 from device.errors import OutputError
 from device.io.atomic import write_output
 from host_sync.errors import FrameSetError
-from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, Encoding
+from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, Encoding, names_a_folder
 
 LONGEST_NAME: Final = 90
 SHOWN_EVERY: Final = 5
@@ -136,6 +136,7 @@ def result_names(names: Sequence[str]) -> list[str]:
         plain = (
             re.sub(r"^[^\w]+|[^\w()+-]+$", "", re.sub(r"[^\w .()+-]", "-", name))[:LONGEST_NAME].rstrip(" .") or "scan"
         )
+        plain = plain if names_a_folder(plain) else f"scan-{plain}"
         one, number = plain, 2
         while one.casefold() in taken:
             one, number = f"{plain}-{number}", number + 1

@@ -22,7 +22,7 @@ from device.bundles.layout import BundleKind
 from device.bundles.record import BundleId, Count, Record, Sha256, ShortText, Time, decode_record, sha256_bytes
 from device.errors import RecordError
 from device.io.atomic import replace_file, sync_directory
-from device.io.folder import open_regular, sync_descriptor
+from device.io.folder import open_appending, open_regular, sync_descriptor
 
 INTAKE_FILE: Final = "intake.jsonl"
 HEAD_FILE: Final = "intake.head"
@@ -244,7 +244,7 @@ def _tail(stream: BinaryIO, path: Path) -> tuple[int, str, int]:
 def _appending(path: Path) -> Iterator[BinaryIO]:
     """The record, opened for reading and writing; made when absent."""
     made = not path.exists()
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    descriptor = open_appending(path)
     with os.fdopen(descriptor, "r+b") as stream:
         if not path.is_file():
             raise OSError(errno.EINVAL, "it is no regular file", str(path))

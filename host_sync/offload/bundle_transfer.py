@@ -30,8 +30,8 @@ from device.bundles.record import (
 )
 from device.bundles.scan import decode_scan
 from device.errors import RecordError
-from device.io.atomic import remove_tree_quietly
-from device.io.folder import IrregularFile, open_regular, sync_descriptor
+from device.io.atomic import remove_tree_quietly, sync_file
+from device.io.folder import IrregularFile, open_regular
 from host_sync.offload.source import Source
 
 PART: Final = ".part"
@@ -232,12 +232,9 @@ def _read_small(source: Source, place: str) -> bytes:
 
 def _flush(path: Path) -> None:
     """Write a file to the disk and drop it from memory, so that reading it back reads the disk."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
-    try:
-        sync_descriptor(descriptor)
-        _drop_cache(descriptor)
-    finally:
-        os.close(descriptor)
+    sync_file(path)
+    with path.open("rb") as stream:
+        _drop_cache(stream.fileno())
 
 
 def _drop_cache(descriptor: int) -> None:

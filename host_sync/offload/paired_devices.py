@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import platform
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -121,7 +122,8 @@ class PairedDevices:
             with self._translating():
                 self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
                 replace_file(path, make(), SECRET)
-        if path.stat().st_mode & 0o077:
+        # Windows keeps rights elsewhere: a user's folder is that user's.
+        if os.name == "posix" and path.stat().st_mode & 0o077:
             raise HostError(f"{path}: other users may read this secret: chmod 600 it, or remove it and pair again")
         return path
 
@@ -141,4 +143,4 @@ class PairedDevices:
 
 def this_host() -> str:
     """This workstation's name, for people."""
-    return os.uname().nodename[:64] or "workstation"
+    return platform.node()[:64] or "workstation"

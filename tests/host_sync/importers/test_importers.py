@@ -98,6 +98,7 @@ def test_names_of_scans_are_such_that_reconstruct_takes_them(tmp_path: Path) -> 
     found = [one.name for one in loaded(tmp_path / "frameset.toml", calibrates=False).scans]
     assert found == ["1)", "Scan -3", "Scan_3", "calibration-2", "end", "scan-3"]
     assert result_names(["a", "A", "a", "#", "x" * 200]) == ["a", "A-2", "a-3", "scan", "x" * 90]
+    assert result_names(["CON", "aux.1", "com12", "con"]) == ["scan-CON", "scan-aux.1", "com12", "scan-con-2"]
 
 
 def test_scans_that_call_their_lights_differently_are_not_mixed(
