@@ -5,13 +5,32 @@ The libraries' own messages on bytes that are not text name codecs and bytes; th
 
 from __future__ import annotations
 
-from codecs import BOM_UTF8
+import re
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 
 T = TypeVar("T")
+
+MAX_SHOWN: Final = 60
+_QUOTES: Final = "“”„‟‘’‚‛«»″′"
+_HINTS: Final[tuple[tuple[str, str], ...]] = (
+    (f"[{_QUOTES}]", 'write straight quotes, "…"'),
+    (r"[\u00a0\u2007\u202f\u200b\ufeff]", "remove a space of another kind, which other programs bring along"),
+    (r"[=\[,]\s*[-+]?\d+,\d+\s*(#.*)?$", "write a decimal point, such as 20.0"),
+    (r'"[^"]*\\', "write / in paths instead of \\, or put the text between ' and '"),
+    (r"^\s*(//|;|--)", "begin remarks with #"),
+    (r"^\s*[\w-]+\s*:", 'write = between a key and its value, such as name = "bench"'),
+    (r"=\s*[-+]?[\d.]+\s*[A-Za-zµ°%]", "write numbers without a unit"),
+    (r"=\s*(True|False|TRUE|FALSE|yes|no|on|off)\b", "write true or false"),
+    (r"=\s*[-+]?(\.\d|\d+\.(\D|$)|0\d)", "write digits on both sides of the point, and no 0 in front of others"),
+    (r"=\s*[^\W\d][^\"']*$", 'put texts between quotes, "…"'),
+    (r"=\s*(#.*)?$", "write a value after ="),
+    (r"""^[^"]*"([^"]*"[^"]*")*[^"]*$|^[^']*'([^']*'[^']*')*[^']*$""", "close the quotes"),
+    (r"^\s*[\w-]+\s*(#.*)?$", "write = and a value after a key"),
+)
 
 
 def decode_toml(data: bytes, kind: type[T]) -> T:
@@ -41,12 +60,41 @@ def _decoded(decode: Callable[[], T], text: bytes, form: str) -> T:
     except RecursionError as error:
         raise msgspec.DecodeError(f"is not {form}: its tables are nested too deeply") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise msgspec.DecodeError(f"is not {form}: {_reason(text, error)}") from error
+        raise msgspec.DecodeError(f"is not {form}: {_reason(text, error, form)}") from error
 
 
-def _reason(text: bytes, error: Exception) -> Any:
+def _reason(data: bytes, error: Exception, form: str) -> str:
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return "it is text in UTF-16: save it as UTF-8"
     try:
-        text.decode()
+        text = data.decode()
     except UnicodeDecodeError:
-        return "it is not text in UTF-8"
-    return "it is not text" if b"\0" in text else error
+        return "it is not text in UTF-8: save it as UTF-8"
+    if b"\0" in data:
+        return "it is not text"
+    return _toml_advice(text, str(error)) if form == "TOML" else str(error)
+
+
+def _toml_advice(text: str, error: str) -> str:
+    """The line that a decoder's error names and what to write there, as one clause."""
+    if found := re.search(r"\(at line (\d+), column \d+\)", error):
+        number = int(found[1])
+    elif "at end of document" in error:
+        number = text.rstrip().count("\n") + 1
+    else:
+        return error
+    lines = text.splitlines()
+    line = lines[min(number, len(lines)) - 1].strip() if lines else ""
+    shown = line if len(line) <= MAX_SHOWN else f"{line[:MAX_SHOWN]}…"
+    return f"line {number}, {shown}: {_hint(line, error)}"
+
+
+def _hint(line: str, error: str) -> str:
+    if "Cannot declare" in error or "Cannot overwrite" in error:
+        if re.match(r"\[\w+\]", line):
+            return f"this table stands twice: write [{line}] for each of several"
+        return "this key stands twice: leave one out"
+    for pattern, words in _HINTS:
+        if re.search(pattern, line):
+            return words
+    return re.sub(r" \(at .*\)$", "", error).lower()

@@ -68,22 +68,19 @@ def export_command(
     if not sources:
         raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
     choices = ExportChoices(mesh_step, line_um, overwrite, base_mm, sigma)
-    failed = 0
+    failures: list[str] = []
+    done = 0
     for source in sources:
-        try:
-            written = _export_one(source, tuple(dict.fromkeys(to)), out, library, choices)
-        except (DeviceError, HostError) as error:
-            if len(sources) == 1:
-                raise
-            failed += 1
-            print_error(f"{source}: {error}", PARTLY)
-            continue
+        written, refused = _export_one(source, tuple(dict.fromkeys(to)), out, library, choices)
+        failures += [words if len(sources) == 1 else f"{source}: {words}" for words in refused]
         choices = replace(choices, reserved=choices.reserved | set(written))
+        done += len(written)
         for path in written:
             print_line(str(path))
-    if failed == len(sources):
-        return BAD_INPUT
-    return PARTLY if failed else DONE
+    code = (PARTLY if done else BAD_INPUT) if failures else DONE
+    for words in failures:
+        print_error(words, code)
+    return code
 
 
 def _export_one(
@@ -92,8 +89,21 @@ def _export_one(
     out: Path,
     library: Path | None,
     choices: ExportChoices,
-) -> list[Path]:
-    """The files of one source."""
+) -> tuple[list[Path], list[str]]:
+    """The files of one source, and what is wrong with those that are not written."""
+    try:
+        return _written(source, forms, out, library, choices)
+    except (DeviceError, HostError) as error:
+        return [], [str(error)]
+
+
+def _written(
+    source: str,
+    forms: tuple[ExportFormat, ...],
+    out: Path,
+    library: Path | None,
+    choices: ExportChoices,
+) -> tuple[list[Path], list[str]]:
     place, scan = Path(source), None
     if os.sep not in source and not _is_surface(place):
         shelf = Library(library or default_library())
@@ -102,10 +112,10 @@ def _export_one(
             place = shelf.newest_result(scan)
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
     of_surface = tuple(form for form in forms if form not in raw)
-    written = _export_surface(place, of_surface, out, choices) if of_surface else []
+    written, refused = _export_surface(place, of_surface, out, choices) if of_surface else ([], [])
     if scan:
         written += [export_raw(scan, form, out, overwrite=choices.overwrite) for form in raw]
-    return written
+    return written, refused
 
 
 def _export_surface(
@@ -113,16 +123,23 @@ def _export_surface(
     forms: tuple[ExportFormat, ...],
     out: Path,
     choices: ExportChoices,
-) -> list[Path]:
+) -> tuple[list[Path], list[str]]:
     # Pillow and the writers are loaded here, so that other commands start without them.
     from host_sync.export.source_surface import read_surface
-    from host_sync.export.surface_export import SurfaceFormat, export_surface
+    from host_sync.export.surface_export import SurfaceFormat, export_surface, without_refused
     from host_sync.export.tmd import read_tmd
 
     if "dng" in forms:
         raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")
     surface = read_surface(place) if place.is_dir() else read_tmd(place)
-    return list(export_surface(surface, cast(tuple[SurfaceFormat, ...], forms), out, choices))
+    wanted = cast(tuple[SurfaceFormat, ...], forms)
+    try:
+        return list(export_surface(surface, wanted, out, choices)), []
+    except ExportError:
+        possible, refused = without_refused(surface, wanted, choices)
+        if not possible or not refused:
+            raise
+    return list(export_surface(surface, possible, out, choices)), refused
 
 
 def _is_surface(place: Path) -> bool:

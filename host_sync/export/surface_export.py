@@ -82,6 +82,30 @@ def export_surface(
     return tuple(files)
 
 
+def without_refused(
+    surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: ExportChoices
+) -> tuple[tuple[SurfaceFormat, ...], list[str]]:
+    """The formats that can hold the surface, and a sentence for each other reason to refuse one.
+
+    Raises
+    ------
+    ExportError
+        The line of the profile is not on the surface: that is for the user to correct.
+    """
+    possible: list[SurfaceFormat] = []
+    refused: dict[str, list[str]] = {}
+    for form in dict.fromkeys(forms):
+        try:
+            _writers(surface, (form,), choices)
+        except ExportError as error:
+            if form == "csv":
+                raise
+            refused.setdefault(str(error), []).append(form)
+        else:
+            possible.append(form)
+    return tuple(possible), [f"{', '.join(names)}: {words}" for words, names in refused.items()]
+
+
 def file_stem(name: str) -> str:
     """A portable file name: letters, digits and a few signs, not hidden, without folders."""
     kept = "".join(letter if letter.isalnum() or letter in PERMITTED else "_" for letter in name)

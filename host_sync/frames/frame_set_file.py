@@ -22,13 +22,16 @@ MAX_LIGHTS: Final = 8
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 _DEVICE: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
+NO_CONTROLS: Final = r"^[^\0-\x1f]+$"
+"""A path with a control character was written with backslashes, which begin an escape in TOML."""
+
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 # msgspec reads memory that is not its own where a fixed tuple and a bounded number are alternatives.
 PixelPitch = Length | Annotated[tuple[Length, ...], msgspec.Meta(min_length=2, max_length=2)]
 Tolerance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Height = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
-ImagePath = Annotated[str, msgspec.Meta(pattern=r"^[^\0]+$")]
+ImagePath = Annotated[str, msgspec.Meta(pattern=NO_CONTROLS)]
 ImageNames = ImagePath | Annotated[tuple[ImagePath, ...], msgspec.Meta(min_length=1, max_length=MAX_LIGHTS)]
 """An RGB image, or one grey image a light; three are read as R, G, B."""
 
@@ -129,9 +132,11 @@ def _decode(path: Path) -> FileTable:
     except msgspec.ValidationError as error:
         problem = explain_validation(error)
         accepted = "; accepted: 'linear', 'srgb'" if problem.startswith("encoding: ") else ""
+        if table := re.fullmatch(r"(press|scan|light): is a table; .*", problem):
+            accepted = f": write [[{table[1]}]]"
         raise FrameSetError(f"{path}: {problem}{accepted}") from error
     except msgspec.DecodeError as error:
-        raise FrameSetError(f"{path}: {error}: name a frameset.toml") from error
+        raise FrameSetError(f"{path}: {error}") from error
 
 
 def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:
@@ -144,7 +149,7 @@ def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:
         if not names_a_folder(scan.name) or scan.name.casefold() == CALIBRATION_FOLDER:
             raise FrameSetError(
                 f"{path}: scan[{i}].name: {scan.name!r} cannot name a result folder: "
-                f"use letters, digits, hyphens and dots, and not {CALIBRATION_FOLDER!r}"
+                f"use letters, digits, spaces and . ( ) + - _ between them, and not {CALIBRATION_FOLDER!r}"
             )
         if scan.name.casefold() in seen:
             raise FrameSetError(f"{path}: scan[{i}].name: {scan.name!r} is used twice: give each scan its own name")

@@ -6,9 +6,9 @@ import pytest
 from hal.decoding import decode_json, decode_toml
 
 NOT_TEXT = {
-    "a picture": (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "it is not text in UTF-8"),
-    "UTF-16": ('name = "x"'.encode("utf-16"), "it is not text in UTF-8"),
-    "Latin-1": (b'{"name": "\xb5"}', "it is not text in UTF-8"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "it is not text in UTF-8: save it as UTF-8"),
+    "UTF-16": ('name = "x"'.encode("utf-16"), "it is text in UTF-16: save it as UTF-8"),
+    "Latin-1": (b'{"name": "\xb5"}', "it is not text in UTF-8: save it as UTF-8"),
     "zeros": (bytes(100), "it is not text"),
     "too deep": (b"a = " + b"[" * 5000, "its tables are nested too deeply"),
 }

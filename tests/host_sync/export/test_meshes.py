@@ -155,11 +155,11 @@ def test_a_large_field_is_refused_with_the_step_that_is_enough(
 ) -> None:
     folder = write_result(np.zeros((1500, 2000), np.float32))
     out = tmp_path / "out"
-    assert main(["export", str(folder), "--to", "gsf", "stl", "--out", str(out)]) == 2
+    assert main(["export", str(folder), "--to", "gsf", "stl", "--out", str(out)]) == 1
     said = capsys.readouterr().err
     assert "6 million triangles" in said
     assert "--mesh-step 2" in said
-    assert not out.exists()
+    assert [path.name for path in out.iterdir()] == ["part-7.gsf"]
     assert main(["export", str(folder), "--to", "stl", "--out", str(out), "--mesh-step", "2"]) == 0
     assert (out / "part-7.stl").stat().st_size == 84 + 50 * 2 * 749 * 999
 
@@ -205,3 +205,18 @@ def test_a_base_without_a_thickness_is_refused(
     assert main(["export", str(result), "--to", "stl", "--out", out, "--base-mm", base_mm]) == 2
     assert "a base is up to" in capsys.readouterr().err
     assert not list((tmp_path / "out").glob("*"))
+
+
+def test_other_formats_are_written_where_the_mesh_is_too_large(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("host_sync.export.mesh.MAX_VERTICES", 100)
+    out = tmp_path / "out"
+    assert main(["export", str(result), "--to", "gsf", "x3p", "glb", "stl", "--out", str(out)]) == 1
+    assert sorted(path.name for path in out.iterdir()) == ["part-7.gsf", "part-7.x3p"]
+    said = capsys.readouterr()
+    assert said.out.split() == [str(out / "part-7.gsf"), str(out / "part-7.x3p")]
+    (line,) = said.err.splitlines()
+    assert line.startswith("retrosync: glb, stl: ")
+    assert "--mesh-step" in line
+    assert main(["export", str(result), "--to", "glb", "--out", str(out)]) == 2

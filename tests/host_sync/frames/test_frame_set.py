@@ -321,3 +321,23 @@ def test_the_camera_stands_where_the_file_says(write: Write) -> None:
     assert load_frame_set(write(GOOD)).pupil_height_mm is None
     with pytest.raises(FrameSetError, match="pupil_height_mm"):
         load_frame_set(write(stated.replace("160", "-160")))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("10.0", "20,0", "line 3, pixel_pitch_um = 20,0: write a decimal point"),
+        ('"scan.png"', '"presses\\p0.png"', 'line 13, image = "presses\\p0.png": write / in paths'),
+        ('"scan.png"', '"scans\\new.png"', "scan[0].image"),  # \n is an escape
+        ("[[scan]]", "[scan]", "scan: is a table; accepted is a list: write [[scan]]"),
+    ],
+)
+def test_a_slip_in_the_file_is_named_with_its_mend(write: Write, old: str, new: str, words: str) -> None:
+    message = refused(write(GOOD.replace(old, new, 1)))
+    assert words in message
+    assert "name a frameset.toml" not in message
+
+
+def test_a_frame_set_in_utf_16_is_named(tmp_path: Path) -> None:
+    (tmp_path / "frameset.toml").write_text(GOOD, encoding="utf-16")
+    assert "is text in UTF-16: save it as UTF-8" in refused(tmp_path / "frameset.toml")

@@ -1,0 +1,71 @@
+"""Slips in TOML that people make are named by their line, with what to write there."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from hal.decoding import decode_toml
+
+
+class Table(msgspec.Struct):
+    name: str = ""
+    pitch: float = 0.0
+    image: str = ""
+    flag: bool = False
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("pitch = 20,0", "write a decimal point"),
+        ("pitch = 20,0  # µm", "write a decimal point"),
+        ('image = "presses\\p0.png"', "write / in paths instead of \\"),
+        ("name = “bench”", "write straight quotes"),
+        ("name = „bench“", "write straight quotes"),
+        ("name = ‘bench’", "write straight quotes"),
+        ("pitch = 20.0 um", "write numbers without a unit"),
+        ("pitch = .5", "write digits on both sides of the point"),
+        ("pitch = 5.", "write digits on both sides of the point"),
+        ("flag = True", "write true or false"),
+        ("name = bench", "put texts between quotes"),
+        ('name: "bench"', "write = between a key and its value"),
+        ('name = "bench', "close the quotes"),
+        ("name =", "write a value after ="),
+        ("// a remark", "begin remarks with #"),
+        ("pitch\u00a0= 20.0", "remove a space of another kind"),
+        ("name", "write = and a value after a key"),
+    ],
+)
+def test_the_line_and_its_mend_are_said(line: str, words: str) -> None:
+    with pytest.raises(msgspec.DecodeError) as caught:
+        decode_toml(f"# a set\n{line}\n".encode(), Table)
+    message = str(caught.value)
+    assert message.startswith(f"is not TOML: line 2, {line}: ")
+    assert words in message
+    assert "\n" not in message
+
+
+def test_twice_is_said_to_be_twice() -> None:
+    with pytest.raises(msgspec.DecodeError, match="line 3, pitch = 2: this key stands twice"):
+        decode_toml(b'name = "a"\npitch = 1.0\npitch = 2\n', Table)
+    with pytest.raises(msgspec.DecodeError, match=r"line 3, \[press\]: this table stands twice: write \[\[press\]\]"):
+        decode_toml(b'[press]\nname = "a"\n[press]\nname = "b"\n', Table)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-16-le"])
+def test_text_in_utf_16_is_named(encoding: str) -> None:
+    mark = "" if encoding == "utf-16" else "\ufeff"
+    with pytest.raises(msgspec.DecodeError, match="text in UTF-16: save it as UTF-8"):
+        decode_toml((mark + 'name = "bench"\n').encode(encoding), Table)
+
+
+def test_text_of_windows_is_named() -> None:
+    with pytest.raises(msgspec.DecodeError, match="not text in UTF-8: save it as UTF-8"):
+        decode_toml('name = "Prüfling"\n'.encode("cp1252"), Table)
+
+
+def test_a_line_too_long_is_cut() -> None:
+    with pytest.raises(msgspec.DecodeError) as caught:
+        decode_toml(b"name = x" + b"y" * 500 + b"\n", Table)
+    assert len(str(caught.value)) < 200
