@@ -219,7 +219,7 @@ class BoardProfile(Table, frozen=True):
     @property
     def pupil_height_mm(self) -> float | None:
         """Height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it; None where
-        neither [camera] nor [lens] tells it."""
+        neither [camera] nor [lens] states it."""
         if self.camera.pupil_height_mm is not None or self.lens is None:
             return self.camera.pupil_height_mm
         return self.lens.pupil_height_mm(self.sensor.pixel_pitch_um)

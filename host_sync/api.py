@@ -212,7 +212,7 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = 
         The file or an image is unreadable, or the presses do not carry a calibration.
 
     >>> calibrate_frame_set("frameset.toml").facts.made_from
-    'lamps'
+    'gel-3'
     """
     from host_sync.api_arguments import as_path
     from host_sync.calibration_file.cache import CalibrationCache

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "device", "host_sync")
 
@@ -18,6 +20,10 @@ UNDER_REPLACEMENT = frozenset(
     }
 )  # fmt: skip
 """Packages that the new light model replaces: exempt until it does. Remove each with its old code; add none."""
+
+GLOSSARY = ROOT / "docs" / "glossary.md"
+AVOIDED = re.compile(r"\*\*([^*]+)\*\*")
+LETTERS = re.compile(r"[^\W\d_]+")
 
 NO_STATEMENT = re.compile(r"(What|Whether|The same|Where|Which|How)\b")
 
@@ -62,3 +68,124 @@ def test_docstrings_begin_with_a_statement() -> None:
 def test_a_docstring_without_a_statement_is_found() -> None:
     tree = ast.parse('def f():\n    """Whether it is."""\n')
     assert [NO_STATEMENT.match(text) is not None for _, text in docstrings(tree)] == [True]
+
+
+def avoided() -> list[tuple[str, ...]]:
+    """Return the words in bold of the glossary's avoid column, each as the words it consists of."""
+    found = []
+    for line in GLOSSARY.read_text(encoding="utf-8").splitlines():
+        if line.startswith("| "):
+            column = line.strip("|").split("|")[-1]
+            found += [tuple(words_of(words)) for words in AVOIDED.findall(column)]
+    return found
+
+
+def words_of(text: str) -> list[str]:
+    """Return the words of a text or an identifier: `FittedLamps` and `fitted_lamps` are both fitted, lamps."""
+    return LETTERS.findall(re.sub(r"([a-z])([A-Z])", r"\1 \2", text.replace("_", " ")).lower().strip())
+
+
+def uses(text: str, avoid: list[tuple[str, ...]]) -> list[str]:
+    """Return the avoided words that a text uses, also in the plural."""
+    words = words_of(text)
+    heads: dict[str, list[tuple[str, ...]]] = {}
+    for one in avoid:
+        heads.setdefault(one[0], []).append(one)
+        if len(one) == 1:
+            heads.setdefault(f"{one[0]}s", []).append((f"{one[0]}s",))
+    return [
+        " ".join(one)
+        for at, word in enumerate(words)
+        for one in heads.get(word, ())
+        if tuple(words[at : at + len(one)]) == one
+    ]
+
+
+def identifiers(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield line and name of what a module defines, takes and uses."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute):
+            yield node.lineno, node.attr
+
+
+def strings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield line and text of docstrings, messages and other texts of a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def names_under_replacement() -> frozenset[str]:
+    """Return the identifiers that the exempt packages use: others call them by these names until they go."""
+    return frozenset(
+        name
+        for package in UNDER_REPLACEMENT
+        for path in (ROOT / package).rglob("*.py")
+        for tree in [ast.parse(path.read_text(encoding="utf-8"))]
+        for _, name in [*identifiers(tree), *((line, alias) for line, alias in imported(tree))]
+    )
+
+
+def imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield line and name of the imports of a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.asname or alias.name
+
+
+def without_names(text: str, names: frozenset[str]) -> str:
+    """Return a text without the identifiers that it names."""
+
+    def kept(word: re.Match[str]) -> str:
+        is_identifier = not word[0].islower() or "_" in word[0]
+        return "" if word[0] in RECORD_KEYS or (word[0] in names and is_identifier) else word[0]
+
+    return re.sub(r"\w+", kept, text)
+
+
+RECORD_KEYS = frozenset({"islands"})
+"""Keys of records on disk keep the words of their schema version."""
+
+OLD_COMMANDS = frozenset({"shelf"})
+"""Old words that the programs still accept."""
+
+
+def test_the_glossary_is_read() -> None:
+    assert {("lamp",), ("taught",), ("in", "force"), ("nought",)} <= set(avoided())
+
+
+def test_an_avoided_word_is_found() -> None:
+    assert uses("FittedLamps lamp_mm, clamp", avoided()) == ["lamps", "lamp"]
+    assert uses("it is in force", avoided()) == ["in force"]
+
+
+def test_identifiers_and_texts_use_no_avoided_word() -> None:
+    avoid, old_names = avoided(), names_under_replacement()
+    found = []
+    for path in modules():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = [one for one in identifiers(tree) if one[1] not in old_names | RECORD_KEYS]
+        texts = [(line, without_names(text, old_names)) for line, text in strings(tree) if text not in OLD_COMMANDS]
+        found += [
+            f"{path.relative_to(ROOT)}:{line}: {word}" for line, text in [*names, *texts] for word in uses(text, avoid)
+        ]
+    assert found == []
+
+
+PAGES = sorted(
+    [ROOT / name for name in ("README.md", "CONTRIBUTING.md")]
+    + [path for folder in ("docs", "board") for path in (ROOT / folder).rglob("*.md") if path != GLOSSARY]
+)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_documents_use_no_avoided_word(path: Path) -> None:
+    text = re.sub(r"`[^`\n]*`|\]\([^)]*\)", "", path.read_text(encoding="utf-8"))
+    assert uses(text, avoided()) == []

@@ -16,7 +16,7 @@ MAX_AREA_MM: Final = 300.0
 """Each way: some hundreds of presses."""
 
 LEAST_MM: Final = 0.5
-"""A way is told to about as much as a hand can follow."""
+"""A way is rounded to what a hand can follow."""
 
 FIRST_PRESS: Final = "Press the area's upper left corner, then push the button."
 

@@ -21,7 +21,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 
 MAX_RESIDUAL: Final = 0.012
-"""Largest rms contradiction between the lights alone and the reference, relative; pressed skin contradicts by more."""
+"""Largest rms disagreement between the lights alone and the reference, relative; pressed skin disagrees by more."""
 
 NOISE_FLOOR: Final = 0.02
 NOISIER: Final = 6.0

@@ -53,7 +53,7 @@ class PressFigures:
 
     @property
     def light_is_right(self) -> bool:
-        """Whether contact, depth and tilt mean something: they are read from light."""
+        """Return whether contact, depth and tilt mean something: they are read from light."""
         return self.exposure >= UNDEREXPOSED and not self.lights
 
 

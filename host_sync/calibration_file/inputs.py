@@ -103,7 +103,7 @@ def key_of_set(frame_set: FrameSet) -> str:
     stored = frame_set.pixel_shape, frame_set.full_scale
     settings = (*settings, "stored", stored) if stored != (1.0, None) else settings
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
-    settings = (*settings, "lamps", frame_set.lamps_mm) if frame_set.lamps_mm else settings
+    settings = (*settings, "light places", frame_set.lamps_mm) if frame_set.lamps_mm else settings
     settings = (*settings, "pupil", frame_set.pupil_height_mm) if frame_set.pupil_height_mm else settings
     try:
         return key_of(settings, [image for spec in specs for image in spec.images])

@@ -91,7 +91,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
     for one in (calibration, *calibration.beside):
         _check_field(one)
         _check_errors(one.slope_error, one.slope_noise)
-        _check_lamps(one)
+        _check_fitted_lights(one)
         _check_viewpoint(one.viewpoint)
         _check_quadric(one)
         _check_levels(one.press_levels)
@@ -206,8 +206,8 @@ def _check_lights(calibration: Calibration) -> None:
         raise Unsound("groups of lights that do not go with its calibrations")
 
 
-def _check_lamps(calibration: Calibration) -> None:
-    """Refuse lamps that stand on no side of the skin, or a coat that no skin has."""
+def _check_fitted_lights(calibration: Calibration) -> None:
+    """Refuse lights that stand on no side of the skin, or a coat that no skin has."""
     lamps = calibration.fitted_lamps
     for model in () if lamps is None else (lamps.model, *lamps.folds):
         numbers = [value for value in asdict(model).values() if isinstance(value, float)]
@@ -217,7 +217,7 @@ def _check_lamps(calibration: Calibration) -> None:
             and (model.position[:, 2] > 0.0).all()
             and min(model.gloss_width, model.tail, model.aim) > 0.0
         ):
-            raise Unsound("lamps and a coat that no instrument has")
+            raise Unsound("lights and a coat that no instrument has")
 
 
 def _check_viewpoint(viewpoint: Viewpoint | None) -> None:
@@ -258,7 +258,7 @@ def _check_levels(levels: PressLevels | None) -> None:
     sigmas = [levels.sigma, levels.stray_sigma or 0.0]
     largest = float(np.abs([*levels.mean, *sigmas]).max())
     if len(levels.mean) != 3 or not largest < LARGEST_LEVEL or min(sigmas) < 0.0:
-        raise Unsound("levels of light that are not those of three lamps")
+        raise Unsound("levels of light that are not those of three lights")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

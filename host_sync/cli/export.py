@@ -106,10 +106,10 @@ def _written(
 ) -> tuple[list[Path], list[str]]:
     place, scan = Path(source), None
     if os.sep not in source and not _is_surface(place):
-        shelf = Library(library or default_library())
-        scan = shelf.named(source)
+        held = Library(library or default_library())
+        scan = held.named(source)
         if set(forms) - set(RAW):
-            place = shelf.newest_result(scan)
+            place = held.newest_result(scan)
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
     of_surface = tuple(form for form in forms if form not in raw)
     written, refused = _export_surface(place, of_surface, out, choices) if of_surface else ([], [])

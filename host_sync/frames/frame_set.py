@@ -155,7 +155,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         presses,
         scans,
         lights,
-        _lamps(file, path),
+        _light_places(file, path),
         file.pupil_height_mm,
         pixel_shape,
         full_scale,
@@ -227,7 +227,7 @@ def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
     return names
 
 
-def _lamps(file: FileTable, path: Path) -> tuple[tuple[float, float, float], ...]:
+def _light_places(file: FileTable, path: Path) -> tuple[tuple[float, float, float], ...]:
     """Return where the lights stand; FrameSetError where the file says it of some of them only."""
     known = tuple(light.position_mm for light in file.light if light.position_mm is not None)
     if known and len(known) != len(file.light):

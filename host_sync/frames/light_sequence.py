@@ -26,7 +26,7 @@ MIN_OWN: Final = 0.1
 """Less of its own light no channel shows."""
 
 STEP: Final = 4
-"""Every so many-th pixel tells how much of a channel's light is its own."""
+"""Step of the pixels that show how much of a channel's light is its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """Freed memory stays with the process while large fields are worked on.
 
 The C library returns every large array to the system when it is freed, and the next one costs as much time as a pass
-over it, for the system clears each page. A 12-megapixel scan frees a hundred fields. Only the GNU C library can be told
+over it, for the system clears each page. A 12-megapixel scan frees a hundred fields. Only the GNU C library can be set
 to keep them; with another one nothing changes.
 """
 

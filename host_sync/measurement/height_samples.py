@@ -119,7 +119,7 @@ SEED: Final = 25178
 UNLIKE_BALLS_SHARE: Final = 0.02
 """Of heights on surfaces that no ball is like: steps, grooves, planes and waves over 10 px are 0.2, 0.3, 0.4 and 0.7 %
 off in the mean on four rendered sensors, at worst 0.4, 0.9, 0.8 and 1.9 % on one of them (docs/accuracy.md); what an
-instrument of your own does, a certified step tells."""
+instrument of your own does, a certified step shows."""
 
 NOISE_DRAWS: Final = 4
 """How often pixel noise is added once more to see what it does to a number: it is an average over many pixels."""

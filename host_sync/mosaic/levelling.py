@@ -29,7 +29,7 @@ MIN_SIGMA_UM: Final = 1e-3
 ROUNDS: Final = 6
 TUKEY: Final = 4.685
 GAUGE: Final = 3
-"""Height and two tilts of the whole, which no difference tells."""
+"""Height and two tilts of the whole, which no difference shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +145,7 @@ def _tukey(off: Float64Array) -> Float64Array:
 
 
 def _inverse(normal: Float64Array) -> Float64Array:
-    """Inverse without the directions that no difference tells."""
+    """Inverse without the directions that no difference shows."""
     values, vectors = np.linalg.eigh(normal)
     told = values > 1e-9 * max(float(values[-1]), 1e-30)
     told[: min(GAUGE, len(told))] = False

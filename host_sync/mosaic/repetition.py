@@ -1,6 +1,6 @@
 """Reliefs that repeat themselves: presses of a ruler or a grating agree as well one period further.
 
-Loops cannot tell, as places that are wrong by whole periods agree with each other. A press tells by its own slopes:
+Loops cannot tell, as places that are wrong by whole periods agree with each other. A press shows it by its own slopes:
 they agree with themselves at a distance, and less on the way there (along an edge or a groove they agree all the way).
 """
 

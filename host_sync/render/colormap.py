@@ -1,4 +1,4 @@
-"""Colormaps of heights; each is readable without colour vision, because lightness alone tells high from low."""
+"""Colormaps of heights; each is readable without colour vision, because lightness alone separates high from low."""
 
 from __future__ import annotations
 

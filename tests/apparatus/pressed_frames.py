@@ -22,7 +22,7 @@ def write_frame_set(folder: Path) -> Path:
     light *= 0.5 / light.max()
     folder.mkdir(parents=True)
     _write(folder / "flat.png", light, 0)
-    lines = [f'name = "lamps"\npixel_pitch_um = {PITCH_UM}\nencoding = "linear"\n[reference]\nimage = "flat.png"']
+    lines = [f'name = "gel-3"\npixel_pitch_um = {PITCH_UM}\nencoding = "linear"\n[reference]\nimage = "flat.png"']
     for number, (column, row) in enumerate([*PLACES, (0.4, 0.45)]):
         ball = Ball(column * SHAPE[1], row * SHAPE[0], 0.6 * RADIUS_PX, RADIUS_PX)
         intensity = lamps.intensity(press_px(ball, APEX_PX))

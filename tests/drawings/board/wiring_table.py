@@ -20,9 +20,9 @@ def _lines(wiring: Wiring) -> Iterator[str]:
     yield f"![Drawing]({wiring.board}.svg)"
     yield ""
     yield (
-        f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too, for whoever lays "
-        "out a circuit board. A test runs electrical rules on it: one driver a net, no floating pin, pulls, levels, "
-        "currents, heat."
+        f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too, for anyone who "
+        "lays out a circuit board. A test runs electrical rules on it: one driver a net, no floating pin, pulls, "
+        "levels, currents, heat."
     )
     yield ""
     yield "| header pin | is | goes to | note |"

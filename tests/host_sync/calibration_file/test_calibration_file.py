@@ -68,7 +68,7 @@ def kept(frame_set: Path) -> KeptCalibration:
     described = load_frame_set(frame_set)
     key = key_of_set(described)
     frames = replace(frames_of_set(described), paper=True)
-    return make_calibration(frames, lambda found: facts_of(found, "lamps", key, encoding="linear"))
+    return make_calibration(frames, lambda found: facts_of(found, "gel-3", key, encoding="linear"))
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +100,9 @@ def test_commands_take_the_file_and_give_the_same_bits(
     named, found = tmp_path / "named", tmp_path / "found"
     assert main(["reconstruct", str(frame_set), "--calibration", str(file), "--out", str(named)]) == 0
     calibration_id = read_calibration_file(file).facts.calibration_id
-    assert f"calibration {calibration_id} of lamps, from {file}, made 20" in capsys.readouterr().out
+    assert f"calibration {calibration_id} of gel-3, from {file}, made 20" in capsys.readouterr().out
     assert main(["reconstruct", str(frame_set), "--out", str(found)]) == 0
-    assert f"calibration {calibration_id} of lamps, made 20" in capsys.readouterr().out
+    assert f"calibration {calibration_id} of gel-3, made 20" in capsys.readouterr().out
     for name in FIELDS:
         assert (named / "ball" / name).read_bytes() == (found / "ball" / name).read_bytes()
     assert (found / "calibration" / "report.json").read_bytes() == read_calibration_file(file).report["report.json"]
