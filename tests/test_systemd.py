@@ -16,7 +16,7 @@ from device.cli.commands import COMMANDS
 from device.cli.service import BROKEN_WAIT_S
 
 PROGRAM = "/usr/local/bin/retroscan"
-UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service", "retrograph-pairing.service")
+UNPRIVILEGED = (*INSTRUMENTS, "retrograph-power.service")
 MAX_EXPOSED = 25
 """Of `systemd-analyze security`, in tenths: what no service may exceed. There are no exceptions."""
 
@@ -37,7 +37,7 @@ def test_an_instrument_is_watched_and_ends_dark(unit: str) -> None:
     said = settings(unit)
     assert said["Type"] == ["notify"]
     assert 20 <= int(said["WatchdogSec"][0]) <= 120
-    assert shlex.split(said["ExecStart"][0])[-1] in {"run", "tui"}
+    assert {"run", "tui"} & set(shlex.split(said["ExecStart"][0]))
     assert "--board ${RETROSCAN_BOARD}" in said["ExecStart"][0]
     assert shlex.split(said["ExecStopPost"][0])[-1] == "lights-off"
     assert said["User"] == ["retroscan"]
@@ -114,8 +114,8 @@ def test_devices_are_named_as_the_kernel_names_them() -> None:
 
 
 def test_who_opens_the_pairing_window_can_be_reached() -> None:
-    """By a held button, on the screen, or by its own unit: in a network of its own nobody would ever call."""
-    for unit in (*INSTRUMENTS, "retrograph-pairing.service"):
+    """By a held button or on the screen: in a network of its own nobody would ever call."""
+    for unit in INSTRUMENTS:
         said = settings(unit)
         assert {"PrivateNetwork", "IPAddressDeny"} & said.keys() == set()
         assert "AF_INET" in said["RestrictAddressFamilies"][0].split()
@@ -135,7 +135,7 @@ def test_every_command_of_the_units_is_one_of_the_program() -> None:
     lines = [line for path in unit_files() for line in path.read_text(encoding="utf-8").splitlines()]
     commands = [shlex.split(line) for line in lines if line.startswith("Exec") and PROGRAM in line]
     asked = {next(word for word in reversed(words) if not word.startswith("-")) for words in commands}
-    assert asked >= {"run", "lights-off", "pair", "guard-battery"}
+    assert asked >= {"run", "lights-off", "guard-battery"}
     assert asked <= known
 
 

@@ -71,7 +71,7 @@ COMMANDS: Final = (
     Command(
         "pair",
         "device.cli.pairing:pair",
-        "Show a code for two minutes; a workstation that has it may fetch scans.",
+        "Let a workstation pair within two minutes; it shows the same code as this device.",
         ("retroscan pair", "retroscan pair --card /media/card"),
     ),
     Command(

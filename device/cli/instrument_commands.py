@@ -145,11 +145,19 @@ def scan_once(
     return 0
 
 
-def run(*, labels: Labels | None = None, ball_radius_mm: LengthMm = BALL_RADIUS_MM, options: Given) -> int:
+def run(
+    *,
+    labels: Labels | None = None,
+    ball_radius_mm: LengthMm = BALL_RADIUS_MM,
+    pair_when_new: bool = False,
+    options: Given,
+) -> int:
     """Scan at every press of the button, without a screen.
 
     Parameters
     ----------
+    pair_when_new
+        Open the pairing window at the start if no workstation was ever paired.
     ball_radius_mm
         Radius of the calibration ball, mm.
     """
@@ -162,6 +170,8 @@ def run(*, labels: Labels | None = None, ball_radius_mm: LengthMm = BALL_RADIUS_
         with Instrument(hardware, store, ball_radius_mm=ball_radius_mm) as instrument:
             if (given := annotations_of(labels)) != Annotations():
                 instrument.set_sticky(given)
+            if pair_when_new:
+                instrument.open_pairing_when_new()
             report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
             try:
                 run_headless(instrument, print_line, print_error, lambda: _goes_on(report, instrument))

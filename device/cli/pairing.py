@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import select
+import sys
+from typing import Final
+
 from device.cli.console import Given, Port, open_store, print_line
 from device.command_line import Folder
+from device.errors import PairingRefused
 from device.pairing.card import leave_device_card, take_host_cards
 from device.pairing.exchange import PAIRING_PORT
 from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize
-from device.pairing_service.service import OFFLOAD_USER, PairingSetup, how_to_call, open_pairing_window
+from device.pairing_service.service import OFFLOAD_USER, PairingSetup, describe_code, how_to_call, open_pairing_window
+from device.pairing_service.window import PairingWindow
 from device.store.inbox import InboxItem
 from device.store.store import BundleStore
 from hal.clock import SystemClock
+
+POLL_S: Final = 0.2
 
 
 def import_inbox(store: BundleStore) -> list[InboxItem]:
@@ -31,7 +39,7 @@ def pair(
     card: Folder | None = None,
     options: Given,
 ) -> int:
-    """Show a code for two minutes; a workstation that has it may fetch scans.
+    """Let a workstation pair within two minutes; it shows the same code as this device.
 
     Parameters
     ----------
@@ -46,7 +54,7 @@ def pair(
     host_key
         sshd's public key.
     card
-        Exchange keys through this memory card instead of a code.
+        Exchange keys through this memory card instead of the network.
     """
     store = open_store(options)
     setup = PairingSetup(port, ssh_port, user, host_key, keys)
@@ -59,8 +67,27 @@ def pair(
         return 0
     with open_pairing_window(store, SystemClock(), setup) as window:
         print_line(how_to_call(window, setup, store))
+        _confirm_codes(window)
         print_line(f"Paired with {window.wait().name}.")
     return 0
+
+
+def _confirm_codes(window: PairingWindow) -> None:
+    """Print each code, and confirm it when its digits are typed, until the window is closed."""
+    printed = None
+    while window.outcome is None:
+        shown = window.shown
+        if shown is not None and shown is not printed:
+            print_line(describe_code(shown, "type the code here"))
+        printed = shown
+        if select.select([sys.stdin], [], [], POLL_S)[0]:
+            line = sys.stdin.readline()
+            if not line:
+                raise PairingRefused("nobody can confirm a code here: run this in a terminal, or hold the button")
+            if shown is not None and "".join(line.split()) == "".join(shown.code.split()):
+                window.confirm(shown.code)
+            else:
+                print_line("That is not the code: nothing is confirmed.")
 
 
 def import_pushed(*, activate: bool = False, options: Given) -> int:

@@ -70,21 +70,34 @@ class LongPressHandler:
 
     Parameters
     ----------
-    open_pairing : called after the first
+    open_pairing : called after the first, and after each one while a code waits for its confirmation
+    confirms : True while such a code is shown
     calibrate : called after the second
     """
 
     def __init__(
-        self, states: StateStore, clock: Clock, open_pairing: Callable[[], None], calibrate: Callable[[], None]
+        self,
+        states: StateStore,
+        clock: Clock,
+        open_pairing: Callable[[], None],
+        calibrate: Callable[[], None],
+        confirms: Callable[[], bool],
     ) -> None:
         self._states = states
         self._clock = clock
         self._open_pairing = open_pairing
         self._calibrate = calibrate
+        self._confirms = confirms
         self._before_ns: int | None = None
 
     def on_long_press(self) -> None:
-        """Report the instrument's status and open the pairing window; soon after another one, calibrate."""
+        """Report the instrument's status and open the pairing window; soon after another one, calibrate.
+
+        While a code is shown, confirm it.
+        """
+        if self._confirms():
+            self._open_pairing()
+            return
         now_ns, before_ns = self._clock.monotonic_ns(), self._before_ns
         if before_ns is not None and now_ns - before_ns <= AGAIN_S * 1e9:
             self._before_ns = None

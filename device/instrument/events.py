@@ -117,7 +117,7 @@ class SelfTested:
 
 @dataclass(frozen=True, slots=True)
 class PairingChanged:
-    """The pairing window opened, paired a workstation, or closed."""
+    """The pairing window opened, shows a code, paired a workstation, or closed."""
 
     sentence: str
     is_open: bool

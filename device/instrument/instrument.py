@@ -264,8 +264,12 @@ class Instrument:
         self._worker.enqueue(lambda worker: worker.read_levels(on))
 
     def open_pairing(self) -> None:
-        """Open the pairing window for two minutes: `PairingChanged`, and the code in the state."""
+        """Open the pairing window for two minutes, or confirm the code in the state: `PairingChanged`."""
         self._worker.enqueue(InstrumentWorker.open_pairing)
+
+    def open_pairing_when_new(self) -> None:
+        """Open the pairing window if no workstation was ever paired."""
+        self._worker.enqueue(InstrumentWorker.open_pairing_when_new)
 
     def power_off(self) -> None:
         """Finish running work, switch the lights off and report `PowerOffRequested`."""

@@ -6,15 +6,24 @@ import os
 import socket
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from device.errors import DeviceError, RecordError
 from device.instrument.events import Failed, PairingChanged
 from device.instrument.state import PairingState, StateStore
-from device.pairing_service.authorized_keys import read_host_key
-from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
+from device.pairing_service.authorized_keys import has_keys, read_host_key
+from device.pairing_service.service import (
+    PairingSetup,
+    describe_code,
+    fingerprint_of,
+    how_to_call,
+    open_pairing_window,
+)
 from device.pairing_service.window import PairingWindow
 from device.store.store import BundleStore
 from hal.interfaces import Clock
+
+HOW_TO_CONFIRM: Final = "hold the button for 2 s"
 
 
 class PairingRun:
@@ -26,34 +35,58 @@ class PairingRun:
         self._clock = clock
         self._setup = setup
         self._window: PairingWindow | None = None
+        self._how_to_call = self._code = ""
 
     def open(self) -> bool:
-        """Open the window and return whether it is open; `PairingChanged` reports the outcome."""
+        """Open the window, or confirm the code that it shows; returns whether it has just been opened.
+
+        `PairingChanged` reports each code and the outcome.
+        """
         if self._window:
-            return True
+            self._window.confirm(self._code)
+            return False
         try:
             window = open_pairing_window(self._store, self._clock, self._setup)
-            sentence = how_to_call(window, self._setup, self._store)
+            self._how_to_call = how_to_call(window, self._setup, self._store)
         except DeviceError as error:
             self._states.update(sentence=str(error))
             self._states.publish(Failed(str(error)))
             return False
         self._window = window
-        until_ns = self._clock.monotonic_ns() + round(window.seconds_left * 1e9)
-        self._report(PairingState(window.code, until_ns, sentence, is_open=True))
+        self._report_window(window)
         return True
 
+    def open_when_new(self) -> bool:
+        """Open the window of a device that was never paired; returns whether it has just been opened."""
+        return not self._window and not has_keys(self._setup.authorized_keys(self._store)) and self.open()
+
+    @property
+    def shows_code(self) -> bool:
+        """True while a code waits for its confirmation."""
+        return bool(self._code)
+
     def step(self) -> None:
-        """Check whether a workstation was paired or the time is over."""
-        if self._window and (outcome := self._window.outcome):
-            self._window = None
+        """Report a new code, a paired workstation, or the end of the time."""
+        if self._window is None:
+            return
+        if outcome := self._window.outcome:
+            self._window, self._code = None, ""
             self._report(PairingState("", 0, outcome.sentence, is_open=False))
+        elif (self._window.shown.code if self._window.shown else "") != self._code:
+            self._report_window(self._window)
 
     def close(self) -> None:
         """Close the window."""
         if self._window:
             self._window.close()
             self.step()
+
+    def _report_window(self, window: PairingWindow) -> None:
+        shown = window.shown
+        self._code = shown.code if shown else ""
+        sentence = describe_code(shown, HOW_TO_CONFIRM) if shown else self._how_to_call
+        until_ns = self._clock.monotonic_ns() + round(window.seconds_left * 1e9)
+        self._report(PairingState(self._code, until_ns, sentence, is_open=True))
 
     def _report(self, state: PairingState) -> None:
         self._states.update(pairing=state)

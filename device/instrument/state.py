@@ -192,8 +192,8 @@ class NextLight:
 
 @dataclass(frozen=True, slots=True)
 class PairingState:
-    """The pairing window: the code to type on the workstation and its end (ns of the instrument's clock), or how it
-    ended."""
+    """The pairing window: the code to compare with the workstation's, empty while none calls, and its end (ns of the
+    instrument's clock), or how it ended."""
 
     code: str
     open_until_ns: int

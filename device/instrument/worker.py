@@ -91,7 +91,8 @@ class InstrumentWorker:
         self._focus = focus_figure_of(states, self._live, hardware.clock)
         self._levels = skin_levels_of(states, self._live, hardware.clock)
         calibrate = partial(self.start_calibration, ball_radius_mm, by_button=True)
-        self._long_presses = LongPressHandler(states, hardware.clock, self.open_pairing, calibrate)
+        pair, has_code = self.open_pairing, lambda: pairing.shows_code
+        self._long_presses = LongPressHandler(states, hardware.clock, pair, calibrate, has_code)
         self._run: CalibrationRun | BalanceRun | None = None
         self._is_open = self._redirects_long = self._redirects_short = False
         self._polled_ns: int | None = None
@@ -263,8 +264,13 @@ class InstrumentWorker:
             self._levels.stop()
 
     def open_pairing(self) -> None:
-        """Open the pairing window."""
+        """Open the pairing window, or confirm the code that it shows."""
         if self._pairing.open():
+            show(self.hardware, "pairing")
+
+    def open_pairing_when_new(self) -> None:
+        """Open the pairing window of a device that was never paired."""
+        if self._pairing.open_when_new():
             show(self.hardware, "pairing")
 
     def _execute_commands(self) -> None:

@@ -26,8 +26,12 @@ class PairingChannel:
 
     def __init__(self, connection: socket.socket, within_s: float) -> None:
         self._connection = connection
-        self._end_s = time.monotonic() + within_s
         self._unread = b""
+        self.limit(within_s)
+
+    def limit(self, within_s: float) -> None:
+        """Give the rest of the conversation a new time limit, s."""
+        self._end_s = time.monotonic() + within_s
 
     def send(self, record: Record) -> None:
         """Send one record."""

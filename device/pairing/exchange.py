@@ -1,28 +1,30 @@
-"""Pairing: both sides prove a one-time code to each other by CPace, and so authenticate each other's card.
+"""Pairing: both sides show a short code made from both cards, and so from both SSH keys; a person compares the codes.
 
-Each side sends its share and its card, then its confirmation. Both cards are part of what the key is derived from.
+This is numeric comparison, as Bluetooth pairs two screens: the workstation commits to a random number, the device sends
+its own, the workstation opens the commitment, and the code is a hash of both cards and both numbers. Someone in between
+must fix what each side hashes before the last number is known, so each code that a person compares is one guess in
+10**6. Nothing here is secret; SSH itself proves at every connection that a side holds the key on its card.
 """
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import secrets
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, Final
 
 import msgspec
 
 from device.bundles.record import BundleId, Record
-from device.errors import RecordError
-from device.pairing.cpace import Message, WeakShare, generator, session_key, tag
-from device.pairing.x25519 import KEY_BYTES, x25519
 
-CODE_DIGITS: Final = 8
+CODE_DIGITS: Final = 6
 PAIRING_PORT: Final = 8022
 MAX_MESSAGE_BYTES: Final = 8192
-CHANNEL: Final = b"retrograph pairing 2"
+_CONTEXT: Final = "retrograph pairing 3"
 
-ShareHex = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}(?!\n)$")]
-TagHex = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{128}(?!\n)$")]
+Hash = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}(?!\n)$")]
+"""32 bytes in hex: a random number, or a hash."""
+
 SshPublicKey = Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9@.-]{4,60} [A-Za-z0-9+/]{32,1200}={0,2}(?!\n)$")]
 """Kind and key as OpenSSH writes them, no options and no comment."""
 
@@ -43,73 +45,51 @@ class DeviceCard(Record, frozen=True, tag_field="schema", tag="retrograph.pair-d
     host_key: SshPublicKey
 
 
-class Share(Record, frozen=True, tag_field="schema", tag="retrograph.pair-share/2"):
-    """The first message of each side: its share, in hex, and its card."""
+class Call(Record, frozen=True, tag_field="schema", tag="retrograph.pair-call/3"):
+    """The workstation's first message: its card, and its commitment to a number."""
 
-    share: ShareHex
-    card: HostCard | DeviceCard
-
-
-class Confirmation(Record, frozen=True, tag_field="schema", tag="retrograph.pair-confirmation/2"):
-    """Proof that its sender has the key, so the code: first the workstation's, then the device's."""
-
-    tag: TagHex
+    card: HostCard
+    commitment: Hash
 
 
-CardT = TypeVar("CardT", HostCard, DeviceCard)
+class Answer(Record, frozen=True, tag_field="schema", tag="retrograph.pair-answer/3"):
+    """The device's message: its card and its number."""
+
+    card: DeviceCard
+    number: Hash
 
 
-def draw_code() -> str:
-    """A new one-time code: digits that a person reads from a screen and types."""
-    return f"{secrets.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}d}"
+class Opening(Record, frozen=True, tag_field="schema", tag="retrograph.pair-opening/3"):
+    """The workstation's second message: the number of its commitment."""
+
+    number: Hash
 
 
-class Exchange:
-    """One side of one conversation: the workstation's, which begins, or the device's.
+class Accepted(Record, frozen=True, tag_field="schema", tag="retrograph.pair-accepted/3"):
+    """The device's last message: its button confirmed the code, and the workstation's key is installed."""
 
-    Parameters
-    ----------
-    code : the one-time code; blanks are ignored
-    card : this side's; its kind says which side this is
-    """
 
-    def __init__(self, code: str, card: HostCard | DeviceCard) -> None:
-        self._secret = secrets.token_bytes(KEY_BYTES)
-        share = x25519(self._secret, generator("".join(code.split()).encode(), CHANNEL))
-        self._card = card
-        self._own = Message(share, msgspec.json.encode(card))
-        self._other = Message(b"", b"")
-        self._key = b""
+def draw_number() -> str:
+    """Return a new random number for one conversation."""
+    return secrets.token_hex(32)
 
-    @property
-    def share(self) -> Share:
-        """The first message to the other side."""
-        return Share(share=self._own.share.hex(), card=self._card)
 
-    def meet(self, other: Share, kind: type[CardT]) -> CardT:
-        """Derive the shared key from the other side's share; returns its card, which is not confirmed yet.
+def commitment_to(card: HostCard, number: str) -> str:
+    """Return the hash by which a workstation commits to its card and its number."""
+    return _hash(card, number)
 
-        Raises
-        ------
-        RecordError
-            No honest other side sends this share or this card.
-        """
-        if not isinstance(other.card, kind) or isinstance(self._card, kind):
-            raise RecordError("pairing: the other side sent the wrong side's card: start again")
-        self._other = Message(bytes.fromhex(other.share), msgspec.json.encode(other.card))
-        begun = isinstance(self._card, HostCard)
-        initiator, responder = (self._own, self._other) if begun else (self._other, self._own)
-        try:
-            self._key = session_key(self._secret, self._other.share, initiator, responder)
-        except WeakShare as error:
-            raise RecordError("pairing: the other side sent an invalid share: start again") from error
-        return other.card
 
-    @property
-    def confirmation(self) -> Confirmation:
-        """This side's proof that it knows the code."""
-        return Confirmation(tag=tag(self._key, self._own).hex())
+def opens(call: Call, opening: Opening) -> bool:
+    """Return whether the number is the one that the workstation committed to."""
+    return hmac.compare_digest(call.commitment, commitment_to(call.card, opening.number))
 
-    def is_confirmed(self, theirs: Confirmation) -> bool:
-        """Return whether the other side knows the code, and both have seen the same shares and cards."""
-        return bool(self._key) and hmac.compare_digest(tag(self._key, self._other).hex(), theirs.tag)
+
+def code_of(host: HostCard, device: DeviceCard, host_number: str, device_number: str) -> str:
+    """Return the code that both screens show, in two halves, such as "042 917"."""
+    number = int(_hash(host, device, host_number, device_number), 16) % 10**CODE_DIGITS
+    digits = f"{number:0{CODE_DIGITS}d}"
+    return f"{digits[: CODE_DIGITS // 2]} {digits[CODE_DIGITS // 2 :]}"
+
+
+def _hash(*parts: Record | str) -> str:
+    return hashlib.sha256(msgspec.json.encode((_CONTEXT, *parts))).hexdigest()

@@ -35,6 +35,16 @@ def authorize(path: Path, host: HostCard) -> None:
         raise StoreError(f"{path}: the workstation's key cannot be stored {reason}") from error
 
 
+def has_keys(path: Path) -> bool:
+    """Return whether any workstation was ever paired: the file of keys is there and not empty."""
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise StoreError(f"{path}: the workstations' keys cannot be read {explain_os_error(error)}") from error
+
+
 def read_host_key(path: Path) -> str:
     """sshd's public key: type and key without the comment.
 

@@ -16,7 +16,7 @@ import msgspec
 from device.errors import PairingRefused, RecordError
 from device.pairing.exchange import PAIRING_PORT, DeviceCard
 from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize, read_host_key
-from device.pairing_service.window import WINDOW_S, PairingWindow
+from device.pairing_service.window import WINDOW_S, PairingWindow, ShownCode
 from device.store.store import BundleStore
 from hal.interfaces import Clock
 from hal.validation import explain_validation
@@ -68,7 +68,7 @@ class PairingSetup:
 def open_pairing_window(
     store: BundleStore, clock: Clock, setup: PairingSetup | None = None, window_s: float = WINDOW_S
 ) -> PairingWindow:
-    """Open the window; show its code, and close it when the screen is left.
+    """Open the window; show the codes of its callers, and close it when the screen is left.
 
     Raises
     ------
@@ -89,13 +89,18 @@ def fingerprint_of(public_key: str) -> str:
 
 
 def how_to_call(window: PairingWindow, setup: PairingSetup, store: BundleStore) -> str:
-    """Lines for a screen: the code, the command for the workstation, and the device's id and key."""
+    """Lines for a screen: the command for the workstation, and the device's id and key."""
     port = "" if setup.port == PAIRING_PORT else f" --port {setup.port}"
     return (
-        f"Code {window.code_to_show}, for {window.seconds_left:.0f} s.\n"
+        f"Pairing is open for {window.seconds_left:.0f} s.\n"
         f"On the workstation: retrosync pair {os.uname().nodename}.local{port}\n"
         f"This device: {store.device_id}, key {fingerprint_of(setup.card(store).host_key)}"
     )
+
+
+def describe_code(shown: ShownCode, how_to_confirm: str) -> str:
+    """Return the line for a screen that shows a code."""
+    return f"Code {shown.code} for {shown.host.name}: if it shows the same code, {how_to_confirm}."
 
 
 def _listening(port: int) -> socket.socket:

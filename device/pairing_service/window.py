@@ -1,7 +1,8 @@
-"""The pairing window: a workstation may pair for two minutes, until three wrong codes; then nothing listens.
+"""The pairing window: for two minutes a workstation may call, and a person confirms its code; then nothing listens.
 
 It runs in threads of its own, so that a screen or a button's loop only polls it. Several callers are served at once,
-and silent ones make room: a caller that only connects cannot keep the right code out.
+and silent ones make room: a caller that only connects keeps nobody out. One code is shown at a time, and the third one
+that nobody confirms closes the window.
 """
 
 from __future__ import annotations
@@ -18,28 +19,40 @@ from typing import Final
 
 from device.errors import DeviceError, PairingRefused, RecordError
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import CODE_DIGITS, Confirmation, DeviceCard, Exchange, HostCard, Share, draw_code
+from device.pairing.exchange import Accepted, Answer, Call, DeviceCard, HostCard, Opening, code_of, draw_number, opens
 from hal.interfaces import Clock
 
 WINDOW_S: Final = 120.0
-MAX_TRIES: Final = 3
+MAX_CODES: Final = 3
 MAX_CALLERS: Final = 16
 MAX_PER_ADDRESS: Final = 4
 CONVERSATION_S: Final = 10.0
+READING_S: Final = 1.0
+"""A code is confirmed after at least this time on the screen: a push that came earlier was meant for something else."""
+
 _POLL_S: Final = 0.1
-"""Interval at which the thread checks whether the time is over."""
+"""Interval at which the threads check whether the time is over."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairingOutcome:
-    """Outcome of a window: the paired workstation, or None; and a sentence for the screen."""
+    """How a window ended: the paired workstation, or None; and a sentence for the screen."""
 
     host: HostCard | None
     sentence: str
 
 
+@dataclass(frozen=True, slots=True)
+class ShownCode:
+    """A code on the screen, the workstation that called, and since when it is shown (ns of the window's clock)."""
+
+    code: str
+    host: HostCard
+    since_ns: int
+
+
 @dataclass(slots=True, eq=False)
-class _Call:
+class _Caller:
     """A connection from an address, and whether its first message has arrived."""
 
     connection: socket.socket
@@ -71,7 +84,6 @@ class PairingWindow:
         clock: Clock,
         window_s: float = WINDOW_S,
     ) -> None:
-        self.code = draw_code()
         self._listening = listening
         self._card = card
         self._authorize = authorize
@@ -79,8 +91,10 @@ class PairingWindow:
         self._end_ns = clock.monotonic_ns() + round(window_s * 1e9)
         self._ending = threading.Lock()
         self._calling = threading.Lock()
-        self._calls: list[_Call] = []
-        self._tries = 0
+        self._calls: list[_Caller] = []
+        self._codes = 0
+        self._shown: ShownCode | None = None
+        self._confirmed = False
         self._ended: PairingOutcome | None = None
         self._thread = threading.Thread(target=self._listen, name="pairing", daemon=True)
         self._thread.start()
@@ -94,10 +108,18 @@ class PairingWindow:
         self.close()
 
     @property
-    def code_to_show(self) -> str:
-        """The code in two halves, as people read it."""
-        half = CODE_DIGITS // 2
-        return f"{self.code[:half]} {self.code[half:]}"
+    def shown(self) -> ShownCode | None:
+        """The code to show now; None while no workstation waits for its confirmation."""
+        return self._shown if self.outcome is None else None
+
+    def confirm(self, code: str) -> bool:
+        """Let the workstation in whose code is that; returns False when another code, or one only now, is shown."""
+        with self._ending:
+            shown = self._shown
+            if shown is None or shown.code != code or self._ended is not None:
+                return False
+            self._confirmed = self._clock.monotonic_ns() - shown.since_ns >= READING_S * 1e9
+            return self._confirmed
 
     @property
     def seconds_left(self) -> float:
@@ -137,7 +159,7 @@ class PairingWindow:
             while self.outcome is None:
                 if select.select([self._listening], [], [], _POLL_S)[0]:
                     connection, address = self._listening.accept()
-                    call = _Call(connection, str(address[0]))
+                    call = _Caller(connection, str(address[0]))
                     if self._admit(call):
                         conversations.submit(self._serve, call)
                     else:
@@ -146,13 +168,13 @@ class PairingWindow:
                 for call in self._calls:
                     call.hang_up()
 
-    def _admit(self, call: _Call) -> bool:
+    def _admit(self, call: _Caller) -> bool:
         """Return whether there is room for a caller; callers that have said nothing yet make room, the oldest first."""
         with self._calling:
-            same = [one for one in self._calls if one.address == call.address]
+            same = [other for other in self._calls if other.address == call.address]
             for crowd, limit in ((same, MAX_PER_ADDRESS), (self._calls, MAX_CALLERS)):
                 if len(crowd) >= limit:
-                    silent = next((one for one in crowd if not one.heard), None)
+                    silent = next((other for other in crowd if not other.heard), None)
                     if silent is None:
                         return False
                     self._calls.remove(silent)
@@ -160,44 +182,58 @@ class PairingWindow:
             self._calls.append(call)
         return True
 
-    def _serve(self, call: _Call) -> None:
+    def _serve(self, call: _Caller) -> None:
         with closing(call.connection):
             self._converse(call)
         with self._calling, suppress(ValueError):
             self._calls.remove(call)
 
-    def _converse(self, call: _Call) -> None:
-        """Let the caller in if it knows the code; a wrong code counts, anything else does not."""
-        channel, exchange = PairingChannel(call.connection, CONVERSATION_S), Exchange(self.code, self._card)
+    def _converse(self, call: _Caller) -> None:
+        """Exchange cards and numbers with a caller, show the code, and wait for its confirmation."""
+        channel, number = PairingChannel(call.connection, CONVERSATION_S), draw_number()
         try:
-            host = exchange.meet(channel.receive(Share), HostCard)
+            called = channel.receive(Call)
             call.heard = True
-            channel.send(exchange.share)
-            confirmation = channel.receive(Confirmation)
+            channel.send(Answer(card=self._card, number=number))
+            opening = channel.receive(Opening)
         except RecordError:
             return
-        with self._ending:  # one at a time: no more than the allowed guesses are ever compared
-            if self._ended is not None or self._end_ns <= self._clock.monotonic_ns():
-                return
-            if exchange.is_confirmed(confirmation):
-                self._ended = self._let_in(host, channel, exchange.confirmation)
-                return
-            self._tries += 1
-            if self._tries >= MAX_TRIES:
-                sentence = f"the code was wrong {self._tries} times, and the window is closed: open it again"
+        if not opens(called, opening):
+            return
+        if self._show(code_of(called.card, self._card, opening.number, number), called.card):
+            self._await_confirmation(call.connection, channel, called.card)
+
+    def _show(self, code: str, host: HostCard) -> bool:
+        """Show a code unless another one is shown or the window is closed; returns whether it is shown."""
+        with self._ending:
+            free = self._shown is None and self._ended is None and self._end_ns > self._clock.monotonic_ns()
+            if free:
+                self._codes += 1
+                self._confirmed = False
+                self._shown = ShownCode(code, host, self._clock.monotonic_ns())
+            return free
+
+    def _await_confirmation(self, connection: socket.socket, channel: PairingChannel, host: HostCard) -> None:
+        while self.outcome is None and not self._confirmed and not select.select([connection], [], [], _POLL_S)[0]:
+            pass
+        with self._ending:
+            self._shown = None
+            if self._ended is None and self._confirmed:
+                self._ended = self._let_in(host, channel)
+            elif self._ended is None and self._codes >= MAX_CODES:
+                sentence = f"{self._codes} codes were shown and not confirmed, and the window is closed: open it again"
                 self._ended = PairingOutcome(None, sentence)
 
-    def _let_in(self, host: HostCard, channel: PairingChannel, proof: Confirmation) -> PairingOutcome:
+    def _let_in(self, host: HostCard, channel: PairingChannel) -> PairingOutcome:
         try:
             self._authorize(host)
         except DeviceError as error:
             return PairingOutcome(None, str(error))
         try:
-            channel.send(proof)
+            channel.limit(CONVERSATION_S)
+            channel.send(Accepted())
         except RecordError:
-            return PairingOutcome(
-                None, f"{host.name} disconnected before it had this device's proof: open the window again"
-            )
+            return PairingOutcome(None, f"{host.name} disconnected before it was accepted: open the window again")
         return PairingOutcome(host, f"paired with {host.name}")
 
     def _end(self, outcome: PairingOutcome) -> None:

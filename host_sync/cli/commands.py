@@ -35,7 +35,7 @@ COMMANDS: Final = (
     Command(
         "pair",
         "host_sync.cli.devices:pair_command",
-        "Pair with a device whose pairing window is open, by the code on its screen; or by files on its memory card.",
+        "Pair with a device whose pairing window is open: compare two codes; or by files on its memory card.",
         (
             "retrosync pair rg-bench.local",
             "retrosync pair rg-bench.local --card /media/card",

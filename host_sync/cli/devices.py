@@ -24,19 +24,16 @@ def pair_command(
     host: str | None = None,
     /,
     *,
-    code: str | None = None,
     card: Folder | None = None,
     port: int = PAIRING_PORT,
     replace: bool = False,
 ) -> int:
-    """Pair with a device whose pairing window is open, by the code on its screen; or by files on its memory card.
+    """Pair with a device whose pairing window is open: compare two codes; or by files on its memory card.
 
     Parameters
     ----------
     host
         The device's address.
-    code
-        The code on its screen; prompted for when not given.
     card
         Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
     port
@@ -54,7 +51,7 @@ def pair_command(
             print_line(f"This workstation's key is on {card} now: start the device with it, then run this again.")
             return DONE
     elif host:
-        device = pairing.pair_over_network(host, _checked_port(port), code or _asked_code(), own)
+        device = pairing.pair_over_network(host, _checked_port(port), own, _same_code)
     else:
         raise PairingError("name the device's address, or --card with its memory card")
     pairing.keep(devices, device, replace=replace)
@@ -62,11 +59,13 @@ def pair_command(
     return DONE
 
 
-def _asked_code() -> str:
+def _same_code(code: str) -> bool:
+    """Show our code and ask whether the device shows it, too."""
+    print_line(f"Code {code}. If the device shows the same code, confirm it there, then type yes here.")
     try:
-        return input("Code on the device's screen: ")
+        return input("Same code? [yes/no] ").strip().lower() in {"y", "yes"}
     except EOFError as error:
-        raise PairingError("no code was typed: repeat in a terminal, or give it with --code") from error
+        raise PairingError("nobody compared the codes: repeat in a terminal") from error
 
 
 def _checked_port(port: int) -> int:

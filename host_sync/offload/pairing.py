@@ -1,9 +1,10 @@
-"""The workstation's side of pairing: prove the code, give our key, store the device's."""
+"""The workstation's side of pairing: exchange cards, let a person compare the codes, store the device's key."""
 
 from __future__ import annotations
 
 import re
 import socket
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Final
@@ -13,11 +14,23 @@ import asyncssh
 from device.errors import DeviceError, RecordError
 from device.pairing.card import leave_host_card, read_device_card
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share
+from device.pairing.exchange import (
+    Accepted,
+    Answer,
+    Call,
+    DeviceCard,
+    HostCard,
+    Opening,
+    code_of,
+    commitment_to,
+    draw_number,
+)
 from host_sync.errors import HostError, PairingError, SourceError
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 
 CONVERSATION_S: Final = 10.0
+CONFIRMATION_S: Final = 120.0
+"""Time for the person who confirms the code on the device."""
 
 
 def new_private_key() -> bytes:
@@ -36,15 +49,17 @@ def own_card(devices: PairedDevices, name: str) -> HostCard:
     return HostCard(name=re.sub(r"[^A-Za-z0-9._-]", "-", name)[:64] or "workstation", public_key=f"{kind} {encoded}")
 
 
-def pair_over_network(host: str, port: int, code: str, card: HostCard) -> PairedDevice:
-    """Pair with the device that listens there; both sides have proven that they know the code.
+def pair_over_network(host: str, port: int, card: HostCard, same_code: Callable[[str], bool]) -> PairedDevice:
+    """Pair with the device that listens there.
+
+    same_code : asks the person whether the device shows that code
 
     Raises
     ------
     SourceError
         Nothing listens there.
     PairingError
-        The code is wrong, or something else answered.
+        The codes differ, the device did not accept, or something else answered.
     """
     try:
         connection = socket.create_connection((host, port), timeout=CONVERSATION_S)
@@ -52,24 +67,27 @@ def pair_over_network(host: str, port: int, code: str, card: HostCard) -> Paired
         raise SourceError(
             f"{host}:{port}: no device waits there for pairing ({error}): open its window and check the address"
         ) from error
-    exchange = Exchange(code, card)
+    number = draw_number()
     with closing(connection):
         channel = PairingChannel(connection, CONVERSATION_S)
         try:
-            channel.send(exchange.share)
-            device = exchange.meet(channel.receive(Share), DeviceCard)
+            channel.send(Call(card=card, commitment=commitment_to(card, number)))
+            answer = channel.receive(Answer)
+            channel.send(Opening(number=number))
         except RecordError as error:
             raise PairingError(
                 f"{host}: was not paired, the device is busy with other callers or did not answer ({error}): repeat"
             ) from error
+        if not same_code(code_of(card, answer.card, number, answer.number)):
+            raise PairingError(f"{host}: was not paired: if the codes differ, something else answers in its place")
+        channel.limit(CONFIRMATION_S)
         try:
-            channel.send(exchange.confirmation)
-            confirmation = channel.receive(Confirmation)
+            channel.receive(Accepted)
         except RecordError as error:
-            raise PairingError(f"{host}: was not paired, the code may be wrong ({error})") from error
-    if not exchange.is_confirmed(confirmation):
-        raise PairingError(f"{host}: does not know the code: something else answers in the device's place")
-    return _paired(device, host)
+            raise PairingError(
+                f"{host}: was not paired, the code was not confirmed on the device ({error}): repeat"
+            ) from error
+    return _paired(answer.card, host)
 
 
 def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedDevice | None:

@@ -20,7 +20,7 @@ from virtual_machine import LONG_S, PAIRING, SSH, Answer, GuestError, free_port
 
 QEMU = "qemu-system-aarch64"
 MEMORY_MIB = 1536
-UNITS = ("retroscan", "retrograph-first-boot", "retrograph-root", "retrograph-pairing")
+UNITS = ("retroscan", "retrograph-first-boot", "retrograph-root")
 PATIENCE = "[Service]\nTimeoutStartSec=900\nTimeoutStopSec=300\nWatchdogSec=0\n"
 """For units that allow a board's processor a minute; given by the command line, so that the card is as it was built."""
 DEVICES_S = 900

@@ -9,7 +9,10 @@ import pytest
 from unit_files import settings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-UNPAIRED = "retrograph: no workstation was ever paired: the pairing code follows on the console\n"
+UNPAIRED = (
+    "retrograph: no workstation was ever paired: "
+    "the instrument opens the pairing window and shows codes on the console\n"
+)
 needs_ssh = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
 
 
@@ -48,7 +51,7 @@ def test_a_code_is_not_written_across_the_screen_of_a_panel(fresh: Path, run: Ru
     enabled.parent.mkdir(parents=True)
     enabled.symlink_to("/etc/systemd/system/retroscan-tui.service")
     said = run("systemd/first-boot", RETROSCAN_BOARD="twin").stdout
-    assert "Set-up on the screen shows a pairing code" in said
+    assert "Set-up on the screen opens the pairing window" in said
     assert UNPAIRED not in said
 
 

@@ -23,14 +23,14 @@ with atheris.instrument_imports(include=["device", "host_sync", "tifffile", "num
     from device.bundles.scan import decode_scan
     from device.errors import DeviceError
     from device.inverse_map.npz import read_model
-    from device.pairing.exchange import Confirmation, DeviceCard, HostCard, Share
+    from device.pairing.exchange import Answer, Call, DeviceCard, HostCard, Opening
     from device.store.active import ActiveCalibration
     from device.store.device_id import DeviceState
     from host_sync.errors import HostError
     from host_sync.offload.paired_devices import PairedDevice, SyncState
 
 GOLDEN = Path(__file__).parent.parent.parent / "tests" / "golden"
-SMALL = (ActiveCalibration, DeviceState, Receipt, Share, Confirmation, HostCard, DeviceCard, PairedDevice, SyncState)
+SMALL = (ActiveCalibration, DeviceState, Receipt, Call, Answer, Opening, HostCard, DeviceCard, PairedDevice, SyncState)
 SHAPE = (90, 120)
 SEEDED = {0: "scan.json", 1: "calibration.json", 2: "*.tif", 3: "*.npz", 4: "*.json"}
 """Golden files with which each reader starts; the first byte of an input selects the reader."""

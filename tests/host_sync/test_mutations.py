@@ -25,7 +25,7 @@ from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
 from device.inverse_map.model import InverseMap
 from device.inverse_map.npz import read_model
-from device.pairing.exchange import Confirmation, DeviceCard, HostCard, Share
+from device.pairing.exchange import Answer, Call, DeviceCard, HostCard, Opening
 from device.store.active import ActiveCalibration
 from device.store.device_id import DeviceState
 from device.store.store import BundleStore
@@ -47,8 +47,9 @@ SMALL_RECORDS = (
     ActiveCalibration,
     DeviceState,
     Receipt,
-    Share,
-    Confirmation,
+    Call,
+    Answer,
+    Opening,
     HostCard,
     DeviceCard,
     PairedDevice,

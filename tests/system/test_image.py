@@ -15,9 +15,10 @@ from pathlib import Path
 import image_build
 import pytest
 from image_layout import Sizes
+from paired_guest import pair_with
 from virtual_board import Stage
 from virtual_card import VirtualCard
-from virtual_machine import PAIRING, SSH
+from virtual_machine import SSH
 
 from device.bundles.scan import read_scan
 
@@ -86,17 +87,10 @@ def test_it_scans_with_the_twin_by_name_and_is_pulled_from(
         said = card.run(f"{TWIN} scan </dev/null", 3000.0)
     taken = re.search(r"^good: .* \(([\w-]+)\)$", said, re.MULTILINE)
     assert taken, said
-    opened = card.run("systemctl stop retrograph-pairing; date +%s; systemctl start retrograph-pairing").strip()
-    shown = (
-        f"journalctl -u retrograph-pairing --since @{opened} -o cat --no-pager | grep -oE 'Code [0-9]{{4}} [0-9]{{4}}'"
-    )
-    code = re.sub(r"\D", "", card.wait_for(shown))
-    paired = retrosync("pair", "127.0.0.1", "--port", str(card.ports[PAIRING]), "--code", code)
-    device = re.search(r"Paired with (\S+) at", paired)
-    assert device, paired
+    device = pair_with(card, TREE)
     library = tmp_path / "library"
     with stage("image: pull over SFTP"):
-        retrosync("pull", device[1], "--at", f"127.0.0.1:{card.ports[SSH]}", "--library", str(library), *PATIENCE)
+        retrosync("pull", device, "--at", f"127.0.0.1:{card.ports[SSH]}", "--library", str(library), *PATIENCE)
     assert {path.name for path in (library / "scans").iterdir()} == {taken[1]}
     read_scan(library / "scans" / taken[1]).verify()
 

@@ -12,8 +12,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from paired_guest import pair_with
 from virtual_board import INSTALL, PATIENCE, PROGRAM, PUSHING, PWM_ALL, SHARES, STATUS, Board, register, replug
-from virtual_machine import PAIRING, SSH
+from virtual_machine import SSH
 
 from device.bundles.scan import read_scan
 
@@ -99,18 +100,9 @@ def test_a_press_becomes_a_scan_bundle(board: Board) -> None:
 def test_a_workstation_pairs_and_pulls(board: Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ports, library = board.machine.ports, tmp_path / "library"
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    opened = board.machine.run(
-        "systemctl stop retrograph-pairing; date +%s; systemctl start retrograph-pairing"
-    ).strip()
-    shown = (
-        f"journalctl -u retrograph-pairing --since @{opened} -o cat --no-pager | grep -oE 'Code [0-9]{{4}} [0-9]{{4}}'"
-    )
-    code = board.machine.wait_for(shown).strip().removeprefix("Code ").replace(" ", "")
     with board.stage("pair"):
-        paired = retrosync("pair", "127.0.0.1", "--port", str(ports[PAIRING]), "--code", code)
-    device = re.search(r"Paired with (\S+) at", paired)
-    assert device, paired
-    pull = ("pull", device[1], "--at", f"127.0.0.1:{ports[SSH]}", "--library", str(library))
+        device = pair_with(board.machine, TREE)
+    pull = ("pull", device, "--at", f"127.0.0.1:{ports[SSH]}", "--library", str(library))
     with board.stage("pull over SFTP"):
         retrosync(*pull)
     pulled = {path.name for path in (library / "scans").iterdir()}

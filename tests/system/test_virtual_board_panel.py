@@ -59,7 +59,7 @@ def test_a_boot_ends_on_the_screen(panel: Board) -> None:
     assert {"Scan", "Calibrate", "Scans"} <= set(machine.run(SCREEN).split())
     assert machine.run("systemctl show -P NRestarts retroscan-tui").strip() == "0"
     assert re.match("ready: room for|no scans yet: no calibration", status(panel))
-    for other in ("retroscan", "getty@tty1", "retrograph-pairing"):
+    for other in ("retroscan", "getty@tty1"):
         assert machine.ask(f"systemctl is-active {other}").code != 0, other
     owner = "ps -o tty= -o user:20= -p $(systemctl show -P MainPID retroscan-tui)"
     assert machine.run(owner).split() == ["tty1", "retroscan"]

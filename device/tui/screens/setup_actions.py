@@ -40,7 +40,8 @@ SETUP_ACTIONS: Final = (
     SetupAction(
         "pair",
         "Pair",
-        "A paired workstation may fetch scans.\nEnter shows a code for two minutes; type it on the workstation.",
+        "A paired workstation may fetch scans.\nEnter opens a window for two minutes; "
+        "the workstation and this screen then show a code to compare.",
     ),
     SetupAction(
         "test",

@@ -1,5 +1,6 @@
 """The instrument without a front end, on the twin in virtual time: presses, refusals, calibration, gel, history."""
 
+import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -24,6 +25,8 @@ from device.instrument.events import (
     ZeroChecked,
 )
 from device.instrument.instrument import Instrument
+from device.pairing.channel import PairingChannel
+from device.pairing.exchange import Accepted, Answer, Call, HostCard, Opening, code_of, commitment_to, draw_number
 from device.pairing_service.service import PairingSetup
 from device.store.gels import make_gel, mount_gel
 from device.store.store import BundleStore
@@ -329,11 +332,46 @@ def test_the_pairing_window_opens_on_a_long_push_and_closes(
         assert opened.is_open
         assert bench.cues[-1][1] == "pairing"
         assert instrument.state.pairing is not None
-        assert instrument.state.pairing.code in opened.sentence.replace(" ", "")
+        assert "retrosync pair" in opened.sentence
         bench.clock.sleep(121.0)
         assert not only(events_of(instrument, 1), PairingChanged).is_open
         assert instrument.network().key_fingerprint.startswith("SHA256:")
     assert calibrated.scans().bundles == ()
+
+
+def test_a_held_button_confirms_the_code_that_is_shown_and_calibrates_nothing(
+    hardware: Hardware, calibrated: BundleStore, bench: SimulatedScene, tmp_path: Path
+) -> None:
+    key = tmp_path / "host_key.pub"
+    key.write_text("ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIJ5mZ2Vuc2VsYmFyZXJzY2hsdWVzc2VsMDEyMzQ1 root@handheld\n")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    host = HostCard(name="bench", public_key="ssh-ed25519 " + "A" * 68)
+    number = draw_number()
+    with Instrument(hardware, calibrated, pairing=PairingSetup(port, host_key=key, keys=tmp_path)) as instrument:
+        instrument.open_pairing_when_new()
+        events_of(instrument, 1)
+        with socket.create_connection(("127.0.0.1", port)) as connection:
+            channel = PairingChannel(connection, 10.0)
+            channel.send(Call(card=host, commitment=commitment_to(host, number)))
+            answer = channel.receive(Answer)
+            channel.send(Opening(number=number))
+            while not (instrument.state.pairing and instrument.state.pairing.code):
+                instrument.step()
+            code = code_of(host, answer.card, number, answer.number)
+            assert instrument.state.pairing.code == code
+            assert f"Code {code} for bench" in instrument.state.pairing.sentence
+            push(bench, held_s=2.5)
+            events = []
+            while instrument.state.pairing.is_open:
+                instrument.step()
+                events += instrument.take_events()
+            channel.receive(Accepted)
+        assert instrument.state.pairing.sentence == "paired with bench"
+        instrument.open_pairing_when_new()
+        assert not any(isinstance(event, (CalibrationStep, ScanFinished)) for event in events)
+        assert events_of(instrument, 5) == [] or not instrument.state.pairing.is_open
+    assert (tmp_path / "authorized_keys").read_text() == f"restrict {host.public_key} bench\n"
 
 
 def test_the_calibrations_age_grows_while_the_instrument_is_on(instrument: Instrument, hardware: Hardware) -> None:

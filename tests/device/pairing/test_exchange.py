@@ -1,82 +1,54 @@
-"""Pairing's exchange: the same code confirms both sides, any other code and any meddling does not."""
+"""Pairing's exchange: both sides hash the same cards and numbers to one code, and any change gives another."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from device.bundles.record import decode_record
 from device.errors import RecordError
-from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share, draw_code
+from device.pairing.exchange import Call, DeviceCard, HostCard, Opening, code_of, commitment_to, draw_number, opens
 
 KEY = "ssh-ed25519 " + "A" * 68
 HOST = HostCard(name="bench", public_key=KEY)
 DEVICE = DeviceCard(device_id="rg1", user="retrosync", port=22, host_key=KEY)
+ONE, TWO = "1" * 64, "2" * 64
 
 
-def met(code: str, other_code: str) -> tuple[Exchange, Exchange]:
-    host, device = Exchange(code, HOST), Exchange(other_code, DEVICE)
-    assert host.meet(device.share, DeviceCard) == DEVICE
-    assert device.meet(host.share, HostCard) == HOST
-    return host, device
+def test_the_code_is_made_from_every_part_of_both_cards_and_both_numbers() -> None:
+    other_key = KEY[:-1] + "B"
+    codes = {
+        code_of(HOST, DEVICE, ONE, TWO),
+        code_of(msgspec.structs.replace(HOST, public_key=other_key), DEVICE, ONE, TWO),
+        code_of(msgspec.structs.replace(HOST, name="other"), DEVICE, ONE, TWO),
+        code_of(HOST, msgspec.structs.replace(DEVICE, host_key=other_key), ONE, TWO),
+        code_of(HOST, msgspec.structs.replace(DEVICE, device_id="rg2"), ONE, TWO),
+        code_of(HOST, msgspec.structs.replace(DEVICE, user="other"), ONE, TWO),
+        code_of(HOST, msgspec.structs.replace(DEVICE, port=2222), ONE, TWO),
+        code_of(HOST, DEVICE, TWO, ONE),
+        code_of(HOST, DEVICE, ONE, ONE),
+    }
+    assert len(codes) == 9
+    assert code_of(HOST, DEVICE, ONE, TWO) in codes
 
 
-def test_both_sides_confirm_each_other_with_the_same_code_only() -> None:
-    host, device = met("1234 5678", "12345678")
-    assert device.is_confirmed(host.confirmation)
-    assert host.is_confirmed(device.confirmation)
-    host, device = met("12345678", "12345679")
-    assert not device.is_confirmed(host.confirmation)
-    assert not host.is_confirmed(device.confirmation)
+def test_a_commitment_opens_to_its_own_card_and_number_only() -> None:
+    call = Call(card=HOST, commitment=commitment_to(HOST, ONE))
+    assert opens(call, Opening(number=ONE))
+    assert not opens(call, Opening(number=TWO))
+    for changed in ({"public_key": KEY[:-1] + "B"}, {"name": "other"}):
+        assert not opens(Call(card=msgspec.structs.replace(HOST, **changed), commitment=call.commitment), Opening(ONE))
 
 
-def test_no_part_of_a_message_can_be_changed() -> None:
-    other = Exchange("1", HOST).share
-    for changed in (
-        {"card": msgspec.structs.replace(HOST, public_key=KEY[:-1] + "B")},
-        {"card": msgspec.structs.replace(HOST, name="other")},
-        {"share": other.share},
-    ):
-        host, device = Exchange("1", HOST), Exchange("1", DEVICE)
-        device.meet(msgspec.structs.replace(host.share, **changed), HostCard)
-        host.meet(device.share, DeviceCard)
-        assert not device.is_confirmed(host.confirmation)
-        assert not host.is_confirmed(device.confirmation)
-
-
-def test_a_confirmation_serves_once_and_not_for_its_sender() -> None:
-    host, device = met("1", "1")
-    said = host.confirmation
-    assert not host.is_confirmed(said)
-    assert not met("1", "1")[1].is_confirmed(said)
-    for bit in range(0, 512, 37):
-        flipped = (int(said.tag, 16) ^ (1 << bit)).to_bytes(64, "big").hex()
-        assert not device.is_confirmed(Confirmation(tag=flipped))
-
-
-def test_before_the_other_has_spoken_nothing_is_confirmed() -> None:
-    device = Exchange("1", DEVICE)
-    assert not device.is_confirmed(Exchange("1", DEVICE).confirmation)
-
-
-@pytest.mark.parametrize("share", ["00" * 32, "01" + "00" * 31, "ec" + "ff" * 30 + "7f", "ed" + "ff" * 30 + "7f"])
-def test_shares_that_would_give_the_key_away_are_refused(share: str) -> None:
-    with pytest.raises(RecordError, match="an invalid share"):
-        Exchange("1", DEVICE).meet(Share(share=share, card=HOST), HostCard)
-
-
-def test_a_side_does_not_meet_its_own_kind() -> None:
-    device = Exchange("1", DEVICE)
-    with pytest.raises(RecordError, match="wrong side's card"):
-        device.meet(device.share, HostCard)
-    with pytest.raises(RecordError, match="wrong side's card"):
-        device.meet(Exchange("1", DEVICE).share, DeviceCard)
-
-
-def test_codes_are_digits_and_differ() -> None:
-    codes = {draw_code() for _ in range(50)}
-    assert len(codes) > 45
-    assert all(len(code) == 8 and code.isdecimal() for code in codes)
+def test_codes_are_six_digits_in_two_halves_and_spread_evenly() -> None:
+    codes = [code_of(HOST, DEVICE, draw_number(), draw_number()) for _ in range(2000)]
+    assert all(len(code) == 7 and code[3] == " " and code.replace(" ", "").isdecimal() for code in codes)
+    assert len(set(codes)) > 1980
+    first = [sum(code[0] == digit for code in codes) for digit in "0123456789"]
+    assert min(first) > 130
+    assert max(first) < 270
 
 
 @pytest.mark.parametrize("key", ['command="sh" ' + KEY, KEY + "\nssh-ed25519 evil", KEY + " comment", "ssh-ed25519"])
@@ -84,3 +56,9 @@ def test_a_key_is_a_key_and_nothing_more(key: str) -> None:
     data = msgspec.json.encode(msgspec.structs.replace(HOST, public_key=key))
     with pytest.raises(RecordError, match="public_key"):
         decode_record(data, HostCard, "pairing")
+
+
+def test_no_code_of_the_product_computes_on_curves_or_primes() -> None:
+    """SSH's libraries hold all the cryptography; here only hashes are compared."""
+    for path in Path("device").rglob("*.py"):
+        assert "2**255" not in path.read_text(encoding="utf-8"), path

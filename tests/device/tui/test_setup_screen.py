@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+from device.instrument.state import PairingState
+from device.tui.screens.panels import pairing_panel
+
 Stage = Any
 
 ACTIONS = (
@@ -90,7 +93,7 @@ def test_the_exposure_is_shown_balanced_and_given_up(play: Callable[..., None], 
 def test_pairing_without_an_ssh_server_says_what_to_install(play: Callable[..., None], root: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await _choose(stage, "pair")
-        assert "Enter shows a code for two minutes;" in stage.text()
+        assert "Enter opens a window for two minutes;" in stage.text()
         await stage.press("enter")
         await stage.live()
         assert "openssh-server" in stage.text()
@@ -98,17 +101,23 @@ def test_pairing_without_an_ssh_server_says_what_to_install(play: Callable[..., 
     play(scenario, root)
 
 
-def test_pairing_shows_a_code_to_type(play: Callable[..., None], root: Path, host_key: Path) -> None:
+def test_pairing_shows_the_command_for_the_workstation(play: Callable[..., None], root: Path, host_key: Path) -> None:
     async def scenario(stage: Stage) -> None:
         await _choose(stage, "pair")
         await stage.press("enter")
         await stage.live()
-        code = stage.instrument.state.pairing.code
-        assert f"Code {' '.join(code[:4])} {' '.join(code[4:])}" in stage.text()
+        assert "Code" not in _panel(stage)
         assert f"retrosync pair {os.uname().nodename}.local" in " ".join(stage.text().split())
         assert "SHA256:" in stage.text()
 
     play(scenario, root, host_key=host_key)
+
+
+def test_the_code_of_a_calling_workstation_is_drawn_in_large() -> None:
+    text = pairing_panel(PairingState("042 917", 60 * 10**9, "", is_open=True), None, 0, 60)
+    assert "Code    0 4 2   9 1 7" in text
+    assert "Enter, or the button held for 2 s, lets the workstation in" in " ".join(text.split())
+    assert "60 s left" in text
 
 
 def test_the_self_test_lists_findings_and_blames_the_right_part(play: Callable[..., None], root: Path) -> None:

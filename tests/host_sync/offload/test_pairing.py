@@ -6,9 +6,8 @@ import dataclasses
 import io
 import socket
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,10 @@ import pytest
 from device.errors import PairingRefused, RecordError
 from device.pairing.card import leave_device_card, take_host_cards
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share
+from device.pairing.exchange import Accepted, Answer, Call, DeviceCard, Opening, commitment_to, draw_number
 from device.pairing_service.authorized_keys import authorize, read_host_key
 from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
-from device.pairing_service.window import PairingWindow
+from device.pairing_service.window import READING_S, PairingWindow
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main
@@ -51,12 +50,30 @@ def window(card: DeviceCard, keys: Path, clock: VirtualClock | None = None) -> I
         yield listening.getsockname()[1], opened
 
 
+def compare(opened: PairingWindow) -> Callable[[str], bool]:
+    """A person who confirms the code on the device and on the workstation when both show the same."""
+
+    def same_code(code: str) -> bool:
+        while opened.shown is None and opened.outcome is None:
+            pass
+        if opened.shown is None or opened.shown.code != code:
+            return False
+        opened._clock.sleep(READING_S)
+        return opened.confirm(code)
+
+    return same_code
+
+
+def agree(_code: str) -> bool:
+    return True
+
+
 def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     keys = tmp_path / "pairing" / "authorized_keys"
     own = pairing.own_card(devices, "my bench!")
     with window(device_card, keys) as (port, opened):
         assert (opened.outcome, opened.seconds_left) == (None, 120.0)
-        device = pairing.pair_over_network("127.0.0.1", port, opened.code_to_show, own)
+        device = pairing.pair_over_network("127.0.0.1", port, own, compare(opened))
         pairing.keep(devices, device, replace=False)
         assert opened.wait().public_key == own.public_key
     assert opened.outcome is not None
@@ -69,7 +86,13 @@ def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: 
         "127.0.0.1",
     )
     with pytest.raises(SourceError, match="no device waits there"):
-        pairing.pair_over_network("127.0.0.1", port, "12345678", own)
+        pairing.pair_over_network("127.0.0.1", port, own, agree)
+
+
+def opened_code(opened: PairingWindow) -> str:
+    while opened.shown is None:
+        pass
+    return opened.shown.code
 
 
 def test_after_pairing_and_not_before_scans_can_be_fetched(
@@ -83,26 +106,71 @@ def test_after_pairing_and_not_before_scans_can_be_fetched(
     card = DeviceCard(device_id=store.device_id, user=server.device().user, port=server.port, host_key=server.host_key)
     assert main(["pull", store.device_id, *library]) == 2
     with window(card, keys) as (port, opened):
-        assert main(["pair", "127.0.0.1", "--port", str(port), "--code", opened.code]) == 0
+        monkeypatch.setattr("builtins.input", lambda _: "yes" if compare(opened)(opened_code(opened)) else "no")
+        assert main(["pair", "127.0.0.1", "--port", str(port)]) == 0
     assert main(["pull", store.device_id, *library]) == 0
     keys.unlink()
     assert main(["pull", store.device_id, *library]) == 3
 
 
-def test_three_wrong_codes_close_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+def test_three_codes_that_nobody_confirms_close_the_window(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
     keys = tmp_path / "authorized_keys"
     own = pairing.own_card(devices, "bench")
     with window(device_card, keys) as (port, opened):
-        wrong = "".join(str(9 - int(digit)) for digit in opened.code)
         with socket.create_connection(("127.0.0.1", port)) as nonsense:
             nonsense.sendall(b"GET / HTTP/1.1\r\n\r\n")
-        for _ in range(3):
-            with pytest.raises(PairingError, match="the code may be wrong"):
-                pairing.pair_over_network("127.0.0.1", port, wrong, own)
-        with pytest.raises(PairingRefused, match="wrong 3 times"):
+        for number in range(3):
+
+            def differs(_code: str) -> bool:
+                shown = opened_code(opened)
+                wrong = "".join(str(9 - int(digit)) if digit.isdecimal() else digit for digit in shown)
+                opened._clock.sleep(READING_S)
+                assert not opened.confirm(wrong)
+                return False
+
+            with pytest.raises(PairingError, match="if the codes differ, something else answers"):
+                pairing.pair_over_network("127.0.0.1", port, own, differs)
+            while opened.shown is not None:
+                pass
+            assert (opened.outcome is None) == (number < 2)
+        with pytest.raises(PairingRefused, match="3 codes were shown and not confirmed"):
             opened.wait()
     assert not keys.exists()
     assert devices.all() == []
+
+
+def test_a_push_that_came_before_the_code_could_be_read_confirms_nothing(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    own, confirmed = pairing.own_card(devices, "bench"), []
+    with window(device_card, tmp_path / "keys") as (port, opened):
+
+        def hasty(code: str) -> bool:
+            opened_code(opened)
+            confirmed.append(opened.confirm(code))
+            opened._clock.sleep(READING_S)
+            confirmed.append(opened.confirm(code))
+            return True
+
+        pairing.pair_over_network("127.0.0.1", port, own, hasty)
+    assert confirmed == [False, True]
+
+
+def test_what_is_confirmed_here_alone_is_paired_nowhere(
+    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
+) -> None:
+    own = pairing.own_card(devices, "bench")
+    with window(device_card, tmp_path / "keys") as (port, opened):
+
+        def closes(_code: str) -> bool:
+            opened.close()
+            return True
+
+        with pytest.raises(PairingError, match="was not confirmed on the device"):
+            pairing.pair_over_network("127.0.0.1", port, own, closes)
+    assert not (tmp_path / "keys").exists()
 
 
 def test_callers_who_say_nothing_keep_nobody_out(
@@ -111,33 +179,32 @@ def test_callers_who_say_nothing_keep_nobody_out(
     with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
         for _ in range(50):
             stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-        device = pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+        device = pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), compare(opened))
     assert device.device_id == device_card.device_id
 
 
-def test_guesses_side_by_side_are_no_more_than_three(
-    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
-) -> None:
-    """All conversations reach the last step before the first sends its proof; the right code comes fourth."""
+def test_one_code_is_shown_at_a_time(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
+    """All conversations reach the last step before the first is confirmed; the others are turned away."""
     own = pairing.own_card(devices, "bench")
     with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
-        wrong = "".join(str(9 - int(digit)) for digit in opened.code)
         talks = []
-        for code in (wrong, wrong, wrong, opened.code):
+        for _ in range(3):
             call = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-            channel, exchange = PairingChannel(call, 10.0), Exchange(code, own)
-            channel.send(exchange.share)
-            exchange.meet(channel.receive(Share), DeviceCard)
-            talks.append((channel, exchange))
-        for channel, exchange in talks[:3]:
-            channel.send(exchange.confirmation)
+            channel, number = PairingChannel(call, 10.0), draw_number()
+            channel.send(Call(card=own, commitment=commitment_to(own, number)))
+            channel.receive(Answer)
+            talks.append((channel, number))
+        talks[0][0].send(Opening(number=talks[0][1]))
+        code = opened_code(opened)
+        for channel, number in talks[1:]:
+            channel.send(Opening(number=number))
             with pytest.raises(RecordError):
-                channel.receive(Confirmation)
-        with suppress(RecordError):
-            talks[3][0].send(talks[3][1].confirmation)
-        with pytest.raises(PairingRefused, match="wrong 3 times"):
-            opened.wait()
-    assert not (tmp_path / "keys").exists()
+                channel.receive(Accepted)
+        assert opened_code(opened) == code
+        opened._clock.sleep(READING_S)
+        assert opened.confirm(code)
+        talks[0][0].receive(Accepted)
+        assert opened.wait() == own
 
 
 def test_nobody_coming_closes_the_window(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
@@ -151,7 +218,7 @@ def test_nobody_coming_closes_the_window(devices: PairedDevices, device_card: De
         with pytest.raises(PairingRefused, match="no workstation came"):
             opened.wait()
         with pytest.raises(SourceError, match="no device waits there"):
-            pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+            pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), agree)
     assert not (tmp_path / "keys").exists()
 
 
@@ -163,15 +230,13 @@ def test_a_window_that_is_closed_lets_nobody_in(
         window(device_card, tmp_path / "keys") as (port, opened),
         socket.create_connection(("127.0.0.1", port)) as call,
     ):
-        channel, exchange = PairingChannel(call, 10.0), Exchange(opened.code, own)
-        channel.send(exchange.share)
-        exchange.meet(channel.receive(Share), DeviceCard)
-        closing = threading.Thread(target=opened.close)
-        closing.start()
-        while opened.outcome is None:
-            pass
-        channel.send(exchange.confirmation)
-        closing.join()
+        channel, number = PairingChannel(call, 10.0), draw_number()
+        channel.send(Call(card=own, commitment=commitment_to(own, number)))
+        channel.receive(Answer)
+        channel.send(Opening(number=number))
+        code = opened_code(opened)
+        opened.close()
+        assert not opened.confirm(code)
         assert opened.outcome.sentence == "the window was closed: open it again"
     assert not (tmp_path / "keys").exists()
 
@@ -182,7 +247,7 @@ def test_a_key_that_cannot_be_stored_is_told_on_the_screen(
     (tmp_path / "keys").mkdir()
     with window(device_card, tmp_path / "keys") as (port, opened):
         with pytest.raises(PairingError):
-            pairing.pair_over_network("127.0.0.1", port, opened.code, pairing.own_card(devices, "bench"))
+            pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), compare(opened))
         with pytest.raises(PairingRefused, match="key cannot be stored"):
             opened.wait()
 
@@ -196,36 +261,14 @@ def test_a_device_opens_its_window_by_one_call(store: BundleStore, devices: Pair
             open_pairing_window(store, VirtualClock(), setup)
     with open_pairing_window(store, VirtualClock(), setup) as opened:
         told = how_to_call(opened, setup, store)
-        assert opened.code_to_show in told
         assert f"--port {setup.port}" in told
         assert f"{store.device_id}, key {fingerprint_of(own.public_key)}" in told
-        device = pairing.pair_over_network("127.0.0.1", setup.port, opened.code, own)
+        device = pairing.pair_over_network("127.0.0.1", setup.port, own, compare(opened))
     assert (device.device_id, device.user, device.port) == (store.device_id, "retrosync", 2222)
     assert own.public_key in (tmp_path / "keys" / "authorized_keys").read_text()
     for wrong in ({"ssh_port": 0}, {"user": "no user"}):
         with pytest.raises(RecordError, match="name another"):
             dataclasses.replace(setup, **wrong).card(store)  # type: ignore[arg-type]
-
-
-def test_an_impostor_without_the_code_is_found_out(
-    devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
-) -> None:
-    listening = socket.create_server(("127.0.0.1", 0))
-
-    def pose() -> None:
-        connection, _ = listening.accept()
-        with connection, listening:
-            channel, exchange = PairingChannel(connection, 10.0), Exchange("99999999", device_card)
-            exchange.meet(channel.receive(Share), HostCard)
-            channel.send(exchange.share)
-            channel.receive(Confirmation)
-            channel.send(exchange.confirmation)
-
-    thread = threading.Thread(target=pose)
-    thread.start()
-    with pytest.raises(PairingError, match="something else answers"):
-        pairing.pair_over_network("127.0.0.1", listening.getsockname()[1], "1", pairing.own_card(devices, "bench"))
-    thread.join()
 
 
 def test_a_memory_card_pairs_a_device_without_a_screen(
@@ -298,16 +341,21 @@ def test_what_is_no_address(text: str) -> None:
         Address.parse(text)
 
 
-def test_a_code_that_nobody_types_and_a_port_that_is_none_are_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+def test_codes_that_nobody_compares_and_a_port_that_is_none_are_explained(
+    devices: PairedDevices,
+    device_card: DeviceCard,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    assert main(["pair", "localhost"]) == 2
-    assert main(["pair", "localhost", "--port", "99999", "--code", "1"]) == 2
+    with window(device_card, tmp_path / "keys") as (port, _):
+        assert main(["pair", "127.0.0.1", "--port", str(port)]) == 2
+    assert main(["pair", "localhost", "--port", "99999"]) == 2
     assert main(["pull", "a" * 5000, "--library", str(tmp_path / "library")]) == 2
     said = capsys.readouterr().err
-    assert "no code was typed" in said
+    assert "nobody compared the codes" in said
     assert "99999: is no port" in said
     assert "matches none of the paired devices" in said
 

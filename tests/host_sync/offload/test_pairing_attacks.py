@@ -1,4 +1,4 @@
-"""Whoever sits between device and workstation, or has recorded them, gets neither's trust: trials on the whole path."""
+"""Between device and workstation, or after them: nobody is trusted whose code a person did not see on both screens."""
 
 from __future__ import annotations
 
@@ -16,20 +16,32 @@ import pytest
 
 from device.errors import RecordError
 from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Confirmation, DeviceCard, Exchange, HostCard, Share
+from device.pairing.exchange import (
+    Accepted,
+    Answer,
+    Call,
+    DeviceCard,
+    HostCard,
+    Opening,
+    code_of,
+    commitment_to,
+    draw_number,
+)
 from device.pairing_service.authorized_keys import authorize
-from device.pairing_service.window import PairingWindow
+from device.pairing_service.window import READING_S, PairingWindow
 from hal.clock import VirtualClock
 from host_sync.errors import HostError
 from host_sync.offload import pairing
 from host_sync.offload.paired_devices import PairedDevice
 
 Change = Callable[[bytes, "Middle"], bytes | None]
-CODE = "20261122"
 
 
 def new_key() -> str:
     return " ".join(asyncssh.generate_private_key("ssh-ed25519").export_public_key().decode().split()[:2])
+
+
+EVIL = new_key()
 
 
 @dataclass
@@ -65,27 +77,40 @@ class Middle:
 
 @dataclass
 class Scene:
-    """A device's window, a workstation, and who is allowed in afterwards."""
+    """A device's window, a workstation, and one careful person who compares both screens."""
 
     keys: Path
     host: HostCard
     device: DeviceCard
+    compared: list[tuple[str, str]] = field(default_factory=list)
+    """What the workstation and the device showed at each comparison."""
 
     @contextmanager
     def window(self) -> Iterator[tuple[tuple[str, int], PairingWindow]]:
         listening = socket.create_server(("127.0.0.1", 0))
         with PairingWindow(listening, self.device, lambda one: authorize(self.keys, one), VirtualClock()) as opened:
-            opened.code = CODE
             yield ("127.0.0.1", listening.getsockname()[1]), opened
 
-    def call(self, serve: Callable[[socket.socket], None], code: str = CODE) -> PairedDevice | None:
-        """Pair with whatever `serve` answers; None when the workstation refuses."""
+    def call(self, serve: Callable[[socket.socket], None], opened: PairingWindow | None = None) -> PairedDevice | None:
+        """Pair with the answering party; None when the workstation refuses.
+
+        The person confirms on the device, and then here, when both screens show the same code.
+        """
+
+        def same_code(code: str) -> bool:
+            shown = wait_for_code(opened) if opened else None
+            self.compared.append((code, shown or ""))
+            if opened is None or shown != code:
+                return False
+            opened._clock.sleep(READING_S)
+            return opened.confirm(code)
+
         listening = socket.create_server(("127.0.0.1", 0))
         port = listening.getsockname()[1]
         thread = threading.Thread(target=serve, args=(listening,))
         thread.start()
         try:
-            return pairing.pair_over_network("127.0.0.1", port, code, self.host)
+            return pairing.pair_over_network("127.0.0.1", port, self.host, same_code)
         except HostError as error:
             assert "\n" not in str(error)  # noqa: PT017
             return None
@@ -101,30 +126,42 @@ class Scene:
         assert paired is None or (paired.host_key, paired.device_id) == (self.device.host_key, self.device.device_id)
 
 
+def wait_for_code(opened: PairingWindow) -> str | None:
+    """Return the code that the device shows; None when its caller was turned away."""
+    called = False
+    for _ in range(400):
+        if shown := opened.shown:
+            return shown.code
+        if opened.outcome or (called and not opened._calls):
+            return None
+        called = called or bool(opened._calls)
+        threading.Event().wait(0.005)
+    return None
+
+
 @pytest.fixture
 def scene(tmp_path: Path) -> Scene:
     device = DeviceCard(device_id="rg00c0ffee", user="retrosync", port=22, host_key=new_key())
     return Scene(tmp_path / "authorized_keys", HostCard(name="bench", public_key=new_key()), device)
 
 
-def with_card(**changes: object) -> Change:
+def with_card(kind: type[Call] | type[Answer], **changes: object) -> Change:
+    """Another card; a commitment to it is one that the attacker can open."""
+
     def change(line: bytes, _: Middle) -> bytes:
-        share = msgspec.json.decode(line, type=Share)
-        card = msgspec.structs.replace(share.card, **changes)
-        return msgspec.json.encode(msgspec.structs.replace(share, card=card)) + b"\n"
+        said = msgspec.json.decode(line, type=kind)
+        card = msgspec.structs.replace(said.card, **changes)
+        said = msgspec.structs.replace(said, card=card)
+        if isinstance(card, HostCard):
+            said = msgspec.structs.replace(said, commitment=commitment_to(card, "ab" * 32))
+        return msgspec.json.encode(said) + b"\n"
 
     return change
 
 
-def with_share(of: HostCard | DeviceCard | None = None, share: str | None = None) -> Change:
-    """Another share beside the honest card: of an exchange with the right code even, or a given one."""
-
-    def change(line: bytes, _: Middle) -> bytes:
-        said = msgspec.json.decode(line, type=Share)
-        other = share or Exchange("0", of or said.card).share.share
-        return msgspec.json.encode(msgspec.structs.replace(said, share=other)) + b"\n"
-
-    return change
+def other_number(line: bytes, _: Middle) -> bytes:
+    kind = Answer if b"pair-answer" in line else Opening
+    return msgspec.json.encode(msgspec.structs.replace(msgspec.json.decode(line, type=kind), number="ab" * 32)) + b"\n"
 
 
 def instead(side: str, number: int) -> Change:
@@ -139,38 +176,38 @@ def hang_up(_: bytes, __: Middle) -> None:
     return None
 
 
-EVIL = new_key()
 MEDDLING: dict[str, dict[tuple[str, int], Change]] = {
-    "the workstation's key is the attacker's": {("host", 0): with_card(public_key=EVIL)},
-    "the device's key is the attacker's": {("device", 0): with_card(host_key=EVIL)},
-    "both keys are": {("host", 0): with_card(public_key=EVIL), ("device", 0): with_card(host_key=EVIL)},
-    "the device's port is another": {("device", 0): with_card(port=2222)},
-    "the device's id is another": {("device", 0): with_card(device_id="rg1")},
-    "the workstation's name is another": {("host", 0): with_card(name="other")},
-    "the workstation's share is another": {("host", 0): with_share()},
-    "the device's share is another": {("device", 0): with_share()},
-    "both shares are of low order": {
-        ("host", 0): with_share(share="01" + "00" * 31),
-        ("device", 0): with_share(share="00" * 32),
+    "the workstation's key is the attacker's": {
+        ("host", 0): with_card(Call, public_key=EVIL),
+        ("host", 1): other_number,
     },
-    "the workstation gets its own share": {("device", 0): instead("host", 0)},
-    "the workstation gets its own confirmation": {("device", 1): instead("host", 1)},
-    "the workstation's share comes twice": {("host", 0): repeated},
-    "the device's share comes twice": {("device", 0): repeated},
-    "the workstation's confirmation does not come": {("host", 1): hang_up},
-    "the device's confirmation does not come": {("device", 1): hang_up},
+    "the device's key is the attacker's": {("device", 0): with_card(Answer, host_key=EVIL)},
+    "both keys are": {
+        ("host", 0): with_card(Call, public_key=EVIL),
+        ("host", 1): other_number,
+        ("device", 0): with_card(Answer, host_key=EVIL),
+    },
+    "the device's port is another": {("device", 0): with_card(Answer, port=2222)},
+    "the device's id is another": {("device", 0): with_card(Answer, device_id="rg1")},
+    "the workstation's name is another": {("host", 0): with_card(Call, name="other"), ("host", 1): other_number},
+    "the card changes under an honest commitment": {
+        ("host", 0): lambda line, _: line.replace(b'"bench"', b'"bunch"'),
+    },
+    "the workstation's number is another": {("host", 1): other_number},
+    "the device's number is another": {("device", 0): other_number},
+    "the workstation gets its own call": {("device", 0): instead("host", 0)},
+    "the workstation's call comes twice": {("host", 0): repeated},
+    "the device's answer comes twice": {("device", 0): repeated},
+    "the workstation's number does not come": {("host", 1): hang_up},
+    "the device's acceptance does not come": {("device", 1): hang_up},
 }
-TOO_LATE = {
-    "the workstation gets its own confirmation",
-    "the device's share comes twice",
-    "the device's confirmation does not come",
-}
-"""The device has heard the honest workstation out, and lets it in; the workstation pins nothing and pairs again."""
+TOO_LATE = {"the device's answer comes twice", "the device's acceptance does not come"}
+"""The person saw the same code twice and let the honest workstation in; it pins nothing and pairs again."""
 
 
 def test_who_only_listens_changes_nothing(scene: Scene) -> None:
     with scene.window() as (address, opened):
-        paired = scene.call(Middle(address).serve)
+        paired = scene.call(Middle(address).serve, opened)
         assert opened.wait() == scene.host
     assert paired is not None
     assert scene.allowed() == [f"restrict {scene.host.public_key} bench"]
@@ -180,8 +217,8 @@ def test_who_only_listens_changes_nothing(scene: Scene) -> None:
 @pytest.mark.parametrize("what", MEDDLING)
 def test_who_meddles_gets_nobodys_trust(scene: Scene, what: str) -> None:
     with scene.window() as (address, opened):
-        paired = scene.call(Middle(address, MEDDLING[what]).serve)
-        if what in TOO_LATE:  # the device may hear the last line after the workstation has hung up
+        paired = scene.call(Middle(address, MEDDLING[what]).serve, opened)
+        if what in TOO_LATE:  # the device may be done only after the workstation has hung up
             opened._thread.join(timeout=10.0)
     scene.check(paired)
     assert paired is None
@@ -197,53 +234,72 @@ def test_no_changed_byte_earns_trust(scene: Scene) -> None:
 
     for trial in range(60):
         where = (("host", "device")[trial % 2], trial // 2 % 2)
-        with scene.window() as (address, _):
-            scene.check(scene.call(Middle(address, {where: flip}).serve))
+        with scene.window() as (address, opened):
+            scene.check(scene.call(Middle(address, {where: flip}).serve, opened))
         scene.keys.unlink(missing_ok=True)
 
 
-def test_two_conversations_with_guessed_codes_are_refused_by_both(scene: Scene) -> None:
-    """The attacker speaks with each side in turn as the other, as one must who does not know the code."""
-    rng = np.random.default_rng(8)
-    evil_host, evil_device = (
-        HostCard(name="bench", public_key=EVIL),
-        msgspec.structs.replace(scene.device, host_key=EVIL),
-    )
+def test_two_conversations_show_two_codes(scene: Scene) -> None:
+    """The attacker speaks with each side as the other, and opens its own commitments: the codes differ."""
+    evil_host = HostCard(name="bench", public_key=EVIL)
+    evil_device = msgspec.structs.replace(scene.device, host_key=EVIL)
     for _ in range(10):
-        guess = f"{rng.integers(10**8):08d}"
+        with scene.window() as (address, opened):
 
-        def pose(listening: socket.socket, guess: str = guess) -> None:
-            with closing(listening), closing(listening.accept()[0]) as caller, suppress(RecordError):
-                channel, exchange = PairingChannel(caller, 10.0), Exchange(guess, evil_device)
-                exchange.meet(channel.receive(Share), HostCard)
-                channel.send(exchange.share)
-                assert not exchange.is_confirmed(channel.receive(Confirmation))
-                channel.send(exchange.confirmation)
+            def pose(listening: socket.socket, address: tuple[str, int] = address) -> None:
+                with (
+                    closing(listening),
+                    closing(listening.accept()[0]) as caller,
+                    closing(socket.create_connection(address)) as called,
+                    suppress(RecordError),
+                ):
+                    host, device = PairingChannel(caller, 10.0), PairingChannel(called, 10.0)
+                    number = draw_number()
+                    host.receive(Call)
+                    device.send(Call(card=evil_host, commitment=commitment_to(evil_host, number)))
+                    theirs = device.receive(Answer)
+                    host.send(Answer(card=evil_device, number=theirs.number))
+                    host.receive(Opening)
+                    device.send(Opening(number=number))
+                    host.send(Accepted())
+                    host.receive(Accepted)  # until the workstation hangs up
 
-        assert scene.call(pose) is None
-        with scene.window() as (address, _), closing(socket.create_connection(address)) as call:
-            channel, exchange = PairingChannel(call, 10.0), Exchange(guess, evil_host)
-            channel.send(exchange.share)
-            exchange.meet(channel.receive(Share), DeviceCard)
-            channel.send(exchange.confirmation)
-            with pytest.raises(RecordError):
-                channel.receive(Confirmation)
+            assert scene.call(pose, opened) is None
         assert scene.allowed() == []
+    assert all(here != there and len(there) == 7 for here, there in scene.compared)
 
 
-def test_a_recorded_pairing_opens_no_later_window_even_with_the_same_code(scene: Scene) -> None:
-    with scene.window() as (address, _):
+def test_a_number_that_was_not_committed_to_is_shown_to_nobody(scene: Scene) -> None:
+    """Otherwise a caller could choose, after the device's number, the one of a million that makes a code it wants."""
+    card = HostCard(name="bench", public_key=EVIL)
+    with scene.window() as (address, opened), closing(socket.create_connection(address)) as call:
+        channel, mine = PairingChannel(call, 10.0), draw_number()
+        channel.send(Call(card=card, commitment=commitment_to(card, mine)))
+        answer = channel.receive(Answer)
+        wanted = next(
+            number
+            for number in (draw_number() for _ in range(10**6))
+            if code_of(card, scene.device, number, answer.number).startswith("12")
+        )
+        channel.send(Opening(number=wanted))
+        with pytest.raises(RecordError):
+            channel.receive(Accepted)
+        assert opened.shown is None
+    assert scene.allowed() == []
+
+
+def test_a_recorded_pairing_shows_another_code_in_a_later_window(scene: Scene) -> None:
+    with scene.window() as (address, opened):
         tape = Middle(address)
-        assert scene.call(tape.serve) is not None
+        assert scene.call(tape.serve, opened) is not None
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(address)
     scene.keys.unlink()
 
     with scene.window() as (address, opened), closing(socket.create_connection(address)) as call:
         call.sendall(tape.record["host", 0] + tape.record["host", 1])
-        with suppress(ConnectionError):
-            assert len(call.makefile("rb").readlines()) == 1
-        assert opened.outcome is None
+        assert wait_for_code(opened) not in (None, scene.compared[0][1])
+        assert not opened.confirm(scene.compared[0][1])
     assert scene.allowed() == []
 
     def replay(listening: socket.socket) -> None:
@@ -252,25 +308,7 @@ def test_a_recorded_pairing_opens_no_later_window_even_with_the_same_code(scene:
             caller.makefile("rb").readlines()
 
     assert scene.call(replay) is None
-
-
-def test_confirmations_of_another_conversation_in_the_same_window_do_not_fit(scene: Scene) -> None:
-    """The workstation's own confirmation, moved to a conversation that the attacker began with the stolen share."""
-    with scene.window() as (address, opened), closing(socket.create_connection(address)) as second:
-        stolen: dict[str, bytes] = {}
-
-        def divert(line: bytes, middle: Middle) -> None:
-            channel = PairingChannel(second, 10.0)
-            second.sendall(middle.record["host", 0])
-            stolen["share"] = msgspec.json.encode(channel.receive(Share))
-            second.sendall(line)
-            with pytest.raises(RecordError):
-                channel.receive(Confirmation)
-
-        assert scene.call(Middle(address, {("host", 1): divert}).serve) is None
-        assert stolen
-        assert opened.outcome is None
-    assert scene.allowed() == []
+    assert scene.compared[-1][0] != scene.compared[0][0]
 
 
 def test_a_mirror_is_no_device(scene: Scene) -> None:
@@ -280,3 +318,4 @@ def test_a_mirror_is_no_device(scene: Scene) -> None:
                 caller.sendall(line)
 
     assert scene.call(echo) is None
+    assert scene.compared == []
