@@ -40,6 +40,9 @@ from host_sync.results.record import DetailRecord, HeightScale, IntegrationRecor
 MAX_SAMPLES = 500_000
 """So many pixels give the median of an uncertainty to less than a thousandth of itself."""
 
+HATCHED_FROM = 0.005
+"""A smaller extrapolated share is not named."""
+
 WRITERS = 2
 """Files written at a time: the relief takes about as long as the fields together."""
 
@@ -74,7 +77,8 @@ def write_result(
             kind = other_detail(reconstruction.detail)
             fields[OTHER_HEIGHT_FILES[kind]] = (reconstruction.other.z_um, f"height with {kind} detail, um")
         with ThreadPoolExecutor(WRITERS) as writers:
-            jobs = [writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name)]
+            words, hatched = relief_words(reconstruction), reconstruction.extrapolated
+            jobs = [writers.submit(write_relief, folder / RELIEF_FILE, reconstruction.height, name, words, hatched)]
             for file, (values, what) in fields.items():
                 jobs.append(writers.submit(write_field, folder / file, values, calibration.pitch_um, what))
             jobs.append(writers.submit(write_mask, folder / EXTRAPOLATED_FILE, reconstruction.extrapolated))
@@ -87,6 +91,15 @@ def write_result(
         detail_record = None if band is None else _write_detail(folder, reconstruction.height, band, name)
         record = msgspec.structs.replace(record, **(facts or {}), detail=detail_record)
         (folder / RECORD_FILE).write_bytes(encode_record(record))
+
+
+def relief_words(reconstruction: Reconstruction) -> str:
+    """What is zero in a relief, or that nothing is, and which pixels are hatched."""
+    datum = reconstruction.datum
+    relative = "no zero: heights are relative"
+    zero = relative if datum.is_relative else f"0 is untouched skin ± {datum.zero_sigma_um:.2g} µm"
+    share = float(reconstruction.extrapolated.mean())
+    return f"{zero}; hatched: extrapolated ({share:.0%})" if share >= HATCHED_FROM else zero
 
 
 def _write_detail(folder: Path, height: HeightMap, band: DetailBand, name: str) -> DetailRecord:

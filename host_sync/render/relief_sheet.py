@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from device.surface.fields import HeightMap
+from device.surface.fields import HeightMap, MaskArray
 from host_sync.render.colormap import tint_table
 from host_sync.render.relief import Picture, height_range_um, relief_rgb
 from host_sync.render.shading import exaggeration_for, reduced, steep_slope
@@ -36,6 +37,7 @@ class ReliefSheet:
     range_um : heights of the first and last colour, µm
     exaggeration : factor on the slopes for shading
     title : line above the relief
+    footer : line below the scale bar; none when empty
     """
 
     def __init__(
@@ -45,7 +47,9 @@ class ReliefSheet:
         range_um: tuple[float, float],
         exaggeration: float = 1.0,
         title: str = "",
+        footer: str = "",
     ) -> None:
+        self._footer = footer
         self._range_um = range_um
         self._exaggeration = exaggeration
         self._enlargement = max(1, -(-MIN_COLUMNS // shape[1]))
@@ -61,17 +65,31 @@ class ReliefSheet:
         """(H, W) of the sheet, both even, as movies require."""
         return self._blank.shape[0], self._blank.shape[1]
 
-    def draw(self, height: HeightMap, caption: str = "") -> Picture:
+    def draw(self, height: HeightMap, caption: str = "", hatched: MaskArray | None = None) -> Picture:
         """The sheet with this relief: uint8 array of shape (H, W, 3), R, G, B.
 
         caption : a short text at the right end of the title line
+        hatched : bool array of shape (H, W), pixels under slanting lines
         """
         sheet = self._blank.copy()
-        relief = relief_rgb(height, *self._range_um, self._exaggeration)
-        if self._enlargement > 1:
-            relief = relief.repeat(self._enlargement, axis=0).repeat(self._enlargement, axis=1)
+        relief = self._enlarged(relief_rgb(height, *self._range_um, self._exaggeration))
+        if hatched is not None:
+            # A white line beside a dark one shows on every tint.
+            for shift, colour in ((0, _INK), (1, (255, 255, 255))):
+                relief[self._enlarged(hatched) & self._lines(shift)] = colour
         sheet[self._top : self._top + self._rows, self._edge : self._edge + self._columns] = relief
         return self._lettered(sheet, caption) if caption else sheet
+
+    def _enlarged(self, plane: NDArray[Any]) -> NDArray[Any]:
+        """A copy with each pixel as often as the sheet shows it."""
+        return plane.repeat(self._enlargement, axis=0).repeat(self._enlargement, axis=1)
+
+    def _lines(self, shift: int) -> MaskArray:
+        """Slanting lines over the relief, so many of their widths to the side."""
+        row, column = np.ogrid[: self._rows, : self._columns]
+        step = max(8, self._letter // 2)
+        wide = max(1, step // 8)
+        return np.asarray((row + column) % step // wide == shift)
 
     def _lettered(self, sheet: Picture, caption: str) -> Picture:
         line = Image.fromarray(sheet[: self._top])
@@ -87,7 +105,7 @@ class ReliefSheet:
         bar = self._letter
         widest = max((self._font.getlength(text) for _, text in labels), default=0.0)
         right = bar + self._letter + int(max(widest, self._font.getlength("µm"))) + self._edge
-        below = 2 * self._letter + self._edge
+        below = (4 if self._footer else 2) * self._letter + self._edge
         columns = self._edge + self._columns + self._edge + right
         rows = self._top + self._rows + below
         image = Image.new("RGB", (columns + columns % 2, rows + rows % 2), "white")
@@ -96,6 +114,9 @@ class ReliefSheet:
         draw.text((self._edge, self._top - self._letter // 2), line, _INK, self._font, "ls")
         self._draw_colour_bar(image, labels, bar)
         self._draw_scale_bar(draw, pitch_um)
+        if self._footer:
+            at = (self._edge, self._top + self._rows + self._edge + 2 * self._letter)
+            draw.text(at, shortened(self._footer, self._font, columns - 2 * self._edge), _INK, self._font, "lm")
         return np.array(image)
 
     def _draw_colour_bar(self, image: Image.Image, labels: list[tuple[float, str]], width: int) -> None:
@@ -133,8 +154,13 @@ def shortened(text: str, font: ImageFont.FreeTypeFont, room_px: float) -> str:
     return f"{text}…"
 
 
-def write_relief(path: Path, height: HeightMap, title: str) -> None:
+def write_relief(
+    path: Path, height: HeightMap, title: str, footer: str = "", extrapolated: MaskArray | None = None
+) -> None:
     """Write the relief of a height map as a PNG.
+
+    footer : line below it, such as what is zero
+    extrapolated : pixels that are hatched
 
     Raises
     ------
@@ -143,8 +169,12 @@ def write_relief(path: Path, height: HeightMap, title: str) -> None:
     """
     small = reduced(height, MAX_COLUMNS)
     exaggeration = exaggeration_for(steep_slope(small))
-    sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(small), exaggeration, title)
-    write_picture(path, sheet.draw(small))
+    sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(small), exaggeration, title, footer)
+    hatched = None
+    if extrapolated is not None and extrapolated.any():
+        rows, columns = small.z_um.shape
+        hatched = cv2.resize(extrapolated.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST) > 0
+    write_picture(path, sheet.draw(small, hatched=hatched))
 
 
 def write_picture(path: Path, picture: Picture) -> None:

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -112,3 +114,20 @@ def test_a_height_map_without_a_valid_pixel_can_be_drawn(tmp_path) -> None:  # t
     path = tmp_path / "relief.png"
     write_relief(path, HeightMap(np.full((20, 30), np.nan, np.float32), 1.0), "nothing")
     assert path.stat().st_size > 1000
+
+
+def test_a_relief_states_its_zero_and_hatches_what_is_extrapolated(tmp_path: Path) -> None:
+    row, column = np.mgrid[:200, :400]
+    height = HeightMap((20.0 * np.exp(-((row - 100) ** 2 + (column - 100) ** 2) / 900.0)).astype(np.float32), 10.0)
+    beyond = np.asarray(column > 300)
+    write_relief(tmp_path / "plain.png", height, "one")
+    write_relief(tmp_path / "stated.png", height, "one", "no zero: heights are relative", beyond)
+    plain, stated = (cv2.imread(str(tmp_path / f"{name}.png")) for name in ("plain", "stated"))
+    assert plain is not None
+    assert stated is not None
+    assert stated.shape[0] > plain.shape[0]
+    changed = np.any(stated[: plain.shape[0], : plain.shape[1]] != plain, axis=-1)
+    inside = changed[40:200]
+    assert not inside[:, 20:300].any()
+    assert 0.2 < inside[:, 330:400].mean() < 0.3
+    assert (stated[plain.shape[0] :] < 128).any()
