@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 BAD_ARGUMENTS: Final = 2
 LONGEST_PLAIN: Final = 150
-"""A longer path of Windows is told as such: with what is written below it, it may exceed 260 characters."""
+"""A longer path of Windows is marked as such: with what is written below it, it may exceed 260 characters."""
 
 
 class Command(NamedTuple):
@@ -235,7 +235,7 @@ def _folder(_: Any, tokens: Sequence[Any]) -> Path:
 
 
 def long_path(text: str) -> str:
-    """A path of Windows as its functions take it where it is longer than they take without being told."""
+    """Return a path of Windows as its functions take it, marked where it is long."""
     path = ntpath.abspath(text)
     if len(path) < LONGEST_PLAIN or path.startswith("\\\\?\\"):
         return text

@@ -230,7 +230,7 @@ class _Parent:
         return os.scandir(self.path) if self.descriptor is None else os.scandir(self.descriptor)
 
     def reopened(self) -> _Parent:
-        """The same with a descriptor of its own: one that is shared would share its reading position, too."""
+        """Return the same with a descriptor of its own: one that is shared would share its reading position, too."""
         if self.descriptor is None:
             return self
         return _Parent(self.path, os.open(".", _DIRECTORY, dir_fd=self.descriptor))
@@ -247,7 +247,7 @@ class _Parent:
 
 
 def _is_name(name: str) -> bool:
-    """Whether a part of a place is the name of one thing in a folder."""
+    """Return whether a part of a place is the name of one thing in a folder."""
     return name not in ("", ".", "..") and (OPENS_FOLDERS or not set(name) & set("\\:"))
 
 
@@ -269,7 +269,7 @@ def _check_folder(path: Path, *, follow: bool) -> None:
 
 
 def _is_link(facts: os.stat_result) -> bool:
-    """Whether it is a symbolic link, or a junction of Windows."""
+    """Return whether it is a symbolic link, or a junction of Windows."""
     reparse = getattr(stat, "FILE_ATTRIBUTE_REPARSE_POINT", 0) & getattr(facts, "st_file_attributes", 0)
     return stat.S_ISLNK(facts.st_mode) or bool(reparse)
 

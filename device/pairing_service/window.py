@@ -36,7 +36,7 @@ _POLL_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PairingOutcome:
-    """How a window ended: the paired workstation, or None; and a sentence for the screen."""
+    """Outcome of a window: the paired workstation, or None; and a sentence for the screen."""
 
     host: HostCard | None
     sentence: str

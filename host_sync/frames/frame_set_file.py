@@ -105,7 +105,7 @@ class FileTable(_Table, frozen=True):
 
 
 def names_a_folder(name: str) -> bool:
-    """Whether a folder may have this name on every system; Windows keeps some names for devices."""
+    """Return whether a folder may have this name on every system; Windows keeps some names for devices."""
     return _SCAN_NAME.fullmatch(name) is not None and _DEVICE.fullmatch(name) is None
 
 

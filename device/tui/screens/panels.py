@@ -70,13 +70,13 @@ def _version(calibration: CalibrationState) -> str:
 
 
 def _brightness_lines(calibration: CalibrationState) -> list[tuple[str, str]]:
-    """How much of the sensor's range the calibration uses, if recorded."""
+    """Return how much of the sensor's range the calibration uses, if recorded."""
     found = calibration.brightness
     return [] if found is None else [("Brightness", screen_advice(found.warning or found.sentence))]
 
 
 def lights_text(health: HealthState) -> str:
-    """How much each light has changed since calibration."""
+    """Return how much each light has changed since calibration."""
     seen = [f"{name} {signed_percent(change)}" for name, change in health.light_change.items() if change is not None]
     if not seen:
         return "not measured yet: lift off, so that untouched skin is visible"
@@ -91,7 +91,7 @@ def skin_text(health: HealthState) -> str:
 
 
 def pairing_panel(pairing: PairingState, network: NetworkInfo | None, now_ns: int, columns: int) -> str:
-    """How to pair while the window is open, or the code to compare, in large; afterwards the outcome."""
+    """Return how to pair while the window is open, or the code to compare, in large; afterwards the outcome."""
     if not pairing.is_open:
         return hanging(pairing.sentence, columns, 0)
     left_s = max(round((pairing.open_until_ns - now_ns) * 1e-9), 0)
@@ -133,7 +133,7 @@ def check_panel(check: CheckState, columns: int) -> str:
 
 
 def _check_words(check: CheckState) -> str:
-    """What is to be done with the check standard, or the result of its last check today."""
+    """Return what is to be done with the check standard, or the result of its last check today."""
     if check.is_next:
         return "press it, then push the button"
     if check.is_due:
@@ -156,7 +156,7 @@ def _chart_cell(check: CheckRecord, row: int, reach: float) -> str:
 
 
 def focus_panel(focus: FocusReading, columns: int) -> str:
-    """How sharp the lens is set beside the best so far, and what to turn."""
+    """Return how sharp the lens is set beside the best so far, and what to turn."""
     gauge = gauge_text("sharpness", focus.fraction, columns)
     lines = [gauge, "", f"now   {focus.figure:8.2f}", f"best  {focus.best:8.2f}", ""]
     return "\n".join([*lines, hanging(focus.advice, columns, 0), "", "Enter ends."])
