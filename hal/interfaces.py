@@ -261,9 +261,16 @@ class PressBall:
 
 @dataclass(frozen=True, slots=True)
 class PressObject:
-    """Request: press an object of the user; the twin knows its specimens by `name`."""
+    """Request: press an object of the user; the twin knows its specimens by `name`.
+
+    way : (mm right, mm down, degrees clockwise) that the hand moves the instrument first, from where it stood on this
+        object; None places it afresh
+    pushes : whether the hand pushes the button too
+    """
 
     name: str
+    way: tuple[float, float, float] | None = None
+    pushes: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from typing import Final
 import platformdirs
 
 from device.errors import InstrumentBusy
+from device.store.device_id import read_device
 from hal.board_profile import BoardProfile
 from hal.factory import open_hardware
 from hal.hardware import Hardware
@@ -27,8 +28,10 @@ LOCK_FILE: Final = "instrument.lock"
 
 
 @contextmanager
-def open_exclusive(profile: BoardProfile, clock: Clock | None = None) -> Iterator[Hardware]:
+def open_exclusive(profile: BoardProfile, clock: Clock | None = None, store: Path | None = None) -> Iterator[Hardware]:
     """The hardware of a profile, opened with no other program on it.
+
+    store : folder of its scans: the twin's noise and placement are then others after each of them
 
     Raises
     ------
@@ -37,8 +40,14 @@ def open_exclusive(profile: BoardProfile, clock: Clock | None = None) -> Iterato
     HalError
         It cannot be opened.
     """
-    with exclusive_instrument(profile), open_hardware(profile, clock) as hardware:
+    with exclusive_instrument(profile), open_hardware(profile, clock, _seed(profile, store)) as hardware:
         yield hardware
+
+
+def _seed(profile: BoardProfile, store: Path | None) -> int | None:
+    """Return the seed of a twin whose store holds scans already; None leaves the profile's."""
+    device = read_device(store) if store is not None and profile.twin is not None else None
+    return None if device is None or profile.twin is None else profile.twin.seed + device.counter
 
 
 def exclusive_instrument(profile: BoardProfile) -> AbstractContextManager[None]:

@@ -32,7 +32,7 @@ def cover(
     width_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
     height_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
     presses: Count | None = None,
-    pressed: Annotated[str, Parameter(name="--object")] = "coin",
+    pressed: Annotated[str, Parameter(name="--object")] = "pebbles",
     labels: Labels | None = None,
     json: bool = False,
     options: Given,
@@ -56,7 +56,7 @@ def cover(
     """
     read_active(store_folder(options))  # a store without a calibration is refused before anything is created
     task = CoverTask(width_mm, height_mm)
-    with open_exclusive(load_board_profile(options.board)) as hardware:
+    with open_exclusive(load_board_profile(options.board), store=store_folder(options)) as hardware:
         store = open_store(options, hardware.clock)
         scanner = Scanner(with_active_gel(hardware, store.root), store)
         scanner.measure_lights()
@@ -64,7 +64,7 @@ def cover(
         say(f"{FIRST_PRESS} Ctrl-C ends; scans are kept.")
         for number in count(1):
             scanner.check_room("single")
-            hardware.operator.ask(PressObject(pressed))
+            hardware.operator.ask(PressObject(pressed, task.hand_way))
             hardware.button.wait_for_push(None)
             outcome = scanner.scan(annotations_of(labels), lambda: cue_lift(hardware, say))
             hardware.operator.ask(LiftOff())

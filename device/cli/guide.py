@@ -15,7 +15,7 @@ from device.cli.console import Count, Given, Text, open_store, print_line, print
 from device.command_line import print_json
 from device.errors import RecordError
 from device.guidance.placement import Placement, Target
-from device.guidance.way_back import on_the_spot, placed, sentence
+from device.guidance.way_back import on_the_spot, placed, sentence, way_back
 from device.instrument.history import read_quick_look
 from device.store.active import read_active
 from hal.board_profile import load_board_profile
@@ -47,7 +47,7 @@ def guide(
         Print one JSON document per touch instead of sentences.
     """
     read_active(store_folder(options))  # a store without a calibration is refused before anything is created
-    with open_exclusive(load_board_profile(options.board)) as hardware:
+    with open_exclusive(load_board_profile(options.board), store=store_folder(options)) as hardware:
         store = open_store(options, hardware.clock)
         height = read_quick_look(store, to)
         if height is None:
@@ -56,12 +56,13 @@ def guide(
         scanner = Scanner(with_active_gel(hardware, store.root), store)
         say = print_note if json else print_line
         say("Touch the object lightly, then push the button. Ctrl-C ends.")
+        way = None
         for number in count(1):
-            hardware.operator.ask(PressObject(pressed))
+            hardware.operator.ask(PressObject(pressed, way))
             hardware.button.wait_for_push(None)
             found = placed(capture(hardware, scanner.plan), scanner.model, target)
             hardware.operator.ask(LiftOff())
-            reached = on_the_spot(found)
+            reached, way = on_the_spot(found), way_back(found)
             if json:
                 known = found if isinstance(found, Placement) else None
                 print_json({"to": to, "placement": known, "on_the_spot": reached, "sentence": sentence(found)})

@@ -125,7 +125,7 @@ def scan_once(
     json
         Print one JSON document instead of sentences.
     """
-    with open_exclusive(load_board_profile(options.board)) as hardware:
+    with open_exclusive(load_board_profile(options.board), store=store_folder(options)) as hardware:
         read_active(store_folder(options))  # a store without a calibration is refused before anything is created
         if fault := mode_fault(capture, hardware):
             raise CaptureModeRefused(fault)

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -131,11 +132,14 @@ def show_screens(instrument: Instrument, hardware: Hardware, folder: Path, fault
 
 async def _shown(app: RetroscanApp) -> str | None:
     """Run the app and return its result; a signal that ends it, or a lost terminal, makes it quit in order."""
+    from device.tui.screens.app import STOPPED
+
     loop = asyncio.get_running_loop()
     numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
     before = {number: signal.getsignal(number) for number in numbers}
     for number in numbers:
-        loop.add_signal_handler(number, app.exit)
+        code = STOPPED if number == signal.SIGINT else 0
+        loop.add_signal_handler(number, partial(app.exit, return_code=code))
     try:
         with watched_terminal(lambda: loop.call_soon_threadsafe(app.exit)):
             return await app.run_async()

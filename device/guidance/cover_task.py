@@ -57,6 +57,7 @@ class CoverTask:
         self._covering: Covering | None = None
         self.stand: Stand | Unplaced | None = None
         self.way: tuple[float, float] | None = None
+        self._unplaced = 0
 
     @property
     def share(self) -> float:
@@ -78,8 +79,23 @@ class CoverTask:
             self.stand = self._covering.stands[0]
         else:
             self.stand = self._covering.add(height)
+        self._unplaced = self._unplaced + 1 if isinstance(self.stand, Unplaced) else 0
         place = self._covering.next_place()
         self.way = self._covering.stands[-1].way_to(place) if place else None
+
+    @property
+    def hand_way(self) -> tuple[float, float, float] | None:
+        """How a hand that stands at the last press goes on, mm right, mm down and degrees clockwise; None: not known.
+
+        From a press that was not placed it goes half of its last way back.
+        """
+        if self.way is None or self._covering is None:
+            return None
+        right, down = self.way
+        if self._unplaced:
+            part = -(0.5**self._unplaced)
+            return part * right, part * down, 0.0
+        return right, down, -self._covering.stands[-1].clockwise_deg
 
     def map(self) -> CoverMap | None:
         """Return what is covered now; None before the first press."""

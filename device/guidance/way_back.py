@@ -24,6 +24,11 @@ def on_the_spot(found: Placement | Unplaced) -> bool:
     return isinstance(found, Placement) and found.distance_mm <= SPOT_MM and abs(found.clockwise_deg) <= SPOT_DEG
 
 
+def way_back(found: Placement | Unplaced) -> tuple[float, float, float] | None:
+    """Return the way as mm right, mm down and degrees clockwise; None where the place is unknown."""
+    return None if isinstance(found, Unplaced) else (found.right_mm, found.down_mm, found.clockwise_deg)
+
+
 def sentence(found: Placement | Unplaced) -> str:
     """Return what to do, for people."""
     if isinstance(found, Unplaced):

@@ -64,4 +64,4 @@ class AreaCover:
 
 def _added(task: CoverTask, height: HeightMap | None, size_mm: tuple[float, float]) -> AreaState:
     task.add(height)
-    return AreaState(*size_mm, task.map(), task.sentence(), task.is_done)
+    return AreaState(*size_mm, task.map(), task.sentence(), task.is_done, task.hand_way)

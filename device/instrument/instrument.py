@@ -116,9 +116,12 @@ class Instrument:
         """Act like a push of the button: scan, or take the next calibration frame."""
         self._worker.enqueue(InstrumentWorker.press)
 
-    def demonstrate(self, name: str) -> None:
-        """Let the twin's operator press an object of its gallery and push the button; no effect on a real board."""
-        self._worker.enqueue(lambda worker: worker.hardware.operator.ask(PressObject(name)))
+    def demonstrate(self, name: str, way: tuple[float, float, float] | None = None, *, pushes: bool = True) -> None:
+        """Let the twin's operator press an object of its gallery; no effect on a real board.
+
+        way, pushes : as in `PressObject`
+        """
+        self._worker.enqueue(lambda worker: worker.hardware.operator.ask(PressObject(name, way, pushes)))
 
     def lift(self) -> None:
         """Let the twin's operator lift off and push the button; no effect on a real board."""

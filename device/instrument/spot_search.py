@@ -8,7 +8,7 @@ from typing import Final
 
 from device.errors import DeviceError
 from device.guidance.placement import Placement, Target, Unplaced
-from device.guidance.way_back import on_the_spot, placed, sentence
+from device.guidance.way_back import on_the_spot, placed, sentence, way_back
 from device.instrument.events import Failed, Info, show
 from device.instrument.state import SpotState, StateStore
 from device.quick_look.solver import QuickLookModel
@@ -70,6 +70,6 @@ class SpotSearch:
             self._states.publish(Failed(str(error)))
             return
         reached = on_the_spot(found)
-        self._states.update(spot=replace(spot, sentence=sentence(found), is_reached=reached))
+        self._states.update(spot=replace(spot, sentence=sentence(found), is_reached=reached, way=way_back(found)))
         self._states.publish(Info(sentence(found)))
         show(self._hardware, "good" if reached else "retake" if isinstance(found, Unplaced) else "doubtful")

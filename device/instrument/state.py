@@ -158,6 +158,7 @@ class SpotState:
 
     height : that scan's quick look
     sentence : the way from the last touch
+    way : the same as mm right, mm down and degrees clockwise; None: not known
     """
 
     scan_id: str
@@ -165,6 +166,7 @@ class SpotState:
     height: HeightMap
     sentence: str
     is_reached: bool = False
+    way: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +175,7 @@ class AreaState:
 
     map : what is covered; None before the first scan
     sentence : how much that is, and the way to the next press
+    way : the same as mm right, mm down and degrees clockwise from the last press that was placed; None: not known
     """
 
     width_mm: float
@@ -180,6 +183,7 @@ class AreaState:
     map: CoverMap | None
     sentence: str
     is_done: bool = False
+    way: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

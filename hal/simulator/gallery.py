@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from hal.simulator.surfaces import Block, Coin, Groove, Plane, Sinusoid, Sphere, SphereGrid, Step, Surface, Texture
+from hal.simulator.surfaces import (
+    Block,
+    Coin,
+    Groove,
+    Pebbles,
+    Plane,
+    Sinusoid,
+    Sphere,
+    SphereGrid,
+    Step,
+    Surface,
+    Texture,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +36,7 @@ _GALLERY: Mapping[str, Callable[[], Specimen]] = {
     "groove": lambda: Specimen(Groove(Block(4.5, 3.5), 0.8, 0.2, 0.12), 0.5),
     "step": lambda: Specimen(Step(Block(4.5, 3.5), 0.1, 0.15), 0.5),
     "coin": lambda: Specimen(Coin(5.0, 0.18, 0.18), 0.5),
+    "pebbles": lambda: Specimen(Pebbles(0.9, 2.8, 11), 0.4),
     "texture": lambda: Specimen(Texture(Block(4.5, 3.5), 0.012, 0.5, 0.15), 0.45),
 }
 

@@ -30,6 +30,8 @@ _BUTTON_AFTER_S: Final = 0.8
 _BUTTON_HELD_S: Final = 0.12
 _PLACEMENT_MM: Final = 0.1
 _TURN_RAD: Final = 0.03
+_RESET: Final = 0.3
+"""Error of a hand that moves from where it stood, as a share of one that places an object."""
 
 
 class TwinOperator:
@@ -39,6 +41,7 @@ class TwinOperator:
         self._bench = bench
         self._random = np.random.default_rng([bench.seed, 0x0B])
         self._shown: Press | None = None
+        self._placed: tuple[str, complex, float] | None = None
         self._pushes: list[ButtonPress] = []
 
     def ask(self, request: OperatorRequest) -> None:
@@ -64,6 +67,8 @@ class TwinOperator:
         press = self._press_for(request)
         self._shown = press if isinstance(request, PressObject) else None
         self._bench.place(press)
+        if isinstance(request, PressObject) and not request.pushes:
+            return
         began_ns = self._bench.clock.monotonic_ns() + round(_BUTTON_AFTER_S * 1e9)
         self._pushes = [*self._to_come(), ButtonPress(began_ns, _BUTTON_HELD_S)]
         self._bench.schedule_button(self._pushes[-1])
@@ -80,9 +85,10 @@ class TwinOperator:
             case PressBall():
                 return self._ball(request)
             case PressObject():
-                return self._object(request.name)
+                return self._object(request)
 
-    def _object(self, name: str) -> Press:
+    def _object(self, request: PressObject) -> Press:
+        name = request.name
         if name not in gallery_names():
             raise OperatorError(f"the twin has no object {name!r}: choose one of {', '.join(gallery_names())}")
         shown = specimen(name)
@@ -91,14 +97,28 @@ class TwinOperator:
                 f"{name!r} needs {shown.indentation_mm:g} mm, more than the {self._max_depth_mm():g} mm of this gel: "
                 "use a board with a thicker slab"
             )
-        x, y, turn = self._random.normal(0.0, 1.0, 3)
-        centre_mm = (float(x) * _PLACEMENT_MM, float(y) * _PLACEMENT_MM)
+        centre, turn = self._place(name, request.way)
+        centre_mm = (centre.real, centre.imag)
         faults, depth_mm, surface = self._bench.faults, shown.indentation_mm, shown.surface
         if faults.leaning:
             surface, depth_mm = Leaning(surface, LEAN, LEAN_REACH_MM), LEAN_DEPTH * self._max_depth_mm()
         if faults.too_deep:
             depth_mm = self._max_depth_mm()
-        return Press(surface, centre_mm, float(turn) * _TURN_RAD, depth_mm)
+        return Press(surface, centre_mm, turn, depth_mm)
+
+    def _place(self, name: str, way: tuple[float, float, float] | None) -> tuple[complex, float]:
+        """Where the object lies in the view, mm right and (imaginary) down, and by how much it is turned."""
+        x, y, turn = (float(value) for value in self._random.normal(0.0, 1.0, 3))
+        off, off_rad = complex(x, y) * _PLACEMENT_MM, turn * _TURN_RAD
+        if way is not None and self._placed is not None and self._placed[0] == name:
+            _, centre, before_rad = self._placed
+            right_mm, down_mm, clockwise_deg = way
+            turned_rad = float(np.radians(clockwise_deg))
+            # What the view shows moves against the instrument.
+            centre = (centre - complex(right_mm, down_mm)) * np.exp(-1j * turned_rad)
+            off, off_rad = complex(centre + _RESET * off), before_rad - turned_rad + _RESET * off_rad
+        self._placed = name, off, off_rad
+        return off, off_rad
 
     def _set_fault(self, request: SetFault) -> None:
         """Switch one of the world's faults; every light that is affected is the last one."""

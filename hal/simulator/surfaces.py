@@ -62,6 +62,35 @@ class SphereGrid:
         return Sphere(self.radius_mm).height_mm(across, along)
 
 
+EMPTY_CELLS = 0.4
+"""Fraction of the cells of `Pebbles` without a ball, so that no two places of it look alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pebbles:
+    """Balls scattered over a plate larger than a field, one at a random place in each cell of a lattice or none."""
+
+    radius_mm: float
+    spacing_mm: float
+    reach: int
+
+    def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Height (mm), NaN between the balls."""
+        count = 2 * self.reach + 1
+        free = 0.5 - self.radius_mm / self.spacing_mm
+        random = np.random.default_rng(1)
+        places = np.arange(-self.reach, self.reach + 1)
+        lattice = np.stack(np.meshgrid(places, places)) + random.uniform(-free, free, (2, count, count))
+        lattice[:, random.random((count, count)) < EMPTY_CELLS] = np.inf
+        column, row = (
+            np.clip(np.round(place / self.spacing_mm), -self.reach, self.reach).astype(np.intp) + self.reach
+            for place in (x_mm, y_mm)
+        )
+        across = x_mm - self.spacing_mm * lattice[0][row, column]
+        along = y_mm - self.spacing_mm * lattice[1][row, column]
+        return Sphere(self.radius_mm).height_mm(across, along)
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """A flat-faced block with rounded edges, into which the reliefs below are cut."""

@@ -49,7 +49,11 @@ from device.tui.widgets.navigation import Notice, Place, place_after
 from hal.board_profile import SensorConfig
 
 UPDATES_PER_S: Final = 10.0
-SHOWN_OBJECTS: Final = ("coin", "texture", "sphere-grid", "sinusoid", "step", "groove")
+SHOWN_OBJECTS: Final = ("pebbles", "coin", "step", "texture", "groove", "sphere-grid", "sinusoid")
+"""Objects that key d presses, in turn; the way back needs one that does not repeat itself."""
+WIDE_OBJECT: Final = "pebbles"
+ASTRAY: Final = (1.5, -1.0, 6.0)
+"""Way of the first touch of a demonstrated search from the spot: mm right, mm down and degrees clockwise."""
 """What the twin's operator presses, one after another."""
 
 
@@ -59,6 +63,7 @@ KEYS_IN_WORDS: Final = {
     "go('scans')": "Scans",
     "go('set-up')": "Set-up",
     "view": "relief in pixels",
+    "interrupt": "quit",
     "choose(-1)": "previous line",
     "move(-1, 0)": "cursor up",
     "move(1, 0)": "cursor down",
@@ -86,6 +91,9 @@ FRAMEWORK_ACTIONS: Final = frozenset(
 
 CHECK_ANSWERS: Final = ("Repeat with the right ball", "It is the standard: FAILED")
 """Answers to `CheckAsked`; without one the press is repeated."""
+
+STOPPED: Final = 130
+"""Exit code of a program that Ctrl-C stopped."""
 
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16
@@ -122,7 +130,8 @@ class RetroscanApp(App[str]):
         Binding("4", "go('set-up')", show=False),
         Binding("f", "faults", "faults"),
         Binding("question_mark", "keys", "keys", key_display="?"),
-        Binding("q,ctrl+c", "quit", "quit"),
+        Binding("q", "quit", "quit"),
+        Binding("ctrl+c", "interrupt", show=False),
     ]
 
     def __init__(
@@ -151,6 +160,8 @@ class RetroscanApp(App[str]):
         self._live_rate = FrameRateLimiter(1.0 / UPDATES_PER_S)
         self._due_s: float | None = None
         self._demonstrated = 0
+        self._shown = SHOWN_OBJECTS[0]
+        self._objects: dict[str, str] = {}
         self._last_event: Event | None = None
         for theme in themes_for(depth).values():
             self.register_theme(theme)
@@ -193,11 +204,19 @@ class RetroscanApp(App[str]):
 
     async def action_quit(self) -> None:
         """Quit; during a calibration ask first."""
+        self._leave(0)
+
+    def action_interrupt(self) -> None:
+        """Quit as `action_quit` does, with the exit code of a program that Ctrl-C stopped."""
+        self._leave(STOPPED)
+
+    def _leave(self, exit_code: int) -> None:
         if self.instrument.state.activity != "calibrating":
-            self.exit()
+            self.exit(return_code=exit_code)
             return
         question = "Stop the calibration? The previous one stays active."
-        self.push_screen(ConfirmDialog(question, "Stop"), lambda yes: self.exit() if yes else None)
+        leave = ConfirmDialog(question, "Stop")
+        self.push_screen(leave, lambda yes: self.exit(return_code=exit_code) if yes else None)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only a demonstration has faults to switch."""
@@ -254,8 +273,18 @@ class RetroscanApp(App[str]):
         self.theme = themes_for(self._depth)[display].name
 
     def demonstrate(self) -> None:
-        """Let the twin's operator press the next object."""
-        self.instrument.demonstrate(SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)])
+        """Let the twin's operator press the next object, or follow the way to a spot or over an area."""
+        state = self.instrument.state
+        if state.spot:
+            self._shown = self._objects.get(state.spot.scan_id, self._shown)
+            self.instrument.demonstrate(self._shown, state.spot.way or ASTRAY, pushes=False)
+            return
+        if state.area:
+            self._shown = WIDE_OBJECT
+            self.instrument.demonstrate(self._shown, state.area.way, pushes=False)
+            return
+        self._shown = SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)]
+        self.instrument.demonstrate(self._shown, pushes=False)
         self._demonstrated += 1
 
     async def action_go(self, place: Place) -> None:
@@ -288,7 +317,8 @@ class RetroscanApp(App[str]):
         match event:
             case PressSeen() | CalibrationStep(progress=CalibrationProgress(is_over=False)):
                 self.notice = None
-            case ScanFinished(fault="") if not isinstance(last, Checked):
+            case ScanFinished(fault="", scan_id=scan_id) if not isinstance(last, Checked):
+                self._objects[scan_id] = self._shown
                 self.notice = None
             case ButtonPushed(held_long=held_long):
                 await self._pushed(held_long)

@@ -148,7 +148,7 @@ class ScanScreen(InstrumentScreen):
         if self.instrument.state.area:
             self.action_leave()
             return
-        dialog = FieldsDialog("Cover an area", self._area_mm, AREA_HINT, area_complaint)
+        dialog = FieldsDialog("Cover an area", self._area_mm, AREA_HINT, area_complaint, replaces=True)
         self.app.push_screen(dialog, self._cover_area)
 
     def _cover_area(self, fields: dict[str, str] | None) -> None:

@@ -38,6 +38,7 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
     hint : one sentence below
     check : what is wrong with the texts, empty if nothing is; the dialog then stays open with what was typed
     secret : name of the field that shows dots instead of its text
+    replaces : what is typed takes the place of the present texts
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "cancel")]
@@ -49,9 +50,12 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
         hint: str,
         check: Callable[[dict[str, str]], str] = lambda _: "",
         secret: str = "",
+        *,
+        replaces: bool = False,
     ) -> None:
         super().__init__()
         self._secret = secret
+        self._replaces = replaces
         self._title, self._fields, self._hint = title, dict(fields), Static(hint, classes="dialog-hint", markup=False)
         self._check = check
 
@@ -67,7 +71,7 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
                         name=name,
                         compact=True,
                         max_length=80,
-                        select_on_focus=False,
+                        select_on_focus=self._replaces,
                         password=name == self._secret,
                     )
             yield self._hint

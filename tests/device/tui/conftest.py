@@ -35,6 +35,7 @@ SVG_COLUMN = 12.2
 """Width of a cell in an exported picture."""
 
 ROW_OF_RUN = re.compile(r"-line-(\d+)\)$")
+OBJECTS = ("coin", "texture", "sphere-grid", "sinusoid", "step", "groove")
 PROGRAM = ProgramInfo("0.1.0", Path("/var/lib/retroscan"))
 
 
@@ -47,6 +48,7 @@ class Stage:
     instrument: Instrument
     bench: SimulatedScene
     store: BundleStore
+    shown: int = 0
 
     async def live(self, steps: int = 1) -> None:
         """Let the instrument take some steps (about 17 ms each) and show the result."""
@@ -83,7 +85,8 @@ class Stage:
         """Have the twin's operator scan its next object, until the verdict is shown, and press it once more."""
         for _ in range(24):  # untouched skin, for the lights
             self.instrument.step()
-        await self.press("d")
+        self.instrument.demonstrate(OBJECTS[self.shown % len(OBJECTS)])  # key d leaves the push to the user
+        self.shown += 1
         await self.live()
         pressed = self.bench.pressed
         self.bench.clock.sleep(1.0)

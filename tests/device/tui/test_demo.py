@@ -86,3 +86,59 @@ def test_the_first_start_calibrates_and_the_second_does_not(small_board: Path, t
     store = BundleStore(tmp_path / "demo", VirtualClock(start_ns=5_000))
     assert len(store.calibrations().bundles) == 1
     assert store.active_calibration().calibration_id == store.calibrations().bundles[0].calibration_id
+
+
+async def demonstrated(stage: Stage) -> None:
+    """Key d presses an object, Space scans or touches, and the hand lifts."""
+    await stage.press("d")
+    await stage.live(3)
+    await stage.press("space")
+    await stage.live(2)
+    assert "ignored" not in stage.text()
+    stage.bench.place(None)
+    stage.bench.clock.sleep(1.0)
+    await stage.live(30)
+
+
+def test_the_way_back_to_a_demonstrated_scan_is_found(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.live(24)
+        await demonstrated(stage)
+        assert stage.instrument.state.scans_stored == 1
+        await stage.press("3", "w")
+        await stage.live(2)
+        await demonstrated(stage)
+        assert not stage.instrument.state.spot.is_reached
+        for _ in range(4):
+            await demonstrated(stage)
+            if stage.instrument.state.spot.is_reached:
+                break
+        assert stage.instrument.state.spot.is_reached
+        assert stage.instrument.state.scans_stored == 1
+
+    play(scenario, root, is_demo=True)
+
+
+def test_an_area_is_covered_in_the_demonstration(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.live(24)
+        await stage.press("w", *"22", "enter", *"16", "enter")
+        await stage.live(2)
+        area = stage.instrument.state.area
+        assert (area.width_mm, area.height_mm) == (22.0, 16.0)  # what is typed replaces the present values
+        for _ in range(10):
+            await demonstrated(stage)
+            if stage.instrument.state.area.is_done:
+                break
+        assert stage.instrument.state.area.is_done
+
+    play(scenario, root, is_demo=True)
+
+
+def test_ctrl_c_ends_with_its_own_exit_code(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.pilot.press("ctrl+c")
+        await stage.pilot.pause()
+        assert stage.app.return_code == 130
+
+    play(scenario, root)

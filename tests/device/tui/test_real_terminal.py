@@ -76,6 +76,7 @@ def test_calibrate_three_scans_review_quit(terminal: Terminal, tmp_path: Path) -
     terminal.keys("1")
     for number in range(1, 4):
         terminal.keys("d")
+        terminal.keys("Space")
         terminal.wait_for(rf"(GOOD|DOUBTFUL|RETAKE) #{number} ")
     terminal.keys("3")
     shown = terminal.wait_for(r">\s+3 ")

@@ -16,7 +16,7 @@ def grid() -> tuple[FloatArray, FloatArray]:
 
 
 def test_the_gallery_has_what_the_twin_promises() -> None:
-    wanted = {"sphere", "sphere-grid", "plane", "sinusoid", "groove", "step", "coin", "texture"}
+    wanted = {"sphere", "sphere-grid", "plane", "sinusoid", "groove", "step", "coin", "pebbles", "texture"}
     assert set(gallery_names()) == wanted
 
 
@@ -27,7 +27,7 @@ def test_every_exhibit_stands_at_zero_and_ends_inside_the_field(name: str) -> No
     assert height.shape == x.shape
     assert -0.03 < np.nanmax(height) <= 1e-12
     border = np.concatenate([height[0], height[-1], height[:, 0], height[:, -1]])
-    assert np.isnan(border).all()
+    assert np.isnan(border).all() or name == "pebbles"  # which is larger than a field, to be covered by scans
 
 
 @pytest.mark.parametrize("name", gallery_names())
