@@ -85,7 +85,7 @@ class CoverTask:
 
     @property
     def hand_way(self) -> tuple[float, float, float] | None:
-        """How a hand that stands at the last press goes on, mm right, mm down and degrees clockwise; None: not known.
+        """Return the way of a hand from the last press, mm right, mm down and degrees clockwise; None: not known.
 
         From a press that was not placed it goes half of its last way back.
         """

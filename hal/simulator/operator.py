@@ -107,7 +107,7 @@ class TwinOperator:
         return Press(surface, centre_mm, turn, depth_mm)
 
     def _place(self, name: str, way: tuple[float, float, float] | None) -> tuple[complex, float]:
-        """Where the object lies in the view, mm right and (imaginary) down, and by how much it is turned."""
+        """Return the place of the object in the view, mm right and (imaginary) down, and its turn."""
         x, y, turn = (float(value) for value in self._random.normal(0.0, 1.0, 3))
         off, off_rad = complex(x, y) * _PLACEMENT_MM, turn * _TURN_RAD
         if way is not None and self._placed is not None and self._placed[0] == name:
