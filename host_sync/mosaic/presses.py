@@ -12,6 +12,7 @@ import numpy as np
 from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import MosaicError, UnreadableResult
 from host_sync.mosaic.record import MOSAIC_FILE
+from host_sync.registration.copies import are_copies
 from host_sync.registration.poses import reduced
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result
@@ -191,11 +192,17 @@ def small_of(press: Press) -> Small:
 
 def read_small(presses: Sequence[Press], tell: Callable[[str], None]) -> tuple[dict[int, Small], list[str]]:
     """The presses that can be used, reduced, by number; and a sentence for each other one."""
-    small, left_out = {}, []
+    small: dict[int, Small] = {}
+    left_out: list[str] = []
     for number, press in enumerate(presses):
         tell(f"reading: {number + 1} of {len(presses)}")
         try:
-            small[number] = small_of(press)
+            found = small_of(press)
+            copied = next((other for other, one in small.items() if are_copies(one.z_um, found.z_um)), None)
+            if copied is not None:
+                left_out.append(f"{press.name}: is a copy of {presses[copied].name}, not another press")
+                continue
+            small[number] = found
         except (MosaicError, UnreadableResult) as error:
             left_out.append(str(error))
     return small, left_out

@@ -12,6 +12,8 @@ import numpy as np
 
 from device.io.atomic import atomic_directory
 from device.surface.fields import HeightMap
+from host_sync.errors import ViewError
+from host_sync.registration.copies import are_copies
 from host_sync.registration.difference import Difference, difference
 from host_sync.registration.poses import Pose
 from host_sync.render.colour_strip import with_strip
@@ -85,10 +87,14 @@ def compared(first: ResultSurface, second: ResultSurface, near: tuple[float, flo
     Raises
     ------
     ViewError
-        They hardly overlap.
+        They hardly overlap, or are copies of one press.
     RegistrationRefused
         Their registration cannot be trusted.
     """
+    if are_copies(first.height.z_um, second.height.z_um):
+        raise ViewError(
+            f"{first.record.name} and {second.record.name} do not differ: they are copies of one press, not two presses"
+        )
     pitch_um = first.height.pitch_um
     pose = None
     if near is not None:

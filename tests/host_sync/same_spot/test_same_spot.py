@@ -14,6 +14,7 @@ from mosaic_presses import press_of_map, pressed, rough_target, write_press
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.cli.main import main
 from host_sync.mosaic.motion import Motion
+from host_sync.registration.copies import are_copies
 from host_sync.registration.difference import difference
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER, changes
 
@@ -126,3 +127,17 @@ def test_a_folder_with_something_else_is_not_replaced(
 def test_a_press_is_not_compared_with_itself(results: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", results[0], f"{results[0]}/../{Path(results[0]).name}"]) == 2
     assert "are one result: name an earlier and a later press" in capsys.readouterr().err
+
+
+def test_copies_of_one_press_are_no_two_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = two_presses(0.0)
+    rounded = first + np.float32(2e-5) * np.random.default_rng(0).standard_normal(first.shape).astype(np.float32)
+    assert are_copies(first, first)
+    assert are_copies(first, rounded)
+    assert not are_copies(first, second)
+    assert not are_copies(first, first[1:])
+    names = [str(write_press(press_of_map(name, z_um), tmp_path)) for name, z_um in (("one", first), ("copy", rounded))]
+    assert main(["compare", *names]) == 2
+    assert "they are copies of one press, not two presses" in capsys.readouterr().err
+    assert main(["mosaic", *names, "--out", str(tmp_path / "mosaic")]) == 2
+    assert "copy: is a copy of one, not another press" in capsys.readouterr().err
