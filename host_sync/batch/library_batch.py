@@ -14,7 +14,6 @@ from device.errors import DeviceError
 from device.io.os_errors import explain_os_error
 from host_sync.batch.cluster import Unfinished, outcomes_on_cluster
 from host_sync.batch.scan_outcome import ScanOutcome
-from host_sync.batch.work_folder import work_folder
 from host_sync.batch.worker_count import default_workers, usable_cores, usable_memory
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
@@ -29,6 +28,62 @@ if TYPE_CHECKING:
 
     from host_sync.calibration.calibrate import Method
     from host_sync.reconstruction.from_library import LibraryReconstructor
+
+
+import re
+import socket
+from contextlib import contextmanager, suppress
+from tempfile import mkdtemp
+
+from device.io.atomic import remove_tree_quietly
+from device.io.lock import FolderLocked, locked_directory
+
+PREFIX: Final = ".retrosync-"
+
+
+@contextmanager
+def work_folder(place: Path) -> Iterator[Path]:
+    """A new folder in `place`, removed at the end; what killed jobs of this computer left there is removed first.
+
+    Raises
+    ------
+    OSError
+        None can be made there.
+    """
+    remove_abandoned(place)
+    with ExitStack() as stack:
+        yield _held_folder(place, stack)
+
+
+def remove_abandoned(place: Path) -> None:
+    """Remove folders of jobs of this computer that no longer run; those that cannot be removed stay.
+
+    The lock of a job on another computer may not be seen from here, so that its folder is left alone.
+    """
+    for folder in place.glob(f"{_prefix()}*"):
+        with suppress(OSError), locked_directory(folder, wait=False):
+            remove_tree_quietly(folder)
+
+
+def _held_folder(place: Path, stack: ExitStack) -> Path:
+    """A new folder whose lock is held, and which is removed, with the stack."""
+    while True:
+        with ExitStack() as attempt:
+            folder = Path(mkdtemp(prefix=_prefix(), dir=place))
+            attempt.callback(remove_tree_quietly, folder)
+            try:
+                attempt.enter_context(locked_directory(folder, wait=False))
+            except (FolderLocked, FileNotFoundError):
+                continue  # another job that starts took it for abandoned before it was locked
+            if folder.is_dir():
+                stack.push(attempt.pop_all())
+                return folder
+
+
+def _prefix() -> str:
+    """Return what the folders of this computer's jobs are called, but for the end of the name."""
+    return f"{PREFIX}{re.sub('[^A-Za-z0-9]+', '_', socket.gethostname())}-"
+
 
 KEPT_CALIBRATIONS: Final = 2
 """So many of the calibrations that a process read last stay in its memory."""

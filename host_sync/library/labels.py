@@ -6,17 +6,15 @@ Bundles are not touched: labels lie in `labels.json` of the library, by scan, an
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final, Protocol
 
 import msgspec
 
 from device.io.atomic import replace_file
 from hal.decoding import decode_json
 from host_sync.errors import LibraryError
-
-if TYPE_CHECKING:
-    from host_sync.library.library import Library
 
 LABELS_FILE: Final = "labels.json"
 MAX_BYTES: Final = 64 << 20
@@ -66,8 +64,22 @@ def read_labels(root: Path) -> Labels:
         raise LibraryError(f"{path}: is damaged ({error}): mend it, or move it away") from error
 
 
+class LabelledLibrary(Protocol):
+    """A library's folder, its lock, and its sentences for the system's errors; see `Library`."""
+
+    @property
+    def root(self) -> Path:
+        """Folder of the library."""
+
+    def writing(self) -> AbstractContextManager[None]:
+        """Hold the library's lock."""
+
+    def translating(self, verb: str) -> AbstractContextManager[None]:
+        """Turn the system's errors into `LibraryError`."""
+
+
 def label_scan(
-    library: Library,
+    library: LabelledLibrary,
     scan_id: str,
     *,
     name: str | None = None,
@@ -105,7 +117,7 @@ def label_scan(
     return new
 
 
-def save_search(library: Library, name: str, conditions: dict[str, str]) -> None:
+def save_search(library: LabelledLibrary, name: str, conditions: dict[str, str]) -> None:
     """Keep a search under a name; one without conditions is removed.
 
     Raises
@@ -121,7 +133,7 @@ def save_search(library: Library, name: str, conditions: dict[str, str]) -> None
         _write(library, msgspec.structs.replace(labels, searches=searches))
 
 
-def _write(library: Library, labels: Labels) -> None:
+def _write(library: LabelledLibrary, labels: Labels) -> None:
     data = msgspec.json.format(msgspec.json.encode(labels), indent=2)
     with library.translating("written"):
         replace_file(library.root / LABELS_FILE, data)

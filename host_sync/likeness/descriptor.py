@@ -49,7 +49,7 @@ def describe_result(result: ResultSurface) -> Float32Array:
 def describe(height: HeightMap, sigma_um: float = 0.0) -> Float32Array:
     """The descriptor of a height map: float32 array of shape (LENGTH,), all finite.
 
-    Amplitudes are decimal logarithms; rows are to be compared after `host_sync.likeness.whitening`.
+    Amplitudes are decimal logarithms; rows are to be compared after `host_sync.likeness.search`.
 
     sigma_um : median standard uncertainty of a height, µm
 

@@ -5,10 +5,11 @@ Each press is read once and added to sums on disk (memory maps), so that memory 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -16,12 +17,36 @@ from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
-from host_sync.mosaic.disk_array import disk_array
 from host_sync.mosaic.levelling import Levels
 from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.presses import Fields, Press
 from host_sync.registration.poses import between_pixels, reduced
 from host_sync.results.field_file import MAX_PIXELS
+
+CHUNK: Final = 1 << 20
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def disk_array(path: Path, dtype: type[Scalar], shape: tuple[int, int]) -> NDArray[Scalar]:
+    """Zeros in a new file, as a memory map of shape (H, W).
+
+    A memory map of a file with holes ends the program without a word (SIGBUS) where the disk fills up.
+
+    Raises
+    ------
+    OSError
+        The disk has no room for it.
+    """
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    with path.open("wb") as stream:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(stream.fileno(), 0, size)
+        else:
+            for start in range(0, size, CHUNK):
+                stream.write(bytes(min(CHUNK, size - start)))
+    return np.memmap(path, dtype, "r+", shape=shape)
+
 
 TAPER: Final = 0.1
 """Width over which the weight of a press falls to 0 towards its edge and its holes, fraction of its shorter side."""

@@ -21,9 +21,12 @@ from starlette.routing import Route
 from device.errors import DeviceError
 from host_sync.errors import HostError, RegistrationRefused, ViewError
 from host_sync.library.index import Query
+from host_sync.library.labels import Label, label_scan
+from host_sync.library.library import Library
 from host_sync.render.colormap import palettes
 from host_sync.viewer.access import Access, AccessCheck, refused
-from host_sync.viewer.catalogue import ListFilter
+from host_sync.viewer.catalogue import Catalogue, ListFilter
+from host_sync.viewer.entry import Entry, relabelled
 from host_sync.viewer.responses import (
     binary_answer,
     entry_info,
@@ -34,6 +37,44 @@ from host_sync.viewer.responses import (
     readable,
 )
 from host_sync.viewer.service import NearPose, ViewerService
+
+NO_LIBRARY: Final = "only scans of a library have a label: pull them into one"
+
+
+class _LabelRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """The whole label as the page has it now, and as it loaded it."""
+
+    name: str
+    tags: list[str]
+    note: str
+    loaded: Label
+
+
+def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
+    """The entry with the label of a request, which the library keeps in `labels.json`; scans themselves stay as they
+    are.
+
+    Raises
+    ------
+    ViewError
+        The entry is of no library, or the request is not valid.
+    LibraryError
+        The label was changed since the page loaded it, a text is too long, a tag has a blank or comma, or the library
+        cannot be written.
+    """
+    entry = catalogue.find(key)
+    if entry.hit is None or not catalogue.is_library:
+        raise ViewError(NO_LIBRARY)
+    try:
+        asked = msgspec.json.decode(body, type=_LabelRequest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ViewError("the label is not valid: load the page again") from error
+    library, scan_id = Library(catalogue.root), entry.hit.scan_id
+    gone, loaded = set(asked.loaded.tags) - set(asked.tags), asked.loaded
+    label = label_scan(library, scan_id, name=asked.name, tag=asked.tags, untag=gone, note=asked.note, loaded=loaded)
+    catalogue.replace_entries(lambda one: relabelled(one, scan_id, label))
+    return relabelled(entry, scan_id, label)
+
 
 MEDIA: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MAX_TEXT: Final = 200
@@ -208,7 +249,6 @@ def _measure(service: ViewerService, request: Request, body: bytes) -> Response:
 
 
 def _label(service: ViewerService, request: Request, body: bytes) -> Response:
-    from host_sync.viewer.labelling import change_label
 
     return json_answer(entry_info(change_label(service.catalogue, _key(request), body)))
 

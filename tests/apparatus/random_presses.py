@@ -14,7 +14,7 @@ from device.instrument.events import ScanFinished
 from device.instrument.instrument import Instrument
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import gallery_names, specimen
+from hal.simulator.operator import gallery_names, specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Plane, Surface, Texture
 

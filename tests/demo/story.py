@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from host_sync.cli.unreachable_cycles import search_seldom
+from host_sync.cli.main import search_seldom
 from host_sync.kernels.cache import configure_cache, holds_kernels
 from tests.demo.programme import ACTS, BALL_RADIUS_MM, VERDICT, Act, Shown
 

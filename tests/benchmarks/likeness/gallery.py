@@ -5,7 +5,7 @@
 Every specimen of the gallery is pressed several times by hand: shifted by up to 1 mm, turned by any angle, 0.85 to
 1.15 times as deep as usual, with the slope errors of a calibration. Every press asks for the five most alike of all
 others: recall@5 is the share of the right specimen's presses among them. `--whitening` prints the factor of
-`host_sync.likeness.whitening`, learned at seeds 0 to 7.
+`host_sync.likeness.search`, learned at seeds 0 to 7.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from device.io.atomic import RESULTS
-from hal.simulator.gallery import gallery_names, specimen
+from hal.simulator.operator import gallery_names, specimen
 from host_sync.likeness.descriptor import LENGTH, describe
 from host_sync.likeness.index import Entry, LikenessIndex
 from host_sync.likeness.search import nearest, updated

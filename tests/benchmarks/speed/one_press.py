@@ -23,7 +23,7 @@ from hal.clock import VirtualClock
 from hal.drivers.blink_indicator import RHYTHMS
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from tests.benchmarks.speed.fresh import fresh
 from tests.benchmarks.speed.plan import Plan, Shape, named

@@ -13,7 +13,7 @@ from device.guidance.reading import GuideReading
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.simulator.bench import Faults, SimulatedScene
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Plane, Sphere, Surface
 

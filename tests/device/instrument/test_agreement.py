@@ -8,7 +8,7 @@ from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Plane, Sphere, Surface
 

@@ -17,8 +17,8 @@ from hal.clock import VirtualClock
 from hal.hardware import Hardware
 from hal.interfaces import OperatorRequest, PressBall
 from hal.simulator.bench import SimulatedScene, build
-from hal.simulator.gallery import gallery_names, specimen
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.operator import gallery_names, specimen
 from hal.simulator.scene import Press
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from device.acquisition.calibration_balls import calibration_ball_bias
+from device.acquisition.check_press import calibration_ball_bias
 from device.acquisition.scanner import Scanner
 from device.bundles.check import CheckStandard
 from device.instrument.instrument import Instrument

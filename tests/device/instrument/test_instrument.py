@@ -33,7 +33,7 @@ from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 
 SECOND = 1_000_000_000

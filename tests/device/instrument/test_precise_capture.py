@@ -21,7 +21,7 @@ from hal.frame import RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 
 HEALTHY_MIN = 0.9

@@ -10,7 +10,7 @@ from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Sphere, Surface
 from tests.apparatus.random_presses import WHOLE_FIELD_OBJECTS

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from device.errors import MachineError
-from device.machine.clock import TimedateClock
 from device.machine.interfaces import ClockStatus
+from device.machine.real_machine import TimedateClock
 
 Fake = Callable[[str, str], Path]
 Calls = Callable[[], list[str]]

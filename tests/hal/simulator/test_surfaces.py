@@ -6,7 +6,7 @@ from hal.hardware import Hardware
 from hal.interfaces import PressObject
 from hal.simulator.arrays import FloatArray
 from hal.simulator.bench import SimulatedScene
-from hal.simulator.gallery import gallery_names, specimen
+from hal.simulator.operator import gallery_names, specimen
 from hal.simulator.surfaces import Block, Groove, Plane, Sinusoid, Sphere, SphereGrid, Step, smooth_step
 
 

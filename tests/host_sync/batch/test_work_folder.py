@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.batch import work_folder as module
-from host_sync.batch.work_folder import work_folder
+from host_sync.batch import library_batch as module
+from host_sync.batch.library_batch import work_folder
 
 JOB = """
 import sys
 from pathlib import Path
-from host_sync.batch.work_folder import work_folder
+from host_sync.batch.library_batch import work_folder
 
 with work_folder(Path(sys.argv[1])) as folder:
     (folder / "a.calibration").write_bytes(b"0" * 100)

@@ -19,8 +19,8 @@ from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import build
-from hal.simulator.gallery import gallery_names
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.operator import gallery_names
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.results.record import FrameCheck, refusals
 

@@ -12,8 +12,8 @@ from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.simulator.bench import build
-from hal.simulator.gallery import specimen
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from host_sync.frames.light_sequence import LightSequence, read_light_sequence
 

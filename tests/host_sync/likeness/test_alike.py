@@ -12,7 +12,7 @@ from mosaic_presses import press_of_map, write_press
 from press_pairs import Hand, press
 
 from device.surface.fields import HeightMap
-from hal.simulator.gallery import specimen
+from hal.simulator.operator import specimen
 from host_sync.cli.main import main
 from host_sync.errors import Indescribable
 from host_sync.likeness.descriptor import describe

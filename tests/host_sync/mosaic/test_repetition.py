@@ -13,8 +13,7 @@ from host_sync.errors import MosaicError
 from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press, Small, small_of
-from host_sync.mosaic.repetition import period_px
-from host_sync.mosaic.stitch import planned, stitch
+from host_sync.mosaic.stitch import period_px, planned, stitch
 from host_sync.results.record import read_record
 
 SHAPE = (136, 182)

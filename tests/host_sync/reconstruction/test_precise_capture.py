@@ -11,8 +11,8 @@ from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.simulator.bench import build
-from hal.simulator.gallery import specimen
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Sphere
 from host_sync.library.library import Library
