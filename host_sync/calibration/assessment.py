@@ -14,6 +14,7 @@ from device.calibration.fit import InverseFit
 from host_sync.calibration.balls import PressFrame, UsedPress
 from host_sync.calibration.calibration_verdict import check_count, checks
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.radii import check_radii, radius_shares, radius_spread
 from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
 
@@ -24,6 +25,7 @@ class Assessment:
 
     pitch : what ball grids measured, None when no press shows one of known spacing
     notes : what a person should know, one sentence each
+    pixel_shape : of pixels over the stated one, None where the balls do not show it
     """
 
     pitch: PixelPitch | None
@@ -31,6 +33,7 @@ class Assessment:
     coverage: Coverage
     checks: tuple[Check, ...]
     notes: tuple[str, ...]
+    pixel_shape: PixelShape | None = None
 
     @property
     def passed(self) -> bool:
@@ -44,11 +47,13 @@ def assess(
     training: BallSamples,
     inverse: InverseFit,
     pitch: PixelPitch | None,
+    pitch_um: float,
 ) -> Assessment:
     """What a calibration is worth.
 
     used : the presses after the fit
     training : samples of their balls
+    pitch_um : of square pixels
 
     Raises
     ------
@@ -61,13 +66,20 @@ def assess(
     check_fit(inverse)
     radii_px = np.array([ball.radius_px for press in used for ball in press.balls])
     coverage = measure_coverage(training, used[0].intensity.shape, inverse.map.max_trained_slope)
+    shape = measure_pixel_shape(used, inverse.map)
     return Assessment(
         pitch=pitch,
         scale=scale_uncertainty(pitch, presses, shares, radii_px),
         coverage=coverage,
-        checks=checks(used, inverse.held_out_deg, radius_spread(shares), coverage),
-        notes=_notes(presses, used, pitch),
+        checks=checks(used, inverse.held_out_deg, radius_spread(shares), coverage, shape),
+        notes=(*_notes(presses, used, pitch), *_shape_note(shape, pitch_um)),
+        pixel_shape=shape,
     )
+
+
+def _shape_note(shape: PixelShape | None, pitch_um: float) -> tuple[str, ...]:
+    words = shape.contradiction(pitch_um) if shape else ""
+    return (words,) if words else ()
 
 
 def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: PixelPitch | None) -> tuple[str, ...]:

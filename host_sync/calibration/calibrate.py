@@ -243,7 +243,7 @@ def calibrate(
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
     training = gather_samples(kept)
-    assessment = assess(presses, used, training, inverse, pitch)
+    assessment = assess(presses, used, training, inverse, pitch, pitch_um)
     if drifts is not None:
         assessment = replace(assessment, notes=(*assessment.notes, drift_note(drifts)))
     held_out: dict[Method, float] = {

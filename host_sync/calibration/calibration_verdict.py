@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from device.calibration.acceptance import Check, fit_checks
 from device.calibration.coverage import Coverage
 from device.calibration.limits import MAX_RADIUS_SPREAD, MIN_BALLS
 from device.errors import CalibrationError
 from host_sync.calibration.balls import UsedPress
+from host_sync.calibration.pixel_shape import PixelShape
+
+PIXEL_SHAPE: Final = "pixels' height over width against the stated, by the skin around the balls"
 
 
 def check_count(presses: Sequence[UsedPress]) -> None:
@@ -32,11 +36,16 @@ def check_count(presses: Sequence[UsedPress]) -> None:
 
 
 def checks(
-    presses: Sequence[UsedPress], held_out_deg: float | None, radius_spread: float, coverage: Coverage
+    presses: Sequence[UsedPress],
+    held_out_deg: float | None,
+    radius_spread: float,
+    coverage: Coverage,
+    shape: PixelShape | None = None,
 ) -> tuple[Check, ...]:
     """What the report judges; a calibration passes when all do."""
     balls = sum(len(press.balls) for press in presses)
     rejected = sum(len(press.rejected) or bool(press.error) for press in presses)
     first, share, *rest = fit_checks(balls, rejected, held_out_deg, coverage)
     spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
-    return (first, share, spread, *rest)
+    off = () if shape is None else (Check(PIXEL_SHAPE, shape.off, shape.allowed, "at most"),)
+    return (first, share, spread, *off, *rest)

@@ -1,0 +1,83 @@
+"""Pixels that are not square show in the skin around balls; stated, they change nothing but the frame's size."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from device.imaging.flat_field import LinearFrame, make_flat_field
+from device.inverse_map.illumination import IlluminationMap
+from host_sync.calibration.ball_choice import fit_to
+from host_sync.calibration.balls import PressFrame, apply_fit, locate
+from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks
+from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
+from host_sync.frames.square_pixels import square_frame
+
+SHAPE = (210, 280)
+RADIUS_PX = 36.0
+PLACES = ((70.0, 70.0), (200.0, 75.0), (140.0, 110.0), (75.0, 140.0), (205.0, 140.0))
+
+
+def pressed(column: float, row: float) -> np.ndarray:
+    """Heights in pixels: a ball's cap, and outside its contact skin that returns to rest."""
+    down, across = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    apart, contact, reach = np.hypot(down - row, across - column), 0.65 * RADIUS_PX, 0.35 * RADIUS_PX
+    at_edge = np.sqrt(RADIUS_PX**2 - contact**2)
+    edge = contact / at_edge * reach
+    cap = np.sqrt(RADIUS_PX**2 - np.minimum(apart, contact) ** 2) - at_edge + edge
+    return np.where(apart < contact, cap, edge * np.exp(-(apart - contact) / reach))
+
+
+def frame(height: np.ndarray, rows_kept: float, seed: int) -> LinearFrame:
+    """The skin under three distant lamps, its rows resized as a stream's are."""
+    q, p = np.gradient(height)
+    normal = np.dstack([-p, -q, np.ones_like(p)]) / np.sqrt(1.0 + p**2 + q**2)[..., None]
+    low, around = np.radians(40.0), np.radians([90.0, 210.0, 330.0])
+    lamps = np.stack([np.cos(low) * np.cos(around), np.cos(low) * np.sin(around), np.full(3, np.sin(low))])
+    light = 0.5 * np.maximum(normal @ lamps, 0.0) / lamps[2] * np.array([1.0, 0.9, 0.7])
+    size = (SHAPE[1], round(SHAPE[0] * rows_kept))
+    light = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
+    light = np.clip(light + np.random.default_rng(seed).normal(0.0, 0.003, light.shape), 0.0, 1.0)
+    return LinearFrame(light.astype(np.float32), np.zeros(light.shape[:2], np.bool_))
+
+
+def shape_of(rows_kept: float, stated: float = 1.0) -> PixelShape | None:
+    reference = square_frame(frame(np.zeros(SHAPE), rows_kept, 99), stated)
+    flat_field = make_flat_field(reference)
+    radius_px = RADIUS_PX * (rows_kept if stated > 1.0 else 1.0)  # of the square pixels, which are the larger ones
+    presses = [
+        PressFrame(f"press-{seed}", square_frame(frame(pressed(*place), rows_kept, seed), stated), radius_px)
+        for seed, place in enumerate(PLACES)
+    ]
+    located = [locate(press, flat_field) for press in presses]
+    fit = fit_to(located, IlluminationMap.of(flat_field)).finished()
+    return measure_pixel_shape(apply_fit(located, fit), fit.map)
+
+
+def test_square_pixels_are_found_square() -> None:
+    shape = shape_of(1.0)
+    assert shape is not None
+    assert shape.ratio == pytest.approx(1.0, abs=0.01)
+    assert shape.contradiction(20.0) == ""
+
+
+@pytest.mark.parametrize("rows_kept", [0.92, 0.85])
+def test_a_stream_that_was_resized_is_contradicted_with_the_figure(rows_kept: float) -> None:
+    shape = shape_of(rows_kept)
+    assert shape is not None
+    assert shape.ratio == pytest.approx(1.0 / rows_kept, abs=shape.sigma)
+    assert f"{shape.ratio:.3f} ± {shape.sigma:.3f}" in shape.contradiction(20.0)
+    assert f"pixel_pitch_um = [20, {20.0 * shape.ratio:.4g}]" in shape.contradiction(20.0)
+
+
+def test_the_stated_shape_is_not_contradicted() -> None:
+    shape = shape_of(0.85, stated=1.0 / 0.85)
+    assert shape is not None
+    assert shape.ratio == pytest.approx(1.0, abs=0.015)
+
+
+def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("host_sync.calibration.calibration_verdict.fit_checks", lambda *_: ("first", "share"))
+    (check,) = checks([], 1.0, 0.01, None, PixelShape(1.09, 0.02, 8))[3:]  # type: ignore[arg-type]
+    assert (check.name, check.passed) == (PIXEL_SHAPE, False)
