@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.radii import check_radii, radius_shares, radius_spread
 from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
+
+DIAMETER_CONTACT: Final = 0.45
+"""A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +81,17 @@ def assess(
     )
 
 
+def diameter_note(presses: Sequence[UsedPress]) -> list[str]:
+    """The question whether a diameter was given as the radius, where no press shows a contact that is half as wide."""
+    contacts = [ball.contact_radius_px / ball.radius_px for press in presses for ball in press.balls]
+    if not contacts or max(contacts) > DIAMETER_CONTACT:
+        return []
+    return [
+        f"no ball's contact is wider than {max(contacts):.2f} of the stated radius: is ball_radius_mm the diameter? "
+        "Heights are then half as high as the surface; else press deeper"
+    ]
+
+
 def _shape_note(shape: PixelShape | None, pitch_um: float) -> tuple[str, ...]:
     words = shape.contradiction(pitch_um) if shape else ""
     return (words,) if words else ()
@@ -90,4 +105,5 @@ def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: Pixe
         if press.grid and press.label not in read
     ]
     notes += [f"{press.label} {press.error}: it is not used" for press in used if press.error]
+    notes += diameter_note(used)
     return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))

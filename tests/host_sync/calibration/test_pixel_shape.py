@@ -8,6 +8,7 @@ import pytest
 
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
+from host_sync.calibration.assessment import diameter_note
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
 from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks
@@ -75,6 +76,15 @@ def test_the_stated_shape_is_not_contradicted() -> None:
     shape = shape_of(0.85, stated=1.0 / 0.85)
     assert shape is not None
     assert shape.ratio == pytest.approx(1.0, abs=0.015)
+
+
+@pytest.mark.parametrize(("stated", "asks"), [(RADIUS_PX, False), (2.0 * RADIUS_PX, True)])
+def test_a_diameter_given_as_the_radius_is_asked_for(stated: float, asks: bool) -> None:
+    flat_field = make_flat_field(frame(np.zeros(SHAPE), 1.0, 99))
+    presses = [PressFrame(f"press-{i}", frame(pressed(*place), 1.0, i), stated) for i, place in enumerate(PLACES)]
+    located = [locate(press, flat_field) for press in presses]
+    assert sum(len(press.balls) for press in located) >= 3
+    assert any("is ball_radius_mm the diameter?" in note for note in diameter_note(located)) == asks
 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
