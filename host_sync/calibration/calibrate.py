@@ -17,6 +17,7 @@ from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
+from device.inverse_map.skin_at_rest import SkinAtRest
 from device.surface.fields import Float32Array
 from host_sync.calibration.assessment import Assessment, assess
 from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
@@ -100,6 +101,7 @@ class Calibration:
     quadric : function of the normal, fitted to the balls where no lamps explain them, that corrects slopes; None where
         it does not help
     press_levels : light of untouched skin in the presses, by which the lamps' drift is told; None where none shows it
+    skin_at_rest : how the light of untouched skin differs from frame to frame; None without a reference
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
     beside : calibrations of the other groups
     """
@@ -126,6 +128,7 @@ class Calibration:
     quadric: FittedQuadric | None = None
     press_levels: PressLevels | None = None
     null_colour: NullColour | None = None
+    skin_at_rest: SkinAtRest | None = None
     lights: LightGroups | None = None
     beside: tuple[Calibration, ...] = ()
 
@@ -211,6 +214,7 @@ def calibrate(
     pitch_um = pitch.pitch_um if pitch else pitch_um
     frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in located])
     tell("measuring the frames' noise")
+    at_rest = SkinAtRest.of([(press.intensity, press.balls) for press in located], flat_field) if reference else None
     shrinkage = _learn_shrinkage(located, reference, flat_field)
     located = _without_noise(located, shrinkage)
     tell("fitting the position-aware inverse map")
@@ -270,7 +274,18 @@ def calibrate(
     null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
     noise = _slope_noise(shrinkage, inverse, training, null_colour, demosaiced=presses[0].frame.demosaiced)
     digest = _digest(
-        inverse, flat_field, pitch_um, shrinkage, response, fitted_lamps, quadric, levels, viewpoint, noise, null_colour
+        inverse,
+        flat_field,
+        pitch_um,
+        shrinkage,
+        response,
+        fitted_lamps,
+        quadric,
+        levels,
+        viewpoint,
+        noise,
+        null_colour,
+        at_rest,
     )
     return Calibration(
         calibration_id=digest,
@@ -295,6 +310,7 @@ def calibrate(
         quadric=quadric,
         press_levels=levels,
         null_colour=null_colour,
+        skin_at_rest=at_rest,
     )
 
 
@@ -352,6 +368,7 @@ def _digest(
     viewpoint: Viewpoint | None = None,
     noise: SlopeNoise | None = None,
     null_colour: NullColour | None = None,
+    at_rest: SkinAtRest | None = None,
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
     digest = hashlib.sha256(np.float64(pitch_um).tobytes())
@@ -378,4 +395,7 @@ def _digest(
         digest.update(
             null_colour.channels.tobytes() + null_colour.slopes.tobytes() + np.float64(null_colour.limit).tobytes()
         )
+    if at_rest is not None:
+        digest.update(at_rest.covariance.tobytes() + at_rest.pooled.tobytes() + at_rest.roughness.tobytes())
+        digest.update(np.array([at_rest.gain_sigma, at_rest.offset_sigma]).tobytes())
     return digest.hexdigest()[:12]

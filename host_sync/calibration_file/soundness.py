@@ -52,6 +52,7 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "NormalQuadric": {"coefficients": f"{TERMS} places 3"},
     "IlluminationMap": {"nodes": "h w 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
+    "SkinAtRest": {"covariance": "h w 3 3", "pooled": "h w 3 3", "roughness": "h w 3", "darkness": "h w 3"},
     "NullColour": {"channels": "3 3 3", "slopes": "3 3 2"},
     "Shrinkage": {"whitening": "3 3 3", "threshold": "3", "kept": "3"},
     "LightGroups": {"flat_field": "H W lights", "typical": "lights"},

@@ -136,11 +136,18 @@ def elevation_over_datum_px(gradients: GradientField, step_px: float) -> Float32
     return find_datum(height, gradients).level(height).z_um
 
 
-def find_datum(height: HeightMap, gradients: GradientField, *, are_its_own: bool = False) -> Datum:
+def find_datum(
+    height: HeightMap, gradients: GradientField, *, are_its_own: bool = False, at_rest: MaskArray | None = None
+) -> Datum:
     """The datum of a height map that has these slopes.
 
+    at_rest : bool array of shape (H, W), skin whose light is that of skin at rest; None to judge by slopes alone
     are_its_own : whether slopes were taken from the height map: then they cannot show what belongs to no surface
     """
+    if at_rest is not None:
+        resting = at_rest & gradients.valid
+        low = _far_and_low(resting, gradients.valid, height.z_um)
+        return no_datum(height, gradients) if low is None else _datum_on(height, low)
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
     if far is None or (

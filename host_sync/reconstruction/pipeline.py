@@ -27,6 +27,7 @@ from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
+from host_sync.reconstruction.rest_prior import RestPrior
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck
@@ -122,6 +123,10 @@ def reconstruct(
     shrinkage, viewpoint = calibration.shrinkage, calibration.viewpoint
     if viewpoint is not None:
         gradients = seen_slopes(read, viewpoint)
+    prior = None if keep_noise or chosen != "direct" else RestPrior.of(gradients, reading.rest)
+    if prior is not None:
+        prior.apply(read)
+        gradients = read if viewpoint is None else seen_slopes(read, viewpoint)
     solve = integrate_forward_difference if chosen == "paper" else integrate
     height, integration = solve(gradients, calibration.pitch_um)
     # Started only now: integration keeps all threads busy, the search for the zero one.
@@ -137,7 +142,8 @@ def reconstruct(
     waves = noise_waves(height, gradients) if asked else None
     if waves is not None:
         height = waves.off(height)
-    found = find_datum(height, gradients) if reading.has_rest else no_datum(height, gradients)
+    at_rest = None if prior is None else prior.at_rest(height.z_um.shape)
+    found = find_datum(height, gradients, at_rest=at_rest) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
     unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
     warnings += unlit
@@ -162,6 +168,8 @@ def reconstruct(
         raw_gradients = reading.raw_gradients()
         if viewpoint is not None:
             raw_gradients = seen_slopes(raw_gradients, viewpoint, height)
+        if prior is not None:
+            prior.apply(raw_gradients)
         raw = solve(raw_gradients, calibration.pitch_um)[0]
         if waves is not None:
             raw = waves.off(raw)

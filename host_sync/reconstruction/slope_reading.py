@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
@@ -70,6 +71,7 @@ class ChannelReading:
     z_px : elevation of cells by which `gradients` were corrected before, pixels, float32 array of shape (h, w); None
         where they were not
     meanwhile : found while the correction was looked for
+    rest : where the light is that of skin at rest; None without a reference
     """
 
     calibration: Calibration
@@ -80,6 +82,7 @@ class ChannelReading:
     correction: CellCorrection | None
     z_px: Float32Array | None
     meanwhile: BackgroundCall[Meanwhile]
+    rest: RestEvidence | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +108,12 @@ class SlopeReading:
     def gradients(self) -> GradientField:
         """Slopes of all groups together."""
         return joined([group.gradients for group in self.groups], self.left_out)
+
+    @property
+    def rest(self) -> tuple[RestEvidence, ...]:
+        """Evidence of skin at rest of every group; empty where one has none, or the light shows that none rests."""
+        found = tuple(group.rest for group in self.groups if group.rest is not None)
+        return found if self.has_rest and len(found) == len(self.groups) else ()
 
     @property
     def has_rest(self) -> bool:
@@ -193,6 +202,7 @@ def _read_channels(
     if drift:
         checks = (*checks, FrameCheck("lamp drift", "passed", drift, MAX_DRIFT, "relative"))
     raw, shrinkage = intensity, calibration.shrinkage
+    rest = None if calibration.skin_at_rest is None else calibration.skin_at_rest.evidence(raw)
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)
     warnings = refusals(checks)
@@ -211,7 +221,7 @@ def _read_channels(
     correction = _correction(gradients, intensity, calibration, method, alone)
     if correction is not None:
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, meanwhile), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, meanwhile, rest), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:

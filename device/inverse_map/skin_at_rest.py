@@ -1,0 +1,288 @@
+"""Where a frame shows skin at rest, measured against how untouched skin differs from frame to frame.
+
+The logarithm of a frame's intensity over untouched skin is noise of two kinds. One gain and one offset a channel are
+unknowns of every frame, with priors from the calibration's presses: lights drift, ambient light leaks in, two frames of
+8 bits differ by part of a level. What is left, cell by cell, has a covariance that the presses show far from their
+balls: camera noise, quantisation in dark corners, compression, pigment that moves. A cell whose light lies within that
+noise carries no evidence of a slope, and the prior that a membrane rests decides: its slope shrinks to zero by the
+factor of James and Stein. Dark corners, where a level is a tenth of the light, are thereby measured as badly as they
+are.
+
+Fine texture leaves the mean of a cell alone. The variance within cells, against the same of untouched skin, shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from device.balls.sphere import Ball
+from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+
+CELLS_ACROSS: Final = 64
+MIN_CELLS: Final = 12
+"""Cells along the field's columns, and along its shorter side for a model to be made."""
+
+MIN_LIGHT: Final = 0.02
+"""Intensity below which a logarithm says nothing more."""
+
+FREE_RADII: Final = 2.5
+"""Distance from a ball's centre, in contact radii, from which skin counts as free."""
+
+MIN_PRESSES: Final = 3
+"""Presses with free skin that a covariance is estimated from."""
+
+LEVEL_SIGMA: Final = 0.0003
+OFFSET_SIGMA: Final = 0.00005
+"""Least standard deviation of a cell's log intensity, and of its light as a fraction of full scale."""
+
+UNKNOWN_SIGMA: Final = 0.02
+"""Standard deviation of a cell's log intensity where no press shows free skin."""
+
+GAIN_SIGMA: Final = 0.005
+FRAME_OFFSET_SIGMA: Final = 0.001
+"""Least standard deviations of a frame's gains and offsets (fraction of full scale)."""
+
+CELLS_ALIKE: Final = 16.0
+"""Neighbouring cells that err together."""
+
+ROUNDS: Final = 6
+POOLED_CELLS: Final = 2.0
+"""Standard deviation, in cells, of the Gaussian of a neighbourhood."""
+
+CAUCHY: Final = 2.0
+"""Squared distance per channel at which the weight of a cell in the fit of gains and offsets has fallen to a half."""
+
+SHRINKAGE: Final = 2.5
+"""Squared distance per channel up to which a slope shrinks to zero; noise has 1 on average."""
+
+ROUGHNESS_SHRINKAGE: Final = 2.0
+"""The same for the variance within a cell, relative to that of untouched skin."""
+
+RESTING: Final = 0.1
+"""Cells whose slopes keep less than this are at rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestEvidence:
+    """What a frame shows of skin at rest.
+
+    kept : float32 array of shape (h, w), fraction of its slope that a cell keeps: 0 where the light is that of skin at
+        rest, towards 1 where it is not
+    gains : float64 array of shape (3,), logarithm of each channel's gain over the calibration
+    offsets : float64 array of shape (3,), added light, fraction of full scale
+    """
+
+    kept: Float32Array
+    gains: Float64Array
+    offsets: Float64Array
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the field that is at rest."""
+        return float((self.kept < RESTING).mean())
+
+    def kept_at(self, shape: tuple[int, int]) -> Float32Array:
+        """`kept` at every pixel of an image of `shape` (H, W)."""
+        return np.asarray(cv2.resize(self.kept, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinAtRest:
+    """How the light of untouched skin differs from frame to frame.
+
+    covariance : float32 array of shape (h, w, 3, 3), of the log intensity of cells once gains and offsets are fitted
+    pooled : the same of its mean over neighbouring cells, in which white noise averages out and gentle slopes do not
+    roughness : float32 array of shape (h, w, 3), variance of log intensity within a cell
+    darkness : float32 array of shape (h, w, 3), one over the light of untouched skin (fraction of full scale)
+    gain_sigma, offset_sigma : standard deviations of a frame's gain (relative) and offset (fraction of full scale)
+    """
+
+    covariance: Float32Array
+    pooled: Float32Array
+    roughness: Float32Array
+    darkness: Float32Array
+    gain_sigma: float
+    offset_sigma: float
+
+    @classmethod
+    def of(
+        cls, presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], flat_field: Float32Array
+    ) -> SkinAtRest | None:
+        """Return the model that the free skin of presses shows; None where the field is too small for cells.
+
+        presses : intensity of each press and every ball in it; presses without a ball are left out
+        flat_field : float32 array of shape (H, W, 3), light of untouched skin
+        """
+        size = _cells(flat_field.shape[:2])
+        if min(size) < MIN_CELLS:
+            return None
+        darkness = np.reciprocal(np.maximum(_reduced(flat_field, size), np.float32(DARK_FLOOR)))
+        floor = LEVEL_SIGMA**2 + (OFFSET_SIGMA * darkness.astype(np.float64)) ** 2
+        shown = [(_cell_logs(image, size), _far_from(balls, image.shape, size)) for image, balls in presses if balls]
+        shown = [(logs, free) for logs, free in shown if free.mean() > 1.0 / CELLS_ALIKE]
+        if len(shown) < MIN_PRESSES:
+            wide = np.maximum(floor, UNKNOWN_SIGMA**2)
+            rough = np.full(darkness.shape, np.float32(UNKNOWN_SIGMA**2))
+            return cls(_diagonal(wide), _diagonal(wide), rough, darkness, UNKNOWN_SIGMA, FRAME_OFFSET_SIGMA)
+        free = np.stack([own for _, own in shown])
+        means, variances = (np.stack([logs[part] for logs, _ in shown]) for part in (0, 1))
+        weight = free.astype(np.float64)
+        wide = UNKNOWN_SIGMA / float(darkness.mean())
+        begin = _diagonal(np.maximum(floor, UNKNOWN_SIGMA**2))
+        found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide)
+        near = np.ones_like(weight)
+        for _ in range(ROUNDS):
+            levels = [found._levels(logs, own) for logs, own in zip(means, weight, strict=True)]
+            gains, offsets = (np.array([level[part] for level in levels]) for part in (0, 1))
+            left = means - np.stack([found._field(*level) for level in levels])
+            pooled = np.stack([_pooled(one, own) for one, own in zip(left, free, strict=True)])
+            found = cls(
+                _robust_covariance(left, weight, free, floor),
+                _robust_covariance(pooled, near * free, free, floor),
+                _typical(variances, free),
+                darkness,
+                max(GAIN_SIGMA, float(np.sqrt((gains**2).mean()))),
+                max(FRAME_OFFSET_SIGMA, float(np.sqrt((offsets**2).mean()))),
+            )
+            weight = free * (2.0 / (1.0 + _distance(left, found.covariance)))
+            near = 2.0 / (1.0 + _distance(pooled, found.pooled))
+        return found
+
+    def evidence(self, image: NormalizedImage) -> RestEvidence:
+        """Return where an image shows skin at rest."""
+        size = self.covariance.shape[:2]
+        logs, variance = _cell_logs(image, (size[0], size[1]))
+        weight = np.ones(size)
+        everywhere = np.ones(size, np.bool_)
+        gains, offsets, distance, left = np.zeros(3), np.zeros(3), np.zeros(size, np.float32), logs
+        for _ in range(ROUNDS):
+            gains, offsets = self._levels(logs, weight)
+            left = logs - self._field(gains, offsets)
+            distance = cv2.GaussianBlur(_distance(left, self.covariance), (0, 0), 1.0)
+            weight = 1.0 / (1.0 + (distance / CAUCHY) ** 2)
+        rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
+        gentle = _distance(_pooled(left, everywhere), self.pooled)
+        kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))
+        return RestEvidence(_at_border(kept), gains, offsets)
+
+    @property
+    def _contrast(self) -> Float32Array:
+        """What an offset adds to log intensity, less its mean over the field, which is a gain."""
+        return np.asarray(self.darkness - self.darkness.mean(axis=(0, 1)), np.float32)
+
+    def _levels(self, logs: Float32Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Gains and offsets (3,) of cells' log intensity (h, w, 3), by weighted ridge regression a channel."""
+        variance = np.einsum("...ii->...i", self.covariance)
+        prior = np.diag([self.gain_sigma**-2, self.offset_sigma**-2])
+        found = np.empty((3, 2))
+        for channel in range(3):
+            design = np.stack([np.ones_like(weight), self._contrast[..., channel]], axis=-1).reshape(-1, 2)
+            weighted = design * (weight / variance[..., channel] / CELLS_ALIKE).reshape(-1, 1)
+            found[channel] = np.linalg.solve(weighted.T @ design + prior, weighted.T @ logs[..., channel].ravel())
+        return found[:, 0], found[:, 1]
+
+    def _field(self, gains: Float64Array, offsets: Float64Array) -> Float32Array:
+        """Log intensity (h, w, 3) of untouched skin under gains and offsets."""
+        return np.asarray(gains + offsets * self._contrast, np.float32)
+
+
+def _cells(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns of cells of a field of `shape` (H, W)."""
+    across = min(CELLS_ACROSS, shape[1] // 2)
+    return max(round(shape[0] * across / shape[1]), 1), across
+
+
+def _reduced(values: NDArray[Any], size: tuple[int, int]) -> Float32Array:
+    return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _cell_logs(image: NormalizedImage, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
+    """Log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w, 3)."""
+    values = np.nan_to_num(image.values, nan=1.0)
+    mean = np.maximum(_reduced(values, size), np.float32(MIN_LIGHT))
+    variance = np.maximum(_reduced(values * values, size) / mean**2 - 1.0, 1e-8)
+    return np.log(mean), np.asarray(variance, np.float32)
+
+
+def _far_from(balls: Sequence[Ball], shape: tuple[int, int], size: tuple[int, int]) -> MaskArray:
+    """True for cells that lie farther than `FREE_RADII` from every ball: bool array of shape (h, w)."""
+    row, column = ((np.arange(count) + 0.5) * length / count - 0.5 for count, length in zip(size, shape, strict=True))
+    far = np.ones(size, np.bool_)
+    for ball in balls:
+        reach = FREE_RADII * ball.contact_radius_px
+        far &= np.hypot(row[:, None] - ball.row, column[None, :] - ball.column) > reach
+    return far
+
+
+def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
+    """Mean of free cells (h, w, 3) over their neighbourhood."""
+    share = np.maximum(cv2.GaussianBlur(free.astype(np.float32), (0, 0), POOLED_CELLS), np.float32(0.05))
+    known = np.ascontiguousarray(left * free[..., None], np.float32)
+    return np.asarray(cv2.GaussianBlur(known, (0, 0), POOLED_CELLS) / share[..., None], np.float32)
+
+
+def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
+    """Squared Mahalanobis distance a channel of values (..., h, w, 3)."""
+    precision = np.linalg.inv(covariance.astype(np.float64))
+    return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
+
+
+def _shrink(square: Float32Array, threshold: float) -> Float32Array:
+    """Positive part of 1 - threshold / square."""
+    return np.asarray(np.maximum(1.0 - threshold / np.maximum(square, 1e-6), 0.0), np.float32)
+
+
+def _diagonal(variance: Float64Array) -> Float32Array:
+    return np.asarray(variance[..., None] * np.eye(3), np.float32)
+
+
+def _smoothed(values: Float64Array) -> Float64Array:
+    """Mean over a neighbourhood of cells of an array (h, w, ...)."""
+    flat = values.reshape(*values.shape[:2], -1)
+    sigma = flat.shape[1] / 16.0
+    smooth = [cv2.GaussianBlur(np.ascontiguousarray(flat[..., part]), (0, 0), sigma) for part in range(flat.shape[-1])]
+    return np.asarray(np.stack(smooth, axis=-1).reshape(values.shape), np.float64)
+
+
+def _robust_covariance(left: Float32Array, weight: Float64Array, free: MaskArray, floor: Float64Array) -> Float32Array:
+    """Covariance (h, w, 3, 3) of what gains and offsets leave of N presses (N, h, w, 3), smooth over the field.
+
+    weight : of the presses' cells, shape (N, h, w)
+    floor : least variance, shape (h, w, 3)
+    """
+    clipped = np.clip(left.astype(np.float64), -0.3, 0.3)
+    outer = clipped[..., :, None] * clipped[..., None, :]
+    count = _smoothed(free.sum(axis=0).astype(np.float64))
+    total = _smoothed((outer * weight[..., None, None]).sum(axis=0))
+    known = count > 0.1
+    covariance = np.where(known[..., None, None], total / np.maximum(count, 0.1)[..., None, None], 0.0)
+    missing = np.where(known[..., None], 0.0, UNKNOWN_SIGMA**2)
+    return np.asarray(covariance + (floor + missing)[..., None] * np.eye(3), np.float32)
+
+
+def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
+    """Median over presses of the variance within free cells, shape (h, w, 3); of all free cells where none shows it."""
+    shown = np.where(free[..., None], variances, np.nan)
+    everywhere = np.nanmedian(shown.reshape(-1, 3), axis=0)
+    seen = free.sum(axis=0) >= MIN_PRESSES
+    typical = np.broadcast_to(everywhere, variances.shape[1:]).copy()
+    typical[seen] = np.nanmedian(shown[:, seen], axis=0)
+    return np.asarray(np.maximum(typical, 1e-7), np.float32)
+
+
+def _at_border(kept: Float32Array) -> Float32Array:
+    """`kept`, 1 where calm cells do not hang together with the field's border: the top of a ball shows no slope too."""
+    calm = (kept < 0.3).astype(np.uint8)
+    _, labels = cv2.connectedComponents(calm, connectivity=4)
+    edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    sizes = np.bincount(labels.ravel())
+    reaching = [number for number in np.unique(edge) if number and sizes[number] > 0.01 * labels.size]
+    near = cv2.dilate(np.isin(labels, reaching).astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.where(near > 0, kept, np.float32(1.0))
