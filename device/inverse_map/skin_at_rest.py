@@ -134,9 +134,9 @@ class SkinAtRest:
         free = np.stack([own for _, own in shown])
         means, variances = (np.stack([logs[part] for logs, _ in shown]) for part in (0, 1))
         weight = free.astype(np.float64)
-        wide = UNKNOWN_SIGMA / float(darkness.mean())
+        wide_offset = UNKNOWN_SIGMA / float(darkness.mean())
         begin = _diagonal(np.maximum(floor, UNKNOWN_SIGMA**2))
-        found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide)
+        found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide_offset)
         near = np.ones_like(weight)
         for _ in range(ROUNDS):
             levels = [found._levels(logs, own) for logs, own in zip(means, weight, strict=True)]
@@ -151,30 +151,28 @@ class SkinAtRest:
                 max(GAIN_SIGMA, float(np.sqrt((gains**2).mean()))),
                 max(FRAME_OFFSET_SIGMA, float(np.sqrt((offsets**2).mean()))),
             )
-            weight = free * (2.0 / (1.0 + _distance(left, found.covariance)))
-            near = 2.0 / (1.0 + _distance(pooled, found.pooled))
+            weight = np.asarray(free * (2.0 / (1.0 + _distance(left, found.covariance))), np.float64)
+            near = np.asarray(2.0 / (1.0 + _distance(pooled, found.pooled)), np.float64)
         return found
 
     def evidence(self, image: NormalizedImage) -> RestEvidence:
         """Return where an image shows skin at rest."""
         size = self.covariance.shape[:2]
         logs, variance = _cell_logs(image, (size[0], size[1]))
-        weight = np.ones(size)
-        everywhere = np.ones(size, np.bool_)
-        gains, offsets, distance, left = np.zeros(3), np.zeros(3), np.zeros(size, np.float32), logs
+        weight: Float64Array = np.ones(size)
         for _ in range(ROUNDS):
             gains, offsets = self._levels(logs, weight)
             left = logs - self._field(gains, offsets)
-            distance = cv2.GaussianBlur(_distance(left, self.covariance), (0, 0), 1.0)
-            weight = 1.0 / (1.0 + (distance / CAUCHY) ** 2)
+            distance = np.asarray(cv2.GaussianBlur(_distance(left, self.covariance), (0, 0), 1.0), np.float32)
+            weight = np.asarray(1.0 / (1.0 + (distance / CAUCHY) ** 2), np.float64)
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
-        gentle = _distance(_pooled(left, everywhere), self.pooled)
+        gentle = _distance(_pooled(left, np.ones(size, np.bool_)), self.pooled)
         kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))
         return RestEvidence(_at_border(kept), gains, offsets)
 
     @property
     def _contrast(self) -> Float32Array:
-        """What an offset adds to log intensity, less its mean over the field, which is a gain."""
+        """Change of log intensity with an offset, less its mean over the field, which is a gain."""
         return np.asarray(self.darkness - self.darkness.mean(axis=(0, 1)), np.float32)
 
     def _levels(self, logs: Float32Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -15,7 +15,6 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.denoising.blur_correction import BLUR_PX, without_blur
-from host_sync.denoising.noise_waves import CLEAR_POWER, NoiseWaves, noise_waves
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
@@ -27,7 +26,7 @@ from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
-from host_sync.reconstruction.rest_prior import RestPrior
+from host_sync.reconstruction.rest_prior import MIN_RESTING, RestPrior
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck
@@ -107,7 +106,7 @@ def reconstruct(
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
     detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
     sequence : frames of each light alone, of the same press: they show where a light is hidden
-    keep_noise : leave long waves of noise in a frame that shows nothing else, as an instrument's certificate asks
+    keep_noise : apply no prior that skin rests, as an instrument's certificate asks, which measures noise
 
     Raises
     ------
@@ -138,10 +137,6 @@ def reconstruct(
         noise = msgspec.structs.replace(noise, blur_px=min(noise.blur_px, BLUR_PX), raw_blur_px=0.0)
     if noise is not None:
         height = without_blur(height, noise.blur_px)
-    asked = chosen == "direct" and reading.has_rest and not keep_noise
-    waves = noise_waves(height, gradients) if asked else None
-    if waves is not None:
-        height = waves.off(height)
     at_rest = None if prior is None else prior.at_rest(height.z_um.shape)
     found = find_datum(height, gradients, at_rest=at_rest) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
@@ -149,8 +144,8 @@ def reconstruct(
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
     checks = (*reading.first.checks, *told)
-    if waves is not None:
-        checks = (*checks, FrameCheck("noise waves", "passed", waves.power, CLEAR_POWER[1], "times noise's power"))
+    if prior is not None:
+        checks = (*checks, FrameCheck("skin at rest", "passed", prior.resting, MIN_RESTING, "of the field"))
     raise_on_warnings(warnings, name, force=force)
     if datum.is_relative:
         warnings += [NO_ZERO]
@@ -161,7 +156,7 @@ def reconstruct(
     slopes = surface_slopes(height)
     sure = reading.confidence_in(gradients)
     contradiction = nonintegrable_residual(sure, *slopes)
-    uncertainty = BackgroundCall(_uncertainty, height, sure, contradiction, reading, datum, waves, before_heights)
+    uncertainty = BackgroundCall(_uncertainty, height, sure, contradiction, reading, datum, before_heights)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -171,8 +166,6 @@ def reconstruct(
         if prior is not None:
             prior.apply(raw_gradients)
         raw = solve(raw_gradients, calibration.pitch_um)[0]
-        if waves is not None:
-            raw = waves.off(raw)
         other = with_raw_detail(height, without_blur(raw, noise.raw_blur_px) if noise else raw)
         if noise is not None and detail == "shrunk":
             lost = lost_variance(surface_slopes(other), slopes, noise)
@@ -239,7 +232,6 @@ def _uncertainty(
     contradiction: Float32Array,
     reading: SlopeReading,
     datum: Datum,
-    waves: NoiseWaves | None,
     before_heights: BackgroundCall[_BeforeHeights],
 ) -> HeightUncertainty:
     """What is not known of heights.
@@ -247,11 +239,10 @@ def _uncertainty(
     height : with shrunk detail, levelled to the datum
     gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
     contradiction : as `nonintegrable_residual` returns it for them
-    waves : of noise that were taken out of the height map
     before_heights : of the same reading
     """
     before, calibration = before_heights.result(), reading.first.calibration
-    known = height_uncertainty(
+    return height_uncertainty(
         height,
         gradients,
         contradiction,
@@ -262,7 +253,6 @@ def _uncertainty(
         shadow=before.shadow,
         draws=before.draws,
     )
-    return known if waves is None else HeightUncertainty(*waves.doubted(known.sigma_um, known.samples_um))
 
 
 def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:

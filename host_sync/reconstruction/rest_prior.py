@@ -71,6 +71,11 @@ class RestPrior:
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
         return cls(kept, np.asarray(sure * information, np.float32))
 
+    @property
+    def resting(self) -> float:
+        """Fraction of the field that is at rest."""
+        return float((self.kept < RESTING).mean())
+
     def apply(self, gradients: GradientField) -> None:
         """Shrink and weight slopes (H, W) in place."""
         parallel_rows(self._apply_rows, gradients.p.shape, gradients.p, gradients.q, gradients.weight)

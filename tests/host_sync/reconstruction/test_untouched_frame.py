@@ -1,4 +1,4 @@
-"""A frame of untouched skin becomes a flat height map, and says that it shows no more than noise."""
+"""A frame of untouched skin becomes a flat height map with a zero, and an object on it keeps its heights."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from near_lamps import RADIUS_PX, SHAPE, balls, press_px
 
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
-from host_sync.reconstruction import pipeline
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
 
@@ -24,34 +23,32 @@ def calibration() -> Calibration:
     return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), PITCH_UM)
 
 
-def wave_checks(found: Reconstruction) -> list[float | None]:
-    return [check.value for check in found.frame_checks if check.name == "noise waves"]
+def resting(found: Reconstruction) -> list[float | None]:
+    return [check.value for check in found.frame_checks if check.name == "skin at rest"]
 
 
-def test_untouched_skin_is_flat_and_says_so(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_untouched_skin_is_flat_and_has_a_zero(calibration: Calibration) -> None:
     frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
     found = reconstruct(frame, calibration, "nothing")
-    monkeypatch.setattr(pipeline, "noise_waves", lambda *_: None)
-    before = reconstruct(frame, calibration, "nothing")
-    flat_um, before_um = (float(np.sqrt((one.height.z_um**2).mean())) for one in (found, before))
-    assert flat_um < 0.5 * before_um
-    assert wave_checks(found) == [pytest.approx(4.0, abs=2.0)]
-    assert not wave_checks(before)
+    flat_um = float(np.sqrt((found.height.z_um**2).mean()))
+    assert not found.datum.is_relative
+    assert resting(found) == [pytest.approx(1.0, abs=0.1)]
+    assert flat_um < 0.3
     assert flat_um / float(found.sigma_um.mean()) < 1.3
-    assert found.sigma_um.mean() < before.sigma_um.mean()
 
 
-def test_a_ball_is_left_as_it_was(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = lit_by_ring(press_px(*balls()[5]), 3, 501)
-    found = reconstruct(frame, calibration, "ball")
-    monkeypatch.setattr(pipeline, "noise_waves", lambda *_: None)
-    before = reconstruct(frame, calibration, "ball")
-    assert np.array_equal(found.height.z_um, before.height.z_um)
-    assert not wave_checks(found)
+def test_a_ball_stands_on_flat_skin(calibration: Calibration) -> None:
+    press = press_px(*balls()[5])
+    found = reconstruct(lit_by_ring(press, 3, 501), calibration, "ball")
+    truth_um = press * PITCH_UM
+    free = truth_um < 0.2
+    assert not found.datum.is_relative
+    assert np.percentile(np.abs(found.height.z_um[free]), 95) < 0.01 * truth_um.max()
+    assert abs(found.height.z_um.max() / truth_um.max() - 1.0) < 0.02
 
 
 def test_noise_is_kept_where_that_is_asked(calibration: Calibration) -> None:
     frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
     kept, without = (reconstruct(frame, calibration, "nothing", keep_noise=keep) for keep in (True, False))
-    assert not wave_checks(kept)
+    assert not resting(kept)
     assert float(kept.height.z_um.std()) > 2.0 * float(without.height.z_um.std())
