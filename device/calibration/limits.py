@@ -37,3 +37,6 @@ PASSED_SECTORS: Final = 5
 PASSED_REJECTED_SHARE: Final = 0.35
 """Report: a calibration passes up to this held-out error, from this covered slope and number of sectors (of nine) on,
 and up to this share of rejected balls."""
+
+PASSED_RESTING: Final = 0.8
+"""Least fraction of the reference, given as a scan, that reads as skin at rest."""

@@ -171,6 +171,12 @@ class SkinAtRest:
         return RestEvidence(_at_border(kept), gains, offsets)
 
     @property
+    def noise(self) -> float:
+        """Median over the field of the relative standard deviation of a cell's light, mean over channels."""
+        variance = np.einsum("...ii->...", self.covariance) / 3.0
+        return float(np.sqrt(np.median(variance)))
+
+    @property
     def _contrast(self) -> Float32Array:
         """Change of log intensity with an offset, less its mean over the field, which is a gain."""
         return np.asarray(self.darkness - self.darkness.mean(axis=(0, 1)), np.float32)

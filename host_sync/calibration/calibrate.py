@@ -11,7 +11,9 @@ import numpy as np
 
 from device.balls.sphere import BallSamples, gather_samples
 from device.balls.viewpoint import Viewpoint
+from device.calibration.acceptance import Check
 from device.calibration.fit import InverseFit
+from device.calibration.limits import PASSED_RESTING
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
@@ -66,6 +68,9 @@ from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
 METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
+NOTED_NOISE: Final = 0.02
+"""Relative noise of untouched skin from which a calibration states it."""
+
 OPEN_CHOICE_DEG: Final = 2.0
 """From this held-out error of the default on, the paper's method is tried beside it without being asked for. It is
 worse on every set of `docs/paper.md`, real or simulated."""
@@ -250,6 +255,14 @@ def calibrate(
     assessment = assess(presses, used, training, inverse, pitch, pitch_um)
     if drifts is not None:
         assessment = replace(assessment, notes=(*assessment.notes, drift_note(drifts)))
+    if reference and at_rest is not None:
+        resting = at_rest.evidence(flat_field_correct(reference, flat_field)).fraction
+        at_least = Check("fraction of the reference that reads as skin at rest", resting, PASSED_RESTING, "at least")
+        assessment = replace(
+            assessment,
+            checks=(*assessment.checks, at_least),
+            notes=(*assessment.notes, *([noise_note(at_rest)] if at_rest.noise > NOTED_NOISE else [])),
+        )
     held_out: dict[Method, float] = {
         "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan")
     }
@@ -311,6 +324,14 @@ def calibrate(
         press_levels=levels,
         null_colour=null_colour,
         skin_at_rest=at_rest,
+    )
+
+
+def noise_note(at_rest: SkinAtRest) -> str:
+    """Return a sentence on how well the calibration measures gentle slopes."""
+    return (
+        f"the light of untouched skin differs by {at_rest.noise:.1%} between the presses and the reference: slopes "
+        "that change it less are measured as level; better exposure, warm lights and raw frames lower it"
     )
 
 
