@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,9 @@ from device.balls.sphere import BallSamples
 from device.calibration.acceptance import Check, check_fit
 from device.calibration.coverage import Coverage, measure_coverage
 from device.calibration.fit import InverseFit
+from device.calibration.limits import PASSED_RESTING
+from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.skin_at_rest import SkinAtRest
 from host_sync.calibration.balls import PressFrame, UsedPress
 from host_sync.calibration.calibration_verdict import check_count, checks
 from host_sync.calibration.pixel_pitch import PixelPitch
@@ -21,6 +24,10 @@ from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
 
 DIAMETER_CONTACT: Final = 0.45
 """A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
+
+
+NOTED_NOISE: Final = 0.02
+"""Relative noise of untouched skin from which a calibration states it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +102,22 @@ def diameter_note(presses: Sequence[UsedPress]) -> list[str]:
 def _shape_note(shape: PixelShape | None, pitch_um: float) -> tuple[str, ...]:
     words = shape.contradiction(pitch_um) if shape else ""
     return (words,) if words else ()
+
+
+def with_reference(assessment: Assessment, at_rest: SkinAtRest, reference: NormalizedImage) -> Assessment:
+    """Return the assessment with the reference judged as a scan, and a note on the noise of untouched skin."""
+    check = Check(
+        "fraction of the reference that reads as skin at rest",
+        at_rest.evidence(reference).fraction,
+        PASSED_RESTING,
+        "at least",
+    )
+    note = (
+        f"the light of untouched skin differs by {at_rest.noise:.1%} between the presses and the reference: slopes "
+        "that change it less are measured as level; better exposure, warm lights and raw frames lower it"
+    )
+    notes = (*assessment.notes, note) if at_rest.noise > NOTED_NOISE else assessment.notes
+    return replace(assessment, checks=(*assessment.checks, check), notes=notes)
 
 
 def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: PixelPitch | None) -> tuple[str, ...]:

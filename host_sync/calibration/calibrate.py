@@ -11,9 +11,7 @@ import numpy as np
 
 from device.balls.sphere import BallSamples, gather_samples
 from device.balls.viewpoint import Viewpoint
-from device.calibration.acceptance import Check
 from device.calibration.fit import InverseFit
-from device.calibration.limits import PASSED_RESTING
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
@@ -21,7 +19,7 @@ from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from device.inverse_map.skin_at_rest import SkinAtRest
 from device.surface.fields import Float32Array
-from host_sync.calibration.assessment import Assessment, assess
+from host_sync.calibration.assessment import Assessment, assess, with_reference
 from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
 from host_sync.calibration.balls import (
     PressFrame,
@@ -68,9 +66,6 @@ from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
 METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
-NOTED_NOISE: Final = 0.02
-"""Relative noise of untouched skin from which a calibration states it."""
-
 OPEN_CHOICE_DEG: Final = 2.0
 """From this held-out error of the default on, the paper's method is tried beside it without being asked for. It is
 worse on every set of `docs/paper.md`, real or simulated."""
@@ -256,16 +251,8 @@ def calibrate(
     if drifts is not None:
         assessment = replace(assessment, notes=(*assessment.notes, drift_note(drifts)))
     if reference and at_rest is not None:
-        resting = at_rest.evidence(flat_field_correct(reference, flat_field)).fraction
-        at_least = Check("fraction of the reference that reads as skin at rest", resting, PASSED_RESTING, "at least")
-        assessment = replace(
-            assessment,
-            checks=(*assessment.checks, at_least),
-            notes=(*assessment.notes, *([noise_note(at_rest)] if at_rest.noise > NOTED_NOISE else [])),
-        )
-    held_out: dict[Method, float] = {
-        "direct": inverse.held_out_deg if inverse.held_out_deg is not None else float("nan")
-    }
+        assessment = with_reference(assessment, at_rest, flat_field_correct(reference, flat_field))
+    held_out: dict[Method, float] = {"direct": float("nan") if inverse.held_out_deg is None else inverse.held_out_deg}
     model = None
     if paper or is_open(held_out["direct"]):
         tell("building reflectance maps and the lookup table")
@@ -280,10 +267,8 @@ def calibrate(
     left = elevation_left(kept, training, inverse, elevated, followed)
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     response = followed.response if followed else None
-    levels = None
-    if reference:
-        images = [image for image, _ in kept]
-        levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
+    images = [image for image, _ in kept] if reference else []
+    levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
     null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
     noise = _slope_noise(shrinkage, inverse, training, null_colour, demosaiced=presses[0].frame.demosaiced)
     digest = _digest(
@@ -324,14 +309,6 @@ def calibrate(
         press_levels=levels,
         null_colour=null_colour,
         skin_at_rest=at_rest,
-    )
-
-
-def noise_note(at_rest: SkinAtRest) -> str:
-    """Return a sentence on how well the calibration measures gentle slopes."""
-    return (
-        f"the light of untouched skin differs by {at_rest.noise:.1%} between the presses and the reference: slopes "
-        "that change it less are measured as level; better exposure, warm lights and raw frames lower it"
     )
 
 
@@ -416,7 +393,6 @@ def _digest(
         digest.update(
             null_colour.channels.tobytes() + null_colour.slopes.tobytes() + np.float64(null_colour.limit).tobytes()
         )
-    if at_rest is not None:
-        digest.update(at_rest.covariance.tobytes() + at_rest.pooled.tobytes() + at_rest.roughness.tobytes())
-        digest.update(np.array([at_rest.gain_sigma, at_rest.offset_sigma]).tobytes())
+    for one in fields(at_rest) if at_rest else ():
+        digest.update(np.asarray(getattr(at_rest, one.name)).tobytes())
     return digest.hexdigest()[:12]
