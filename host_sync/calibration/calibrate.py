@@ -393,6 +393,6 @@ def _digest(
         digest.update(
             null_colour.channels.tobytes() + null_colour.slopes.tobytes() + np.float64(null_colour.limit).tobytes()
         )
-    for one in fields(at_rest) if at_rest else ():
-        digest.update(np.asarray(getattr(at_rest, one.name)).tobytes())
+    for member in fields(at_rest) if at_rest else ():
+        digest.update(np.asarray(getattr(at_rest, member.name)).tobytes())
     return digest.hexdigest()[:12]
