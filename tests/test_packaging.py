@@ -101,7 +101,7 @@ def test_version_stands_in_one_place(wheel: Path) -> None:
 def test_demo_plays_from_the_wheel(unpacked: Path, small_board: Path, tmp_path: Path) -> None:
     """Without a checkout, and to the picture."""
     out = tmp_path / "story"
-    arguments = ["demo", "--out", str(out), "--board", str(small_board), "--no-open"]
+    arguments = ["demo", "--out", str(out), "--board", str(small_board), "--no-browser"]
     said = run_away_from_checkout(
         unpacked, "-c", f"import sys; from host_sync.cli.main import main; sys.exit(main({arguments!r}))"
     )

@@ -13,7 +13,7 @@ COMMANDS: Final = (
         "Play the whole way with a simulated handheld: calibrate, scan, pull, reconstruct, look.",
         (
             "retrosync demo",
-            "retrosync demo --out story --no-open",
+            "retrosync demo --out story --no-browser",
         ),
     ),
     Command(

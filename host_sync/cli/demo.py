@@ -33,7 +33,7 @@ def demo_command(
     *,
     out: Folder = Path("retrograph-demo"),
     board: str = "twin",
-    open_page: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
+    open_page: Annotated[bool, Parameter(name="--browser", negative="--no-browser")] = True,
 ) -> int:
     """Play the whole way with a simulated handheld: calibrate, scan, pull, reconstruct, look.
 

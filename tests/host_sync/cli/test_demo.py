@@ -15,7 +15,7 @@ def test_the_story_ends_with_a_picture(
 ) -> None:
     monkeypatch.setenv("RETROGRAPH_CACHE", "")
     out = tmp_path / "story"
-    demo = ["demo", "--out", str(out), "--board", str(small_board), "--no-open"]
+    demo = ["demo", "--out", str(out), "--board", str(small_board), "--no-browser"]
     assert main(demo) == 0
     told = capsys.readouterr().out
     assert "12 balls used, 0 rejected" in told
@@ -29,7 +29,7 @@ def test_the_story_ends_with_a_picture(
 
 
 def test_a_board_that_is_not_there_ends_it_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--out", str(tmp_path / "story"), "--board", "moon", "--no-open"]) == 2
+    assert main(["demo", "--out", str(tmp_path / "story"), "--board", "moon", "--no-browser"]) == 2
     told = capsys.readouterr().err
     assert told.startswith("retrosync: ")
     assert "twin-distant" in told
