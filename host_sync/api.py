@@ -18,46 +18,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from device.shutdown import keep_types_at_exit
+from host_sync.api_types import Detail, Encoding, Method, Press
 from host_sync.blas_threads import one_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from device.surface.fields import Float32Array
+    from host_sync.api_types import Image
     from host_sync.calibration_file.kept_calibration import KeptCalibration
     from host_sync.library.library import Library
     from host_sync.measurement.quantity import Quantity
     from host_sync.results.reader import ResultSurface
 
-    Image = str | Path | tuple[str | Path, ...] | NDArray[Any]
-    """An RGB image file; a grey one a light (three in R, G, B order); or an array of shape (H, W, N): uint8, uint16, or
-    fractions of full scale."""
-
 keep_types_at_exit()
-
-Encoding = Literal["linear", "srgb"]
-Method = Literal["direct", "paper"]
-Detail = Literal["shrunk", "raw"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Press:
-    """A calibration press: an image in which balls of one radius touch the skin.
-
-    balls : (column, row, radius of the trusted contact) of each, pixels; None to have them found
-    grid_pitch_mm : distance of neighbouring balls when they form a square grid
-
-    >>> Press("ball-0.png", ball_radius_mm=0.96, balls=[(76.8, 80.6, 28.8)]).ball_radius_mm
-    0.96
-    """
-
-    image: Image
-    ball_radius_mm: float
-    balls: Sequence[tuple[float, float, float]] | None = None
-    grid_pitch_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +93,7 @@ class Result:
             fields["height_sigma"] = (self.sigma_um, "um")
         places = {"y": np.arange(rows) * self.pitch_um, "x": np.arange(columns) * self.pitch_um}
         record = self.surface.record
+        origin = {name: getattr(record, name) for name in ("name", "method", "calibration_id")}
         return {
             "dims": {"y": rows, "x": columns},
             "coords": {axis: {"dims": (axis,), "data": at, "attrs": {"units": "um"}} for axis, at in places.items()},
@@ -123,12 +101,7 @@ class Result:
                 name: {"dims": ("y", "x"), "data": values, "attrs": {"units": unit}}
                 for name, (values, unit) in fields.items()
             },
-            "attrs": {
-                "name": record.name,
-                "method": record.method,
-                "calibration_id": record.calibration_id,
-                "doubts": list(self.warnings),
-            },
+            "attrs": {**origin, "doubts": list(self.warnings)},
         }
 
 

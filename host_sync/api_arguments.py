@@ -33,7 +33,7 @@ from host_sync.frames.square_pixels import square_pitch
 from host_sync.results.reader import ResultSurface, read_result
 
 if TYPE_CHECKING:
-    from host_sync.api import Encoding, Image, Press
+    from host_sync.api_types import Encoding, Image, Press
 
 leave_cycles_to_the_system()
 

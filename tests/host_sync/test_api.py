@@ -36,7 +36,7 @@ from host_sync.mosaic.motion import Motion
 PUBLIC = {
     name: item
     for name, item in vars(api).items()
-    if getattr(item, "__module__", "") == api.__name__ and not name.startswith("_")
+    if getattr(item, "__module__", "") in {api.__name__, "host_sync.api_types"} and not name.startswith("_")
 }
 
 
