@@ -43,7 +43,8 @@ OFFSET_SIGMA: Final = 0.00005
 """Least standard deviation of a cell's log intensity, and of its light as a fraction of full scale."""
 
 UNKNOWN_SIGMA: Final = 0.02
-"""Standard deviation of a cell's log intensity where no press shows free skin."""
+UNKNOWN_OFFSET_SIGMA: Final = 1.0 / 255.0
+"""Standard deviation of a cell's log intensity, and of its light, where no press shows free skin: a level of 8 bits."""
 
 GAIN_SIGMA: Final = 0.005
 FRAME_OFFSET_SIGMA: Final = 0.001
@@ -51,6 +52,9 @@ FRAME_OFFSET_SIGMA: Final = 0.001
 
 CELLS_ALIKE: Final = 16.0
 """Neighbouring cells that err together."""
+
+LIT: Final = 0.5
+"""Cells brighter than the darkest that can be divided by, over this, are lit."""
 
 ROUNDS: Final = 6
 POOLED_CELLS: Final = 2.0
@@ -75,18 +79,20 @@ class RestEvidence:
 
     kept : float32 array of shape (h, w), fraction of its slope that a cell keeps: 0 where the light is that of skin at
         rest, towards 1 where it is not
+    lit : bool array of shape (h, w), cells whose reference is bright enough to divide by; others count as at rest
     gains : float64 array of shape (3,), logarithm of each channel's gain over the calibration
     offsets : float64 array of shape (3,), added light, fraction of full scale
     """
 
     kept: Float32Array
+    lit: MaskArray
     gains: Float64Array
     offsets: Float64Array
 
     @property
     def fraction(self) -> float:
         """Fraction of the field that is at rest."""
-        return float((self.kept < RESTING).mean())
+        return float((self.kept[self.lit] < RESTING).mean()) if self.lit.any() else 0.0
 
     def kept_at(self, shape: tuple[int, int]) -> Float32Array:
         """`kept` at every pixel of an image of `shape` (H, W)."""
@@ -124,24 +130,26 @@ class SkinAtRest:
         if min(size) < MIN_CELLS:
             return None
         darkness = np.reciprocal(np.maximum(_reduced(flat_field, size), np.float32(DARK_FLOOR)))
-        floor = LEVEL_SIGMA**2 + (OFFSET_SIGMA * darkness.astype(np.float64)) ** 2
+        dark = darkness.astype(np.float64)
+        floor = LEVEL_SIGMA**2 + (OFFSET_SIGMA * dark) ** 2
+        wide = UNKNOWN_SIGMA**2 + (UNKNOWN_OFFSET_SIGMA * dark) ** 2
         shown = [(_cell_logs(image, size), _far_from(balls, image.shape, size)) for image, balls in presses if balls]
         shown = [(logs, free) for logs, free in shown if free.mean() > 1.0 / CELLS_ALIKE]
         if len(shown) < MIN_PRESSES:
-            wide = np.maximum(floor, UNKNOWN_SIGMA**2)
             rough = np.full(darkness.shape, np.float32(UNKNOWN_SIGMA**2))
             return cls(_diagonal(wide), _diagonal(wide), rough, darkness, UNKNOWN_SIGMA, FRAME_OFFSET_SIGMA)
-        free = np.stack([own for _, own in shown])
+        free = np.stack([own for _, own in shown]) & (darkness < LIT / DARK_FLOOR).all(axis=-1)
         means, variances = (np.stack([logs[part] for logs, _ in shown]) for part in (0, 1))
         weight = free.astype(np.float64)
         wide_offset = UNKNOWN_SIGMA / float(darkness.mean())
-        begin = _diagonal(np.maximum(floor, UNKNOWN_SIGMA**2))
+        begin = _diagonal(wide)
         found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide_offset)
         near = np.ones_like(weight)
         for _ in range(ROUNDS):
             levels = [found._levels(logs, own) for logs, own in zip(means, weight, strict=True)]
             gains, offsets = (np.array([level[part] for level in levels]) for part in (0, 1))
-            left = means - np.stack([found._field(*level) for level in levels])
+            left = np.where(free[..., None], means - np.stack([found._field(*level) for level in levels]), 0.0)
+            left = left.astype(np.float32)
             pooled = np.stack([_pooled(one, own) for one, own in zip(left, free, strict=True)])
             found = cls(
                 _robust_covariance(left, weight, free, floor),
@@ -162,13 +170,13 @@ class SkinAtRest:
         weight: Float64Array = np.ones(size)
         for _ in range(ROUNDS):
             gains, offsets = self._levels(logs, weight)
-            left = logs - self._field(gains, offsets)
+            left = np.where(self._lit[..., None], logs - self._field(gains, offsets), np.float32(0.0))
             distance = np.asarray(cv2.GaussianBlur(_distance(left, self.covariance), (0, 0), 1.0), np.float32)
             weight = np.asarray(1.0 / (1.0 + (distance / CAUCHY) ** 2), np.float64)
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
         gentle = _distance(_pooled(left, np.ones(size, np.bool_)), self.pooled)
         kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))
-        return RestEvidence(_at_border(kept), gains, offsets)
+        return RestEvidence(_hanging_together(np.where(self._lit, kept, np.float32(0.0))), self._lit, gains, offsets)
 
     @property
     def noise(self) -> float:
@@ -178,8 +186,15 @@ class SkinAtRest:
 
     @property
     def _contrast(self) -> Float32Array:
-        """Change of log intensity with an offset, less its mean over the field, which is a gain."""
-        return np.asarray(self.darkness - self.darkness.mean(axis=(0, 1)), np.float32)
+        """Change of log intensity with an offset, less its mean over the lit field, which is a gain."""
+        lit = self._lit[..., None]
+        mean = (self.darkness * lit).sum(axis=(0, 1)) / max(np.count_nonzero(lit), 1)
+        return np.asarray(self.darkness - mean, np.float32)
+
+    @property
+    def _lit(self) -> MaskArray:
+        """True for cells whose reference is bright enough to divide by."""
+        return np.asarray((self.darkness < LIT / DARK_FLOOR).all(axis=-1), np.bool_)
 
     def _levels(self, logs: Float32Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Gains and offsets (3,) of cells' log intensity (h, w, 3), by weighted ridge regression a channel."""
@@ -188,7 +203,7 @@ class SkinAtRest:
         found = np.empty((3, 2))
         for channel in range(3):
             design = np.stack([np.ones_like(weight), self._contrast[..., channel]], axis=-1).reshape(-1, 2)
-            weighted = design * (weight / variance[..., channel] / CELLS_ALIKE).reshape(-1, 1)
+            weighted = design * (self._lit * weight / variance[..., channel] / CELLS_ALIKE).reshape(-1, 1)
             found[channel] = np.linalg.solve(weighted.T @ design + prior, weighted.T @ logs[..., channel].ravel())
         return found[:, 0], found[:, 1]
 
@@ -281,12 +296,12 @@ def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
     return np.asarray(np.maximum(typical, 1e-7), np.float32)
 
 
-def _at_border(kept: Float32Array) -> Float32Array:
-    """`kept`, 1 where calm cells do not hang together with the field's border: the top of a ball shows no slope too."""
+def _hanging_together(kept: Float32Array) -> Float32Array:
+    """Return `kept`, 1 where calm cells neither reach the border nor are many: the top of a ball has no slope either."""
     calm = (kept < 0.3).astype(np.uint8)
     _, labels = cv2.connectedComponents(calm, connectivity=4)
-    edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    sizes = np.bincount(labels.ravel())
-    reaching = [number for number in np.unique(edge) if number and sizes[number] > 0.01 * labels.size]
-    near = cv2.dilate(np.isin(labels, reaching).astype(np.uint8), np.ones((3, 3), np.uint8))
+    edge = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    share = np.bincount(labels.ravel()) / labels.size
+    large = [number for number in range(1, share.size) if share[number] > (0.01 if number in edge else 0.03)]
+    near = cv2.dilate(np.isin(labels, large).astype(np.uint8), np.ones((3, 3), np.uint8))
     return np.where(near > 0, kept, np.float32(1.0))
