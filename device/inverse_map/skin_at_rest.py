@@ -297,7 +297,7 @@ def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
 
 
 def _hanging_together(kept: Float32Array) -> Float32Array:
-    """Return `kept`, 1 where calm cells neither reach the border nor are many: the top of a ball has no slope either."""
+    """Return `kept`, 1 where calm cells neither reach the border nor are many: a ball's top has no slope either."""
     calm = (kept < 0.3).astype(np.uint8)
     _, labels = cv2.connectedComponents(calm, connectivity=4)
     edge = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
