@@ -11,6 +11,9 @@ IMAGE_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-image
 EVERY_PART := body led_holder gel_frame camera_plate tray saddle panel_frame panel_post panel_clip cap plate block
 STEP_TOOL ?= .step-tool
 
+# Of the tests; each takes up to 3 GB.
+PROCESSES ?= 2
+
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .ONESHELL:
@@ -23,13 +26,15 @@ export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help demo accuracy methods test test-deps powercut fuzz system-root system-test system-image image-test image bench format board board-test parts step docs release lock audit clean set-up
+.PHONY: help demo accuracy methods test test-all test-changed test-deps powercut fuzz system-root system-test system-image image-test image bench format board board-test parts step docs release lock audit clean set-up
 
 help: ## say what there is
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 # One thread for linear algebra, as the command lines have it: waiting threads take three times the processor time.
-demo accuracy methods test: export OPENBLAS_NUM_THREADS ?= 1
+demo accuracy methods test test-all test-changed: export OPENBLAS_NUM_THREADS ?= 1
+# Temporary files in memory, where there are 4 GB of it that may hold programs: many tests wait for every file to be on disk.
+test test-all test-changed: export TMPDIR := $(shell bash .ci/temporary-folder)
 
 demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
 	@"$(VENV)/bin/python" -m tests.demo.story --out demo-output
@@ -40,8 +45,16 @@ accuracy: set-up ## every mark of accuracy, on the twin and on real frames when 
 methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
 	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.methods $(ARGS)
 
-test: set-up ## the one gate: lint, types, import contracts, tests
-	@"$(VENV)/bin/python" -m pytest
+TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadgroup --no-loadscope-reorder --durations=25
+
+test: set-up ## the gate: lint, types, import contracts, and the tests of every promise
+	@$(TESTS)
+
+test-all: set-up ## the gate, and every test that takes long (see tests/tiers.toml; hours)
+	@$(TESTS) -m "not board and not system"
+
+test-changed: set-up ## the long tests of what changed since BASE=COMMIT (the main branch, or the commit before)
+	@"$(VENV)/bin/python" -m tests.tiers $(BASE)
 
 powercut: set-up ## a thousand power cuts on a recorded ext4, and every call into the system failing once (wants root, qemu-storage-daemon, gcc)
 	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/store/test_power_cut.py tests/host_sync/offload/test_io_faults.py

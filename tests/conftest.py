@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from device.acquisition.calibrate import calibrate
 from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
@@ -27,6 +29,35 @@ from hal.simulator.hardware import twin_hardware
 keep_types_at_exit()
 
 SHAPE = (32, 48)
+ROOT = Path(__file__).parent
+LONG_S = 5.0
+LONGEST_FIRST = ("test_house.py", "host_sync", "device", "board", "", "hal")
+"""Folders and files of this folder, in the order in which they run; "" is every other."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep in one process the tests of a file, those in a browser and those that start sshd."""
+    for item in items:
+        fixtures = getattr(item, "fixturenames", ())
+        group = next((name for name in ("browser", "server") if name in fixtures), str(item.path))
+        item.add_marker(pytest.mark.xdist_group(group))
+    items.sort(key=_turn)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name the tests that take long and are not marked `slow`."""
+    reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, [])]
+    long = [one for one in reports if one.duration > LONG_S and "slow" not in one.keywords]
+    if long:
+        terminalreporter.section(f"longer than {LONG_S:g} s and not marked slow")
+    for one in sorted(long, key=lambda one: -one.duration):
+        terminalreporter.write_line(f"{one.duration:6.1f} s {one.when} {one.nodeid}")
+
+
+def _turn(item: pytest.Item) -> int:
+    first = item.path.relative_to(ROOT).parts[0]
+    return LONGEST_FIRST.index(first if first in LONGEST_FIRST else "")
 
 
 def _frame(seed: int = 0, shape: tuple[int, int] = SHAPE) -> RawFrame:
@@ -140,12 +171,22 @@ def small_twin(small_board: Path) -> BoardProfile:
 
 
 @pytest.fixture(scope="session")
-def calibrated_root(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardProfile) -> Path:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all processes of this run of the tests share."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def calibrated_root(shared_folder: Path, small_twin: BoardProfile) -> Path:
     """A store with an active calibration of the small twin, made once; tests work on copies of it."""
-    root = tmp_path_factory.mktemp("calibrated") / "store"
-    hardware = twin_hardware(build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)))
-    with hardware:
-        calibrate(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f"), 3.0, lambda _: None)
+    root, unfinished = shared_folder / "calibrated", shared_folder / "being calibrated"
+    with FileLock(shared_folder / "calibrated.lock"):
+        if not root.exists():
+            hardware = twin_hardware(build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)))
+            with hardware:
+                calibrate(hardware, BundleStore(unfinished, hardware.clock, boot_id="b0075e1f"), 3.0, lambda _: None)
+            unfinished.rename(root)
     return root
 
 

@@ -109,7 +109,7 @@ def test_every_command_parses(page: str, line: str) -> None:
 def test_commands_are_found() -> None:
     assert (
         "README.md",
-        "retrosync demo                    # a simulated handheld, and at the end the page of the viewer",
+        "retrosync demo           # a simulated handheld, and at the end the page of the viewer",
     ) in (COMMANDS)
     assert len(COMMANDS) > 60
 

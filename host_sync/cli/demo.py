@@ -50,9 +50,7 @@ def demo_command(
     from host_sync.offload.pull import pull
 
     if out.exists():
-        raise HostError(
-            f"{out} exists already: show it with `retrosync view {out / 'library'}`, or name another folder with --out"
-        )
+        raise HostError(f"{out} exists already: show it with `retrosync view {out}`, or name another folder with --out")
     began_s = time.monotonic()
     card, library = out / "card", Library(out / "library")
     handheld = ("--board", board, "--store", str(card))
@@ -76,10 +74,8 @@ def demo_command(
         write_story(rows, picture)
     print_line(f"{time.monotonic() - began_s:.0f} s in all. Scans and height maps: {library.root}")
     print_line(f"Picture: {picture}")
-    if not open_page:
-        print_line(f"Page: retrosync view {library.root}")
-        return DONE
-    return view_command(library.root)
+    print_line(f"To see them again: retrosync view {out}")
+    return view_command(out) if open_page else DONE
 
 
 @contextmanager

@@ -48,7 +48,7 @@ class Catalogue:
 
     Parameters
     ----------
-    root : a library, a folder with results in it, or one result
+    root : a library, the folder of a demo with a library in it, a folder with results in it, or one result
 
     Raises
     ------
@@ -57,6 +57,8 @@ class Catalogue:
     """
 
     def __init__(self, root: Path) -> None:
+        if not (root / "scans").is_dir() and (root / "library" / "scans").is_dir():
+            root = root / "library"
         self.root = root
         self.is_library = (root / "scans").is_dir()
         if not root.is_dir():

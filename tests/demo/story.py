@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.queues import SimpleQueue
 from multiprocessing.synchronize import Lock
+from os.path import relpath
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -66,6 +67,9 @@ def main() -> int:
     console.print(_table(shown))
     console.print(f"{time.monotonic() - began_s:.0f} s in all. Scans, height maps and pictures are in {out}/.")
     console.print(f"Open this picture: {out / 'summary.png'}", soft_wrap=True)
+    console.print(
+        f"Look at the scans: {relpath(Path(sys.executable).with_name('retrosync'))} view {out}", soft_wrap=True
+    )
     return 0
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from host_sync.cli.main import main
+from host_sync.viewer.catalogue import Catalogue
 
 
 def test_the_story_ends_with_a_picture(
@@ -22,10 +23,12 @@ def test_the_story_ends_with_a_picture(
     heights = {part: int(um) for part, um in re.findall(r"^(\w+): highest point (\d+) ± \d+ µm", told, re.MULTILINE)}
     assert set(heights) == {"coin", "texture"}
     assert all(200 < um < 900 for um in heights.values())
+    assert told.splitlines()[-1] == f"To see them again: retrosync view {out}"
+    assert Catalogue(out).root == out / "library"
     assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
     assert len(list((out / "library" / "scans").iterdir())) == 2
     assert main(demo) == 2
-    assert f"{out} exists already: show it with `retrosync view {out / 'library'}`" in capsys.readouterr().err
+    assert f"{out} exists already: show it with `retrosync view {out}`" in capsys.readouterr().err
 
 
 def test_a_board_that_is_not_there_ends_it_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
