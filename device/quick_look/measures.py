@@ -19,7 +19,7 @@ SECTIONS: Final = 5
 RUN_UP: Final = 0.5
 """Length at each end of a line that the filter distorts and that is not evaluated, in cut-off lengths."""
 
-MIN_CUTOFF_PX: Final = 10.0
+MIN_CUTOFF_PX: Final = 8.0
 """Pixels of the shortest cut-off: fewer show little of what is shorter than it."""
 
 ROUNDING: Final = 1e-9

@@ -28,6 +28,9 @@ MAX_OUT_OF_DOMAIN: Final = 0.25
 MAX_DRIFT: Final = 0.15
 """Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
 
+LARGEST_GAIN: Final = 4.0
+"""The same in standard deviations of the presses' own gains, where these differ more."""
+
 MIN_REST: Final = 0.1
 """Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat tell nothing."""
 
@@ -54,8 +57,12 @@ def check_frame(
     return warnings
 
 
-def check_datum(intensity: NormalizedImage, at_rest: MaskArray) -> list[str]:
-    """What speaks against a frame whose untouched skin is known; nothing where no skin is untouched."""
+def check_datum(intensity: NormalizedImage, at_rest: MaskArray, gain_sigma: float = 0.0) -> list[str]:
+    """Return what speaks against a frame whose untouched skin is known; nothing where no skin is untouched.
+
+    gain_sigma : relative standard deviation by which the calibration's own presses differ from the reference
+    """
+    most = max(MAX_DRIFT, LARGEST_GAIN * gain_sigma)
     resting = np.count_nonzero(at_rest)
     if resting == at_rest.size or resting < MIN_REST * at_rest.size:
         return []
@@ -65,12 +72,12 @@ def check_datum(intensity: NormalizedImage, at_rest: MaskArray) -> list[str]:
         return []
     drift = np.median(rest, axis=0) - 1.0
     worst = int(np.abs(drift).argmax())
-    if abs(float(drift[worst])) <= MAX_DRIFT:
+    if abs(float(drift[worst])) <= most:
         return []
     colour = ("red", "green", "blue")[worst]
     return [
         f"its untouched skin is {abs(float(drift[worst])):.0%} {'brighter' if drift[worst] > 0 else 'darker'} "
-        f"in {colour} than the reference (at most {MAX_DRIFT:.0%})"
+        f"in {colour} than the reference (at most {most:.0%})"
     ]
 
 

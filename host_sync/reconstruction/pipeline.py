@@ -140,7 +140,8 @@ def reconstruct(
     at_rest = None if prior is None else prior.at_rest(height.z_um.shape)
     found = find_datum(height, gradients, at_rest=at_rest) if reading.has_rest else no_datum(height, gradients)
     datum = found.at_rest(height, gradients)
-    unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
+    gain_sigma = calibration.skin_at_rest.gain_sigma if calibration.skin_at_rest else 0.0
+    unlit = [] if datum.is_relative else check_datum(intensity, datum.skin, gain_sigma)
     warnings += unlit
     told = (FrameCheck("untouched skin", "refused", words=words) for words in unlit)
     checks = (*reading.first.checks, *told)

@@ -20,7 +20,7 @@ from hal.simulator.bench import build
 from hal.simulator.led_chips import RegisterChip
 
 
-def open_lit_hardware(profile: BoardProfile, _clock: object = None) -> Hardware:
+def open_lit_hardware(profile: BoardProfile, _clock: object = None, seed: int = 0) -> Hardware:
     """A board whose button is pushed at once, and whose chip model reports every change of its outputs."""
     emulated = emulated_hardware(build(profile, SystemClock()), "PCA9955B")
     follow, reach, printed = emulated.leds.changed, emulated.wire.reach, []

@@ -18,7 +18,7 @@ def test_commands_know_every_method() -> None:
 
 def test_every_command_is_found_by_its_name() -> None:
     assert [name for name in app if not name.startswith("-")] == [command.name for command in COMMANDS]
-    assert {command.name for command in COMMANDS if not command.summary} == {"gage", "figures"}
+    assert all(command.summary for command in COMMANDS)
 
 
 def test_reconstructing_with_a_kept_calibration_loads_only_what_it_needs() -> None:

@@ -64,7 +64,9 @@ def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
         ),
         lights=None,
     )
-    return SimpleNamespace(calibration=calibration, facts=SimpleNamespace(encoding=None))
+    return SimpleNamespace(
+        calibration=calibration, facts=SimpleNamespace(encoding=None, full_scale=None, pixel_shape=1.0)
+    )
 
 
 @pytest.fixture

@@ -51,7 +51,8 @@ def test_the_page_measures_as_the_command_does(
     answer = measured(served, "hill", RECIPE)
     path = tmp_path / "recipe.toml"
     path.write_text(answer["text"])
-    assert main(["measure", str(results / "hill"), "--recipe", str(path), "--json"]) == 0
+    # Partly done: the hill has no step, which the page and the command state alike.
+    assert main(["measure", str(results / "hill"), "--recipe", str(path), "--json"]) == 1
     (record,) = json.loads(capsys.readouterr().out)
     assert len(record["quantities"]) > 8
     for shown, one in zip(answer["quantities"], record["quantities"], strict=True):
