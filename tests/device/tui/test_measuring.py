@@ -20,7 +20,7 @@ def test_two_points_are_measured_and_a_zero_check_gives_the_uncertainty(play: Ca
         await stage.live(3)
         await stage.press("down", "right")
         assert re.search(r"dz -?[0-9.]+ ± [0-9.]+ µm", stage.text())
-        assert re.search(r"Sa [0-9.]+ Sz [0-9.]+ µm", stage.text())
+        assert re.search(r"Sa [0-9.]+ ± [0-9.]+ Sz [0-9.]+ ± [0-9.]+ µm", stage.text())
         before = stage.text()
         await stage.press("l", "right", "left")
         assert stage.text() != before
