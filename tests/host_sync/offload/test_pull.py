@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import io
 import json
 import os
@@ -124,12 +125,10 @@ def test_a_bundle_that_a_store_damages_in_writing_is_never_published(
 def test_a_full_library_stops_the_pull_without_half_a_bundle(
     store: BundleStore, library: Library, scans: list[ScanBundle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    genuine, calls = os.fsync, 0
+    genuine, calls = os.fsync, itertools.count(1)
 
     def filling(descriptor: int) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 20:
+        if next(calls) == 20:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         genuine(descriptor)
 
