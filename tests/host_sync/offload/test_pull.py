@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import errno
-import itertools
 import io
+import itertools
 import json
 import os
 import shutil
