@@ -128,7 +128,7 @@ def test_a_full_library_stops_the_pull_without_half_a_bundle(
     genuine, calls = os.fsync, itertools.count(1)
 
     def filling(descriptor: int) -> None:
-        if next(calls) == 20:
+        if next(calls) == 14:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         genuine(descriptor)
 
