@@ -1,4 +1,4 @@
-"""Where a frame shows skin at rest, measured against how untouched skin differs from frame to frame.
+"""Evidence of skin at rest in a frame, against the noise of untouched skin from frame to frame.
 
 The logarithm of a frame's intensity over untouched skin is noise of two kinds. One gain and one offset a channel are
 unknowns of every frame, with priors from the calibration's presses: lights drift, ambient light leaks in, two frames of
@@ -67,7 +67,7 @@ SHRINKAGE: Final = 2.5
 """Squared distance per channel up to which a slope shrinks to zero; noise has 1 on average."""
 
 ROUGHNESS_SHRINKAGE: Final = 2.0
-"""The same for the variance within a cell, relative to that of untouched skin."""
+"""Shrinkage threshold of the variance within a cell, relative to that of untouched skin."""
 
 RESTING: Final = 0.1
 """Cells whose slopes keep less than this are at rest."""
@@ -75,7 +75,7 @@ RESTING: Final = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestEvidence:
-    """What a frame shows of skin at rest.
+    """Evidence of skin at rest in a frame.
 
     kept : float32 array of shape (h, w), fraction of its slope that a cell keeps: 0 where the light is that of skin at
         rest, towards 1 where it is not
@@ -101,7 +101,7 @@ class RestEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinAtRest:
-    """How the light of untouched skin differs from frame to frame.
+    """Noise of the light of untouched skin from frame to frame.
 
     covariance : float32 array of shape (h, w, 3, 3), of the log intensity of cells once gains and offsets are fitted
     pooled : the same of its mean over neighbouring cells, in which white noise averages out and gentle slopes do not

@@ -36,7 +36,7 @@ MIN_RESTING: Final = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestPrior:
-    """What the prior does to slopes, in cells over the field.
+    """Shrinkage and weights of slopes, in cells over the field.
 
     kept : float32 array of shape (h, w), fraction of a slope that remains
     weight : float32 array of shape (h, w), factor of a slope's weight
