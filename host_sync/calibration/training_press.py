@@ -15,7 +15,7 @@ from device.balls.sphere import Ball
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import FittedBall, UsedPress
 
-MAX_SHOWN: Final = 16
+MAX_SHOWN: Final = 48
 """At most so many presses keep a picture."""
 
 MAX_WIDTH_PX: Final = 1500

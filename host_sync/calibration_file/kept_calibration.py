@@ -21,7 +21,13 @@ from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.archive import Facts, read_archive, write_archive
 from host_sync.calibration_file.soundness import check_sound
 from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
-from host_sync.calibration_report.report import BALL_PICTURES, PAPER_PICTURES, REPORT_FILE, report_files
+from host_sync.calibration_report.report import (
+    BALL_PICTURES,
+    OVERVIEW_FILE,
+    PAPER_PICTURES,
+    REPORT_FILE,
+    report_files,
+)
 from host_sync.calibration_report.summary import calibration_lines
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
@@ -140,6 +146,6 @@ def read_calibration_file(source: Path | bytes, name: str | None = None) -> Kept
             f"{called}: is no calibration of this version of retrograph ({error}): calibrate again"
         ) from error
     pictures = REPORT_NAMES if calibration.paper is None else REPORT_NAMES | PAPER_REPORT_NAMES
-    if set(report) != pictures or facts.calibration_id != calibration.calibration_id:
+    if set(report) - {OVERVIEW_FILE} != pictures or facts.calibration_id != calibration.calibration_id:
         raise CalibrationFileError(f"{called}: its report is not that of its calibration: calibrate again")
     return KeptCalibration(calibration, report, facts)

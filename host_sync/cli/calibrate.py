@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from device.command_line import Folder
-from device.io.atomic import check_output
+from device.io.atomic import check_output, write_output
 from host_sync.cli.calibrator import calibrator_for, obtain_calibration
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.linear_light import read_frame
 
 if TYPE_CHECKING:
+    from device.imaging.flat_field import LinearFrame
     from host_sync.certificate.certificate import Certificate
 
 
@@ -29,8 +31,9 @@ def calibrate_command(
 ) -> int:
     """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
 
-    Ends with 1 when the calibration did not pass, or the instrument does not agree with a specimen or cannot be judged
-    by it. The file is written all the same.
+    A picture beside the file shows every press with its ball, used or not and why, the error by place, and the
+    reference read as a scan. Ends with 1 when the calibration did not pass, or the instrument does not agree with a
+    specimen or cannot be judged by it. The file is written all the same.
 
     Parameters
     ----------
@@ -54,14 +57,30 @@ def calibrate_command(
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
     check_output(out)
     tell_of_compiling()
+    from host_sync.calibration_report.report import OVERVIEW_FILE
+    from host_sync.reconstruction.calibration_overview import with_overview
+
     with status_spinner() as tell:
         tell("loading compiled code")
         kept = obtain_calibration(source, library, tell, paper=paper)
+        tell("drawing the overview")
+        kept = with_overview(kept, _reference_of(source))
         kept.write(out)
+        picture = out.with_name(f"{out.name}.png")
+        write_output(picture, kept.report[OVERVIEW_FILE])
     for line in kept.summary:
         print_line(line)
     print_line(str(out))
+    print_line(str(picture))
     return DONE if kept.calibration.assessment.passed else PARTLY
+
+
+def _reference_of(source: str) -> LinearFrame | None:
+    """The frame of untouched skin of a frame set; None of another source, or where the set names none."""
+    if not source.endswith(".toml"):
+        return None
+    reference = load_frame_set(Path(source)).reference
+    return read_frame(reference) if reference else None
 
 
 def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 import cv2
@@ -36,7 +37,7 @@ _RED: Final = "#b03020"
 _BLUE: Final = "#24527a"
 
 
-def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[Picture]:
+def pictures_of(measurement: Measurement, scan: ScanBundle | None, overview: Path | None = None) -> Iterator[Picture]:
     """Every picture of a measurement, the whole relief first."""
     yield relief_picture(measurement)
     if scan is not None:
@@ -53,6 +54,17 @@ def pictures_of(measurement: Measurement, scan: ScanBundle | None) -> Iterator[P
     yield ratio_picture(measurement)
     if measurement.spectrum is not None:
         yield spectrum_picture(measurement.spectrum, measurement.recipe.coverage_factor)
+    if overview is not None:
+        yield from overview_picture(overview)
+
+
+def overview_picture(path: Path) -> Iterator[Picture]:
+    """The calibration's overview; nothing where the file is no picture."""
+    png = path.read_bytes()
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
+    if image is not None:
+        caption = "The calibration: its presses, used or not and why, error by place, and the reference read as a scan"
+        yield Picture(caption, png, (image.shape[1], image.shape[0]))
 
 
 def relief_picture(measurement: Measurement) -> Picture:

@@ -16,6 +16,7 @@ from host_sync.errors import MeasurementError
 from host_sync.results.record import ResultRecord
 
 CALIBRATION_REPORT: Final = "report.json"
+OVERVIEW_FILE: Final = "overview.png"
 MAX_BYTES: Final = 64 << 20
 
 _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
@@ -33,6 +34,12 @@ class Origin:
     scan: ScanBundle | None
     calibration: dict[str, Any] | None
     calibration_file: Path | None
+
+    @property
+    def overview(self) -> Path | None:
+        """The overview picture beside the calibration's report, if there is one."""
+        place = self.calibration_file.with_name(OVERVIEW_FILE) if self.calibration_file else None
+        return place if place is not None and place.is_file() else None
 
 
 def origin_of(folder: Path, record: ResultRecord) -> Origin:

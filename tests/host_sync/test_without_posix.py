@@ -54,7 +54,13 @@ def test_commands_run_with_posix_taken_away(tmp_path: Path) -> None:
     ran = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert f"{len(PLACES)} of {len(PLACES)} presses show a ball" in ran.stdout
-    for name in ("results/sample_1/height_um.tif", "exported/sample_1.x3p", "reports/sample_1.pdf", "gel.calibration"):
+    for name in (
+        "results/sample_1/height_um.tif",
+        "exported/sample_1.x3p",
+        "reports/sample_1.pdf",
+        "gel.calibration",
+        "gel.calibration.png",
+    ):
         assert (tmp_path / name).stat().st_size > 0, name
     assert "2 of 2 verified" in ran.stdout
     assert not list(tmp_path.rglob("*.lock"))

@@ -202,6 +202,14 @@ def test_a_scan_without_presses_is_reconstructed_with_a_file(file: Path, frame_s
 def test_calibrate_writes_the_file(frame_set: Path, cache: CalibrationCache, file: Path, tmp_path: Path) -> None:
     out = tmp_path / "again.calibration"
     assert main(["calibrate", str(frame_set), "--out", str(out)]) == 0
+    kept = read_calibration_file(out)
+    picture = kept.report["overview.png"]
+    assert out.with_name(f"{out.name}.png").read_bytes() == picture
+    shown = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert shown.std() > 10.0
+    others = {name: data for name, data in kept.report.items() if name != "overview.png"}
+    replace(kept, report=others).write(out)
     assert out.read_bytes() == file.read_bytes()
 
 

@@ -130,10 +130,10 @@ def test_labels_that_draw_wider_contacts_widen_found_ones_a_little(drawn: float,
 
 def test_the_picture_of_balls_says_what_it_leaves_out_and_shows_every_rejection() -> None:
     spoilt = (RejectedBall(10.0, 10.0, "cut by the frame's border"),)
-    presses = [press(i, ball(60.0, 45.0), rejected=spoilt if i in {1, 18} else ()) for i in range(20)]
+    presses = [press(i, ball(60.0, 45.0), rejected=spoilt if i in {1, 18} else ()) for i in range(MAX_SHOWN + 4)]
     figure = balls_figure(training_presses(presses))
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == MAX_SHOWN
     assert {"press-01", "press-18"} <= set(titles)
-    assert f"{MAX_SHOWN} of 20 presses shown" in figure.get_suptitle()
+    assert f"{MAX_SHOWN} of {MAX_SHOWN + 4} presses shown" in figure.get_suptitle()
     assert "presses shown" not in balls_figure(training_presses(presses[:9])).get_suptitle()

@@ -1,0 +1,120 @@
+"""One picture of a calibration: presses with their balls, used or not and why, errors by place, the skin at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import wrap
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from device.surface.fields import HeightMap
+from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.training_press import TrainingPress
+from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, sheet_height_in
+from host_sync.calibration_report.summary import calibration_lines
+
+WIDTH_IN: Final = 14.0
+MAPS_IN: Final = 4.2
+LINE_IN: Final = 0.2
+LINE_LETTERS: Final = 165
+MAX_LINES: Final = 8
+LARGE_DEG: Final = 6.0
+"""An error that is drawn in the last colour, degrees, where none is larger."""
+
+
+def overview_figure(calibration: Calibration, at_rest: HeightMap | None, why_not: str) -> Figure:
+    """The picture.
+
+    at_rest : heights of the reference, read as a scan; None where it could not be read
+    why_not : why `at_rest` is None
+    """
+    lines = [line for text in calibration_lines(calibration) for line in wrap(text, LINE_LETTERS)]
+    if len(lines) > MAX_LINES:
+        lines = [
+            *lines[: MAX_LINES - 1],
+            f"and {len(lines) - MAX_LINES + 1} lines more: retrosync calibrate prints them",
+        ]
+    shown = [_shown(press) for press in calibration.presses if press.picture is not None]
+    head_in = LINE_IN * (len(lines) + 3)
+    sheet_in = head_in + sheet_height_in(shown, WIDTH_IN)
+    figure = Figure(figsize=(WIDTH_IN, sheet_in + MAPS_IN))
+    (above,), (below,) = figure.subfigures(2, 1, height_ratios=(sheet_in, MAPS_IN), squeeze=False)
+    draw_sheet(above, shown, WIDTH_IN, head_in)
+    above.text(0.01, 1.0 - 0.6 * LINE_IN / sheet_in, _title(calibration), va="top", fontsize=12, weight="bold")
+    top = 1.0 - 2.4 * LINE_IN / sheet_in
+    above.text(0.01, top, "\n".join(lines), va="top", fontsize=9, linespacing=1.3)
+    places, rest = below.subplots(1, 2, gridspec_kw={"left": 0.05, "right": 0.95, "bottom": 0.1, "top": 0.88})
+    _draw_errors(places, calibration.presses)
+    _draw_rest(rest, at_rest, why_not)
+    return figure
+
+
+def _title(calibration: Calibration) -> str:
+    used = sum(bool(press.balls) for press in calibration.presses)
+    pictured = sum(press.picture is not None for press in calibration.presses)
+    count = len(calibration.presses)
+    others = f", {pictured} of them shown" if pictured < count else ""
+    passed = "passed" if calibration.assessment.passed else "DID NOT PASS"
+    return f"Calibration {calibration.calibration_id} {passed}: {used} of {count} presses are used{others}"
+
+
+def _shown(press: TrainingPress) -> ShownPress:
+    name = f"{press.name} {press.source}".strip()
+    errors = [one.error_deg for one in press.fitted if one.kept]
+    words = f"used, held-out error {np.mean(errors):.1f}°" if errors else "used"
+    if not press.balls:
+        words = f"not used: {press.error or '; '.join(ball.reason for ball in press.rejected) or 'no ball'}"
+    return ShownPress(name, press.shape, press.picture, press.balls, press.rejected, words)
+
+
+def _draw_errors(axes: Axes, presses: Sequence[TrainingPress]) -> None:
+    """Held-out error of each ball at its place in the field."""
+    rows, columns = presses[0].shape
+    fitted = [one for press in presses for one in press.fitted]
+    kept = [one for one in fitted if one.kept]
+    dropped = [one for one in fitted if not one.kept]
+    limit = max(LARGE_DEG, *(one.error_deg for one in kept)) if kept else LARGE_DEG
+    for one in kept:
+        axes.annotate(f"{one.error_deg:.1f}", (one.ball.column, one.ball.row), fontsize=6, ha="center", va="center")
+    drawn = axes.scatter(
+        [one.ball.column for one in kept],
+        [one.ball.row for one in kept],
+        s=260,
+        c=[one.error_deg for one in kept],
+        cmap="YlOrRd",
+        vmin=0.0,
+        vmax=limit,
+        edgecolors="#555555",
+        linewidths=0.5,
+    )
+    axes.plot([one.ball.column for one in dropped], [one.ball.row for one in dropped], "kx", ms=7)
+    axes.set_xlim(-0.5, columns - 0.5)
+    axes.set_ylim(rows - 0.5, -0.5)
+    axes.set_aspect("equal")
+    axes.set_title("held-out error by place, degrees (x: ball that is not used)", fontsize=9)
+    axes.tick_params(labelsize=7)
+    figure = axes.figure
+    figure.colorbar(drawn, ax=axes, shrink=0.9)
+
+
+def _draw_rest(axes: Axes, at_rest: HeightMap | None, why_not: str) -> None:
+    """The reference read as a scan: untouched skin is flat."""
+    if at_rest is None:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "\n".join(wrap(why_not, 60)), ha="center", va="center", fontsize=10)
+        return
+    z_um = at_rest.z_um
+    seen = z_um[np.isfinite(z_um)]
+    centre = float(np.median(seen)) if seen.size else 0.0
+    limit = max(float(np.percentile(np.abs(seen - centre), 99.0)) if seen.size else 0.0, 1e-3)
+    step = max(1, z_um.shape[1] // 700)
+    rows, columns = z_um.shape
+    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
+    drawn = axes.imshow(z_um[::step, ::step] - centre, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=extent)
+    rms = float(np.std(seen)) if seen.size else float("nan")
+    axes.set_title(f"reference read as a scan, µm: flat within {rms:.2g} µm root mean square", fontsize=9)
+    axes.tick_params(labelsize=7)
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.9)
