@@ -21,7 +21,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 
-unexport PYTHONPATH PYTHONHOME
+# Compiled modules are kept: tests start hundreds of programs.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 export PIP_USER = 0
 export PIP_REQUIRE_VIRTUALENV = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
@@ -45,7 +46,7 @@ accuracy: set-up ## every mark of accuracy, on the twin and on real frames when 
 methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
 	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.methods $(ARGS)
 
-TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadgroup --no-loadscope-reorder --durations=25
+TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder --durations=25
 
 test: set-up ## the gate: lint, types, import contracts, and the tests of every promise
 	@$(TESTS)

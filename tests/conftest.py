@@ -37,11 +37,7 @@ LONGEST_FIRST = ("test_house.py", "host_sync", "device", "board", "", "hal")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep in one process the tests of a file, those in a browser and those that start sshd."""
-    for item in items:
-        fixtures = getattr(item, "fixturenames", ())
-        group = next((name for name in ("browser", "server") if name in fixtures), str(item.path))
-        item.add_marker(pytest.mark.xdist_group(group))
+    """Begin with the folders whose tests take longest."""
     items.sort(key=_turn)
 
 

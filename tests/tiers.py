@@ -79,7 +79,7 @@ def main() -> int:
     if not fitting:
         return 0
     tests = [test for tier in fitting for test in tier.tests]
-    options = ["-n", "2", "--dist", "loadgroup", "--durations=25", "-m", "slow and not board and not system"]
+    options = ["-n", "2", "--dist", "loadfile", "--durations=25", "-m", "slow and not board and not system"]
     return subprocess.run([sys.executable, "-m", "pytest", *options, *tests], cwd=ROOT, check=False).returncode
 
 
