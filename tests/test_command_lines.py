@@ -7,11 +7,12 @@ import re
 import subprocess
 import sys
 from importlib import import_module
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import pytest
 from cyclopts import App, CycloptsError
+from each_case import each_case
 from typed_commands import PROGRAMS, parse, split
 
 from device.cli.commands import CALIBRATIONS
@@ -53,7 +54,7 @@ def test_a_person_can_remember_the_commands() -> None:
     assert len(shown) <= 34
 
 
-@pytest.mark.parametrize("name", EVERY_NAME)
+@each_case(EVERY_NAME)
 def test_help_ends_with_one_block_of_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     program, words = split(name)
     assert PROGRAMS[program][1]([*words, "--help"]) == 0
@@ -65,7 +66,7 @@ def test_help_ends_with_one_block_of_examples(name: str, capsys: pytest.CaptureF
     assert any(name in re.sub(r" --board twin", "", line) or name == "retroscan tui" for line in lines)
 
 
-@pytest.mark.parametrize("line", [line for _, command in LISTED for line in command.examples])
+@each_case([line for _, command in LISTED for line in command.examples], CycloptsError)
 def test_every_example_parses(line: str) -> None:
     parse(line)
 
@@ -83,13 +84,13 @@ def test_a_wrong_example_does_not_parse() -> None:
             parse(wrong)
 
 
-@pytest.mark.parametrize("name", EVERY_NAME)
+@each_case(EVERY_NAME)
 def test_every_argument_is_explained(name: str) -> None:
     arguments = app_of(name).assemble_argument_collection(parse_docstring=True)
     assert not [argument.name for argument in arguments if argument.show and not argument.parameter.help]
 
 
-@pytest.mark.parametrize("command", [command for _, command in LISTED], ids=lambda command: command.function)
+@each_case([command for _, command in LISTED], name=lambda command: command.function)
 def test_the_table_says_what_the_docstring_says(command: Command) -> None:
     module, _, function = command.function.partition(":")
     docstring = getattr(import_module(module), function).__doc__
@@ -141,11 +142,14 @@ READS_A_FILE = {
 }
 
 
-@pytest.mark.parametrize("name", READS_A_FILE)
-@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\0\0", 'name = "x"'.encode("utf-16")], ids=["picture", "UTF-16"])
+NO_TEXT = (b"\x89PNG\r\n\x1a\n\0\0", 'name = "x"'.encode("utf-16"))
+
+
+@each_case(list(product(READS_A_FILE, NO_TEXT)))
 def test_a_file_that_is_not_text_is_one_sentence(
-    name: str, data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    case: tuple[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    name, data = case
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE.toml").write_bytes(data)
     program, words = split(READS_A_FILE[name])
@@ -161,11 +165,11 @@ def rows_of_panels(page: str) -> list[str]:
     return [line[2:-2] for line in page.split("\n") if line.startswith("│ ")]
 
 
-@pytest.mark.parametrize("columns", [80, 120])
-@pytest.mark.parametrize("name", [*EVERY_NAME, "retroscan", "retrosync"])
+@each_case(list(product([*EVERY_NAME, "retroscan", "retrosync"], (80, 120))))
 def test_texts_of_help_fill_their_lines(
-    name: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    case: tuple[str, int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    name, columns = case
     monkeypatch.setenv("COLUMNS", str(columns))
     program, words = split(name)
     assert PROGRAMS[program][1]([*words, "--help"]) == 0
@@ -180,7 +184,7 @@ def test_texts_of_help_fill_their_lines(
             assert len(row.rstrip()) + 1 + len(first_word) > len(row), f"{row!r} has room for {first_word!r}"
 
 
-@pytest.mark.parametrize("name", EVERY_NAME)
+@each_case(EVERY_NAME)
 def test_usage_names_every_argument(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     program, words = split(name)
     assert PROGRAMS[program][1]([*words, "--help"]) == 0
@@ -192,7 +196,7 @@ def test_usage_names_every_argument(name: str, capsys: pytest.CaptureFixture[str
             assert argument.name.lstrip("-").upper() in usage
 
 
-@pytest.mark.parametrize("name", EVERY_NAME)
+@each_case(EVERY_NAME)
 def test_only_a_flag_that_is_on_has_an_option_to_switch_it_off(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     program, words = split(name)
     assert PROGRAMS[program][1]([*words, "--help"]) == 0

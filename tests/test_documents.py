@@ -6,8 +6,8 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
 from cyclopts import CycloptsError
+from each_case import each_case
 from typed_commands import parse
 
 ROOT = Path(__file__).parent.parent
@@ -73,7 +73,7 @@ def test_every_page_is_in_the_navigation_once() -> None:
     assert sorted(named) == sorted(in_root(path) for path in PAGES)
 
 
-@pytest.mark.parametrize("path", PAGES, ids=in_root)
+@each_case(PAGES, name=in_root)
 def test_no_link_is_dead(path: Path) -> None:
     dead = []
     for target in LINK.findall(without_code(path.read_text(encoding="utf-8"))):
@@ -98,12 +98,9 @@ def test_what_pages_link_to_is_copied_for_the_site() -> None:
                 assert any(linked == place or place in linked.parents for place in places), (in_root(path), target)
 
 
-@pytest.mark.parametrize(("page", "line"), COMMANDS)
-def test_every_command_parses(page: str, line: str) -> None:
-    try:
-        parse(line)
-    except CycloptsError as error:
-        pytest.fail(f"{page}: {line}: {error}", pytrace=False)
+@each_case(COMMANDS, CycloptsError, name=": ".join)
+def test_every_command_parses(command: tuple[str, str]) -> None:
+    parse(command[1])
 
 
 def test_commands_are_found() -> None:
@@ -114,7 +111,7 @@ def test_commands_are_found() -> None:
     assert len(COMMANDS) > 60
 
 
-@pytest.mark.parametrize("path", [path for path in PAGES if path != CHANGES], ids=in_root)
+@each_case([path for path in PAGES if path != CHANGES], CycloptsError, name=in_root)
 def test_a_command_in_a_sentence_exists(path: Path) -> None:
     for program, command in INLINE.findall(path.read_text(encoding="utf-8")):
         parse(f"{program} {command} --help")
@@ -133,7 +130,7 @@ def test_every_target_of_make_exists() -> None:
     assert {"demo", "test", "docs", "release"} <= asked <= targets
 
 
-@pytest.mark.parametrize("path", PAGES, ids=in_root)
+@each_case(PAGES, SyntaxError, name=in_root)
 def test_python_in_documents_is_python(path: Path) -> None:
     for kind, code in FENCED.findall(path.read_text(encoding="utf-8")):
         if kind == "python":
@@ -151,7 +148,7 @@ def test_the_readme_fits_a_screen() -> None:
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 
 
-@pytest.mark.parametrize("path", DECISIONS, ids=lambda path: path.stem)
+@each_case(DECISIONS, name=in_root)
 def test_a_decision_has_its_four_parts_on_a_page(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert re.match(rf"# {path.stem[:4]} \w", text)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from each_case import each_case
 
 DOCS = Path(__file__).parent.parent / "docs"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -61,6 +62,8 @@ def resolve(name: str) -> object:
     raise ModuleNotFoundError(name)
 
 
-@pytest.mark.parametrize("name", sorted(set(DOTTED.findall((DOCS / "architecture.md").read_text(encoding="utf-8")))))
+@each_case(
+    sorted(set(DOTTED.findall((DOCS / "architecture.md").read_text(encoding="utf-8")))), ImportError, AttributeError
+)
 def test_named_functions_exist(name: str) -> None:
     assert resolve(name)

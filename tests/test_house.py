@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from each_case import each_case
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "device", "host_sync")
@@ -104,8 +105,7 @@ def test_no_file_names_a_package_host() -> None:
     assert lines_with(PACKAGE_HOST, own_files()) == []
 
 
-@pytest.mark.parametrize(
-    "lock",
+@each_case(
     [
         "requirements.lock",
         "requirements-bench.lock",

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from each_case import each_case
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "device", "host_sync")
@@ -185,7 +185,7 @@ PAGES = sorted(
 )
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+@each_case(PAGES, name=lambda path: str(path.relative_to(ROOT)))
 def test_documents_use_no_avoided_word(path: Path) -> None:
     text = re.sub(r"`[^`\n]*`|\]\([^)]*\)", "", path.read_text(encoding="utf-8"))
     assert uses(text, avoided()) == []

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 
 import pytest
+from each_case import each_case
 
 from device.calibration.acceptance import Check
 from device.imaging.exposure import Brightness
@@ -54,9 +56,9 @@ def test_ages() -> None:
     ]
 
 
-@pytest.mark.parametrize("share", [None, -1.0, 0.0, 0.5, 1.0, 7.0])
-@pytest.mark.parametrize("columns", [0, 5, 17, 18, 40])
-def test_a_gauge_fills_its_columns_whatever_it_shows(share: float | None, columns: int) -> None:
+@each_case(list(product([None, -1.0, 0.0, 0.5, 1.0, 7.0], [0, 5, 17, 18, 40])))
+def test_a_gauge_fills_its_columns_whatever_it_shows(case: tuple[float | None, int]) -> None:
+    share, columns = case
     assert len(gauge_text("contact", share, columns)) == columns
 
 
