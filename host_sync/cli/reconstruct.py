@@ -247,7 +247,7 @@ def paper_figures(
     library
         Folder of pulled calibrations.
     calibration
-        File that `retrosync calibrate` wrote from the same frames; spares the first of two calibrations.
+        File that `retrosync calibrate --paper` wrote from the same frames.
     formats
         Any of png, pdf, svg.
     """
@@ -256,9 +256,9 @@ def paper_figures(
         tell_of_compiling()
         from host_sync.evaluation.figures import frames_to_draw, write_figures
 
-        frames = frames_to_draw(name, Library(library) if library is not None else None)
-        known = calibrator_for(calibration, tell, paper=True).named().calibration if calibration is not None else None
-        written = write_figures(frames, out, formats, tell, calibration=known)
+        calibrator = calibrator_for(calibration, tell, paper=True)
+        frames, known = frames_to_draw(name, Library(library) if library is not None else None, calibrator)
+        written = write_figures(frames, known, out, formats, tell)
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE

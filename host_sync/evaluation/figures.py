@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +11,8 @@ from matplotlib.figure import Figure
 from device.bundles.calibration import CalibrationBundle
 from device.io.atomic import atomic_file
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.frames import CalibrationFrames
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import frames_of_bundle, frames_of_set
 from host_sync.calibration_report.paper_figures import paper_figures
 from host_sync.errors import FrameSetError, LibraryError, ResultError
@@ -23,19 +23,23 @@ from host_sync.library.library import Library
 DPI: Final = 130
 
 
-def frames_to_draw(name: str | None, library: Library | None) -> CalibrationFrames:
-    """Frames of the frame set at that path, or of a library's calibration, by default the latest.
+def frames_to_draw(
+    name: str | None, library: Library | None, calibrator: Calibrator
+) -> tuple[CalibrationFrames, Calibration]:
+    """Frames of the frame set at that path, or of a library's calibration (the latest), and the calibration they carry.
 
     Raises
     ------
     FrameSetError, HostError, DeviceError
-        The set or calibration does not exist, or a frame is unreadable.
+        The set or calibration does not exist, a frame is unreadable, or the frames do not carry a calibration.
     """
     if library is not None:
-        return frames_of_bundle(library.find_calibration(name) if name else _latest(library))
+        bundle = library.find_calibration(name) if name else _latest(library)
+        return frames_of_bundle(bundle), calibrator.of_bundle(bundle).calibration
     if name is None:
         raise FrameSetError("name the frame set file: retrosync paper-figures FRAMESET.toml --out DIR")
-    return frames_of_set(load_frame_set(Path(name)))
+    frame_set = load_frame_set(Path(name))
+    return frames_of_set(frame_set), calibrator.of_frame_set(frame_set).calibration
 
 
 def _latest(library: Library) -> CalibrationBundle:
@@ -47,30 +51,28 @@ def _latest(library: Library) -> CalibrationBundle:
 
 def write_figures(
     frames: CalibrationFrames,
+    calibration: Calibration,
     out: Path,
     formats: Sequence[str] = ("png",),
     progress: Callable[[str], None] = lambda _: None,
     dpi: int = DPI,
-    calibration: Calibration | None = None,
 ) -> tuple[Path, ...]:
     """Write figures like the paper's 3, 4 and 5 to the folder `out`; returns the files.
 
+    calibration : made from these frames, with the paper's model
     formats : png, pdf or svg
-    calibration : of these frames, when it was made before
 
     Raises
     ------
-    CalibrationError, CalibrationMismatch, FrameError
-        The frames are not sufficient for a calibration, or show only one ball.
+    CalibrationError
+        The frames show only one ball.
     FrameSetError
         The calibration is of other presses.
     ResultError
         The folder cannot be written.
     """
-    if calibration is not None and [one.name for one in calibration.presses] != [one.name for one in frames.presses]:
+    if [one.name for one in calibration.presses] != [one.name for one in frames.presses]:
         raise FrameSetError("the calibration was not made from these frames: name the one that was, or none")
-    frames = replace(frames, paper=True)
-    calibration = calibration or calibrate_frames(frames, progress)
     figures = paper_figures(calibration.paper_model)
     figures["ball-errors"] = ball_error_figure(held_out_ball_errors(frames, calibration, progress))
     progress("drawing")

@@ -1,61 +1,41 @@
-"""Calibrations of the workstation, made once in a session however many commands begin with one."""
+"""Calibrations of the workstation, made once for a state of the sources: files in a cache that all tests share."""
 
 from __future__ import annotations
 
-import hashlib
-import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
-from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
-from host_sync.calibration_file import calibrator, kept_calibration
-from host_sync.calibration_report.report import report_files
-from host_sync.evaluation import figures, held_out_ball
-from host_sync.kernels.cache import USER_CACHE
-
-
-class Calibrated:
-    """What was calibrated so far, by the frames, and the reports of it."""
-
-    def __init__(self) -> None:
-        self._made: dict[str, Calibration] = {}
-        self._reports: dict[tuple[str, bool], dict[str, bytes]] = {}
-
-    def calibrate(self, frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
-        """The calibration of these very frames: computed the first time."""
-        key = hashlib.sha256(pickle.dumps(frames)).hexdigest()
-        if key not in self._made:
-            self._made[key] = calibrate_frames(frames, tell)
-        return self._made[key]
-
-    def report(self, calibration: Calibration) -> dict[str, bytes]:
-        """The report's files: drawn the first time."""
-        key = calibration.calibration_id, calibration.paper is not None
-        if key not in self._reports:
-            self._reports[key] = report_files(calibration)
-        return self._reports[key]
+from device.bundles.calibration import CalibrationBundle
+from device.store.store import BundleStore
+from hal.clock import VirtualClock
+from host_sync.calibration_file.cache import CalibrationCache
+from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.kernels.cache import USER_CACHE, configure_cache
 
 
 @pytest.fixture(scope="session", autouse=True)
-def no_cache_of_the_user() -> Iterator[None]:
-    """No command finds a calibration of an earlier run, or leaves one."""
+def calibration_cache(pytestconfig: pytest.Config) -> Iterator[CalibrationCache]:
+    """The cache of the commands in tests, which later runs share; compiled kernels stay in the user's."""
+    assert pytestconfig.cache is not None
+    configure_cache()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(USER_CACHE, "")
-        yield
+        patch.setenv(USER_CACHE, str(pytestconfig.cache.mkdir("retrograph")))
+        yield CalibrationCache.of_user()
 
 
 @pytest.fixture(scope="session")
-def calibrated_so_far() -> Calibrated:
-    return Calibrated()
+def twin_bundle(calibrated_root: Path) -> CalibrationBundle:
+    """The active calibration of the small twin."""
+    return BundleStore(calibrated_root, VirtualClock(), boot_id="b0075e1f").active_calibration()
 
 
-@pytest.fixture(scope="module")
-def calibrated_once(calibrated_so_far: Calibrated) -> Iterator[None]:
-    """No command of this module calibrates from frames that were calibrated from before: it would get the same."""
-    with pytest.MonkeyPatch.context() as patch:
-        for caller in (calibrator, kept_calibration, figures, held_out_ball):
-            patch.setattr(caller, "calibrate_frames", calibrated_so_far.calibrate)
-        patch.setattr(kept_calibration, "report_files", calibrated_so_far.report)
-        yield
+@pytest.fixture(scope="session")
+def calibrator(calibration_cache: CalibrationCache, twin_bundle: CalibrationBundle, shared_folder: Path) -> Calibrator:
+    """A calibrator that has made the calibration of the small twin."""
+    found = Calibrator(calibration_cache)
+    with FileLock(shared_folder / "calibration of the twin.lock"):
+        found.of_bundle(twin_bundle)
+    return found

@@ -17,7 +17,7 @@ from PIL import Image
 from rich.console import Console
 
 from host_sync.calibration.calibrate import METHODS, Method
-from host_sync.calibration_file.calibrator import calibrate_frame_set
+from host_sync.calibration_file.calibrator import Calibrator, calibrate_frame_set
 from host_sync.evaluation.figures import frames_to_draw, write_figures
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import read_frame
@@ -127,8 +127,8 @@ def refresh(document: Path, rows: list[Row]) -> None:
 def draw(name: str, figures: Sequence[str], tell: Callable[[str], None]) -> None:
     """Write the named figures of one real set, small enough for the repository."""
     with tempfile.TemporaryDirectory(prefix="methods-") as folder:
-        frames = frames_to_draw(str(real_sets.frame_set_file(name)), None)
-        for path in write_figures(frames, Path(folder), dpi=PICTURE_DPI):
+        drawn = frames_to_draw(str(real_sets.frame_set_file(name)), None, Calibrator(paper=True))
+        for path in write_figures(*drawn, Path(folder), dpi=PICTURE_DPI):
             if path.stem in figures:
                 target = PICTURES / f"{path.stem}-{name}.png"
                 with Image.open(path) as picture:

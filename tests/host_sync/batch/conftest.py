@@ -15,6 +15,7 @@ from hal.clock import VirtualClock
 from hal.interfaces import PressObject
 from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.library.library import Library
 
 OBJECTS = ("coin", "sphere", "coin")
@@ -25,8 +26,7 @@ def library(
     calibrated_root: Path,
     small_twin: BoardProfile,
     tmp_path_factory: pytest.TempPathFactory,
-    calibrated_so_far: object,
-    calibrated_once: None,
+    calibrator: Calibrator,
 ) -> Library:
     """Three scans of which the last has a damaged frame."""
     root = tmp_path_factory.mktemp("library") / "scans"

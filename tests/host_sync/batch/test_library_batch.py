@@ -18,6 +18,7 @@ from device.bundles.scan import ScanBundle
 from device.errors import OutputError
 from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_scans
 from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.cli.main import main
@@ -26,10 +27,12 @@ from host_sync.reconstruction.from_library import LibraryReconstructor
 
 
 @pytest.fixture(scope="module")
-def alone(library: Library, tmp_path_factory: pytest.TempPathFactory) -> tuple[Library, list[ScanOutcome]]:
+def alone(
+    library: Library, calibrator: Calibrator, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Library, list[ScanOutcome]]:
     """The library's copy with the results of one process, and what it said."""
     copy = copied(library, tmp_path_factory.mktemp("alone") / "scans")
-    return copy, list(one_by_one(copy.scans().bundles, LibraryReconstructor(copy)))
+    return copy, list(one_by_one(copy.scans().bundles, LibraryReconstructor(copy, calibrator=calibrator)))
 
 
 def copied(library: Library, root: Path) -> Library:
@@ -39,7 +42,11 @@ def copied(library: Library, root: Path) -> Library:
 
 @pytest.mark.parametrize("at", ["slopes and height", "results"])
 def test_two_processes_give_the_bits_of_one_though_one_is_killed_in_mid_scan(
-    library: Library, alone: tuple[Library, list[ScanOutcome]], tmp_path: Path, at: str
+    library: Library,
+    alone: tuple[Library, list[ScanOutcome]],
+    calibration_cache: CalibrationCache,
+    tmp_path: Path,
+    at: str,
 ) -> None:
     batch = copied(library, tmp_path / "batch")
     scans = batch.scans().bundles
@@ -48,7 +55,7 @@ def test_two_processes_give_the_bits_of_one_though_one_is_killed_in_mid_scan(
     def obtained(kept: KeptCalibration, source: str) -> None:
         made.append(kept.facts.calibration_id)
 
-    job = LibraryReconstructor(batch, calibrator=Calibrator(obtained=obtained))
+    job = LibraryReconstructor(batch, calibrator=Calibrator(calibration_cache, obtained=obtained))
     marker = tmp_path / "died"
     found = list(reconstruct_scans(scans, ScanWork(batch.root, tell=DieOnce(marker, at)), job, 2))
     assert marker.exists()

@@ -5,21 +5,30 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from host_sync.batch.library_watch import MEASUREMENTS, LibraryWatch, only_watch
 from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.library.library import Library
 from host_sync.measurement.recipe import Recipe
 from host_sync.reconstruction.from_library import LibraryReconstructor
 
 
-def watch_of(library: Library) -> LibraryWatch:
-    return LibraryWatch(library, LibraryReconstructor(library), Recipe(), 1)
+@pytest.fixture
+def watch_of(calibrator: Calibrator) -> Callable[..., LibraryWatch]:
+    """Makes a watch of a library."""
+
+    def make(library: Library, **recipe: Any) -> LibraryWatch:
+        return LibraryWatch(library, LibraryReconstructor(library, calibrator=calibrator), Recipe(**recipe), 1)
+
+    return make
 
 
 def by_scan(outcomes: list[ScanOutcome]) -> dict[str, str | None]:
@@ -28,7 +37,10 @@ def by_scan(outcomes: list[ScanOutcome]) -> dict[str, str | None]:
 
 
 def test_what_a_pull_brings_is_reconstructed_and_measured_once(
-    library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    library: Library,
+    watch_of: Callable[..., LibraryWatch],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     held = Library(tmp_path / "scans")
     shutil.copytree(library.root, held.root)
@@ -79,7 +91,9 @@ def test_one_watch_works_on_a_library(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["watch", str(tmp_path), "--once"]) == 0
 
 
-def test_another_recipe_or_newer_results_are_measured_again(library: Library, tmp_path: Path) -> None:
+def test_another_recipe_or_newer_results_are_measured_again(
+    library: Library, watch_of: Callable[..., LibraryWatch], tmp_path: Path
+) -> None:
     held = Library(tmp_path / "scans")
     shutil.copytree(library.root, held.root)
     for bundle in held.scans().bundles[1:]:
@@ -91,7 +105,7 @@ def test_another_recipe_or_newer_results_are_measured_again(library: Library, tm
     assert first.folder is not None
     assert list(watch_of(held).look()) == []
 
-    rough = LibraryWatch(held, LibraryReconstructor(held), Recipe(parameters=("Sq",)), 1)
+    rough = watch_of(held, parameters=("Sq",))
     assert by_scan(list(rough.look())) == {scan.scan_id: None}
     assert json.loads(place.read_text())["recipe"]["parameters"] == ["Sq"]
     assert by_scan(list(watch_of(held).look())) == {scan.scan_id: None}

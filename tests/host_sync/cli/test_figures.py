@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,6 +10,8 @@ import pytest
 
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames
+from host_sync.calibration_file.cache import CalibrationCache
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.evaluation.figures import frames_to_draw
 from host_sync.evaluation.held_out_ball import BallError, ball_error_figure, held_out_ball_errors
@@ -18,7 +19,6 @@ from host_sync.library.library import Library
 from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
 
-pytestmark = pytest.mark.usefixtures("calibrated_once")
 NAMES = ("reflectance-maps", "ambiguous-bins", "ball-errors")
 
 
@@ -30,20 +30,16 @@ def library(calibrated_root: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="module")
-def frames(library: Library) -> CalibrationFrames:
-    return frames_to_draw(None, library)
+def drawn(library: Library, calibration_cache: CalibrationCache) -> tuple[CalibrationFrames, Calibration]:
+    return frames_to_draw(None, library, Calibrator(calibration_cache, paper=True))
 
 
 @pytest.fixture(scope="module")
-def calibration(frames: CalibrationFrames, calibrated_so_far: Any) -> Calibration:
-    return calibrated_so_far.calibrate(frames)
+def errors(drawn: tuple[CalibrationFrames, Calibration]) -> tuple[BallError, ...]:
+    return held_out_ball_errors(*drawn)
 
 
-@pytest.fixture(scope="module")
-def errors(frames: CalibrationFrames, calibration: Calibration, calibrated_once: None) -> tuple[BallError, ...]:
-    return held_out_ball_errors(frames, calibration)
-
-
+@pytest.mark.slow
 def test_every_figure_is_written_in_every_format(library: Library, tmp_path: Path) -> None:
     out = tmp_path / "figures"
     assert main(["paper-figures", "--library", str(library.root), "--out", str(out), "--format", "png", "svg"]) == 0
@@ -72,7 +68,8 @@ def test_both_methods_are_drawn_side_by_side(errors: tuple[BallError, ...]) -> N
     assert [title.split(":")[0] for title in titles[2:]] == ["normal", "normal"]
 
 
-def test_the_ball_that_is_judged_taught_nothing(frames: CalibrationFrames, calibration: Calibration) -> None:
+def test_the_ball_that_is_judged_taught_nothing(drawn: tuple[CalibrationFrames, Calibration]) -> None:
+    frames, calibration = drawn
     held = calibration.presses[3].balls[0]
     kept = [ball for press in frames.without(calibration, 3, held).presses for ball in press.balls or ()]
     assert held not in kept

@@ -41,7 +41,6 @@ RESULT_FILES = {
 RADIUS_MM = 3.0
 PITCH_UM = 48.0
 PUPIL_MM = 160.0
-pytestmark = pytest.mark.usefixtures("calibrated_once")
 PLACES = [(column, row) for row in (0.2, 0.5, 0.8) for column in (0.2, 0.5, 0.8)]
 
 

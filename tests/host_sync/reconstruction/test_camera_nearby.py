@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
+from device.bundles.calibration import CalibrationBundle
 from device.errors import CalibrationError
 from device.imaging.flat_field import demosaic
-from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import PressBall
 from hal.simulator.bench import SimulatedScene
 from host_sync.calibration.frames import calibrate_frames
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import frames_of_bundle
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import result_record
@@ -23,11 +24,20 @@ GENTLE, STEEP = 0.1, 0.5
 
 @pytest.mark.parametrize(("knows", "least", "most"), [(True, -0.005, 0.005), (False, 0.008, 0.02)])
 def test_slopes_of_a_raised_ball(
-    knows: bool, least: float, most: float, calibrated: BundleStore, hardware: Hardware, bench: SimulatedScene
+    knows: bool,
+    least: float,
+    most: float,
+    twin_bundle: CalibrationBundle,
+    calibrator: Calibrator,
+    hardware: Hardware,
+    bench: SimulatedScene,
 ) -> None:
-    frames = frames_of_bundle(calibrated.active_calibration())
+    frames = frames_of_bundle(twin_bundle)
     assert frames.pupil_height_mm == 160.0
-    calibration = calibrate_frames(frames if knows else replace(frames, pupil_height_mm=None))
+    if knows:
+        calibration = calibrator.of_bundle(twin_bundle).calibration
+    else:
+        calibration = calibrate_frames(replace(frames, pupil_height_mm=None))
     assert (calibration.viewpoint is not None) == knows
     with hardware:
         hardware.operator.ask(PressBall(RADIUS_MM, 0.25, 0.33))
@@ -43,7 +53,7 @@ def test_slopes_of_a_raised_ball(
     assert least < along[here].sum() / (slope[here] ** 2).sum() < most
 
 
-def test_a_camera_hardly_higher_than_the_balls_is_refused(calibrated: BundleStore) -> None:
-    frames = frames_of_bundle(calibrated.active_calibration())
+def test_a_camera_hardly_higher_than_the_balls_is_refused(twin_bundle: CalibrationBundle) -> None:
+    frames = frames_of_bundle(twin_bundle)
     with pytest.raises(CalibrationError, match="check pupil_height_mm"):
         calibrate_frames(replace(frames, pupil_height_mm=0.16))

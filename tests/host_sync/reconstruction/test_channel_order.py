@@ -27,7 +27,8 @@ def test_frames_that_a_kernel_turned_are_refused_with_a_bundle_and_with_a_file(
     board = emulated_hardware(build(msgspec.structs.replace(bench.profile, sensor=sensor), bench.clock), "PCA9955B")
     with board.hardware as hardware:
         bundle = calibrate(hardware, store, 3.0, lambda _: None).bundle
-    kept = Calibrator().of_bundle(bundle)
+    calibrator = Calibrator()
+    kept = calibrator.of_bundle(bundle)
     assert kept.facts.channel_order == "RGGB"
     file = tmp_path / "gel.calibration"
     kept.write(file)
@@ -49,7 +50,8 @@ def test_frames_that_a_kernel_turned_are_refused_with_a_bundle_and_with_a_file(
         return store.publish_scan(record, write)
 
     same, turned = scan_in("RGGB"), scan_in("BGGR")
-    for job in (LibraryReconstructor(library), LibraryReconstructor(library, calibrator=Calibrator.of_file(file))):
+    for source in (calibrator, Calibrator.of_file(file)):
+        job = LibraryReconstructor(library, calibrator=source)
         assert job.calibration_of(same).facts.bundle_id == bundle.calibration_id
         with pytest.raises(CalibrationMismatch, match=r"channel order \(RGGB, not BGGR\)"):
             job.calibration_of(turned)

@@ -15,6 +15,7 @@ from hal.simulator.hardware import twin_hardware
 from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Sphere
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import SINGLE_LIGHTS, LibraryReconstructor
 from host_sync.reconstruction.pipeline import Reconstruction
@@ -23,7 +24,7 @@ AMBIENT = 0.04
 
 
 def test_ambient_light_is_taken_out_where_the_scan_holds_a_dark_frame(
-    calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path
+    calibrated_root: Path, calibrator: Calibrator, small_twin: BoardProfile, tmp_path: Path
 ) -> None:
     root = tmp_path / "library"
     shutil.copytree(calibrated_root, root)
@@ -38,7 +39,7 @@ def test_ambient_light_is_taken_out_where_the_scan_holds_a_dark_frame(
         scans["in daylight"] = scanner.publish(scanner.assess(scanner.capture()), Annotations()).bundle
         precise = scanner.publish(scanner.assess(scanner.capture(mode="lights")), Annotations())
         scans["each light"] = precise.bundle
-    job = LibraryReconstructor(Library(root), force=True)
+    job = LibraryReconstructor(Library(root), force=True, calibrator=calibrator)
     results = {name: job.run(scan)[0] for name, scan in scans.items()}
     true_um = results["in the dark"].height.z_um
     off_um = {name: float(np.nanstd(found.height.z_um - true_um)) for name, found in results.items()}
@@ -52,7 +53,7 @@ def test_ambient_light_is_taken_out_where_the_scan_holds_a_dark_frame(
 
 
 def test_single_lights_show_where_a_light_is_hidden(
-    calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path
+    calibrated_root: Path, calibrator: Calibrator, small_twin: BoardProfile, tmp_path: Path
 ) -> None:
     root = tmp_path / "library"
     shutil.copytree(calibrated_root, root)
@@ -62,7 +63,7 @@ def test_single_lights_show_where_a_light_is_hidden(
         bench.place(Press(Sphere(3.0), (2.5, 1.5), 0.0, 0.9))
         precise = scanner.publish(scanner.assess(scanner.capture(mode="lights")), Annotations())
         truth = bench.truth()
-    job = LibraryReconstructor(Library(root), force=True)
+    job = LibraryReconstructor(Library(root), force=True, calibrator=calibrator)
     with_lights = job.run(precise.bundle)[0]
     exposures = precise.bundle.record.exposures
     torn = precise.bundle.path(next(iter(exposures.alone_files.values())))
