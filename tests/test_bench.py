@@ -104,6 +104,7 @@ def test_cost_per_pixel_compares_the_largest_scan_with_the_one_near_1_5_megapixe
     assert judge({"pipeline": scans})["cost_pipeline"]["value"] == pytest.approx(1.5)
 
 
+@pytest.mark.slow
 def test_a_quick_run_prints_a_table_and_writes_every_mark(tmp_path: Path) -> None:
     out = tmp_path / "bench.json"
     # One thread: on a machine that does other work, waiting for a second one takes longer than the whole run.

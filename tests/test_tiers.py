@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-from tests.tiers import BUDGET_MIN, ROOT, Tier, changed_files, load_tiers, started_tiers, within_budget
+import pytest
+
+from tests.tiers import BUDGET_MIN, ROOT, Tier, changed_files, load_tiers, run_tiers, started_tiers
 
 ONE = Tier("one", "", ("device/io",), ("tests/test_one.py",), 10.0)
 TWO = Tier("two", "", ("host_sync",), ("tests/test_two.py",), 40.0)
@@ -35,12 +37,20 @@ def test_a_change_starts_the_tiers_that_cover_it() -> None:
     assert started_tiers(tiers, ["device/io/atomic.py"]) == [ONE]
     assert started_tiers(tiers, ["device/io_elsewhere.py", "README.md", "tests/test_three.py"]) == []
     assert started_tiers(tiers, ["tests/test_two.py", "device/io"]) == [ONE, TWO]
-    assert started_tiers(tiers, None) == [ONE, TWO]
 
 
-def test_tiers_beyond_the_budget_are_named() -> None:
-    assert within_budget([ONE, TWO], 50.0) == ([ONE, TWO], [])
-    assert within_budget([ONE, TWO], 45.0) == ([ONE], [TWO])
+@pytest.mark.parametrize(("took_min", "left_out"), [(10.0, []), (5.1, []), (10.1, [TWO])])
+def test_a_tier_runs_when_it_fits_into_what_is_left(took_min: float, left_out: list[Tier]) -> None:
+    now_min = [100.0]
+    ran = []
+
+    def run(tier: Tier) -> bool:
+        ran.append(tier)
+        now_min[0] += took_min
+        return tier is not ONE
+
+    assert run_tiers([ONE, TWO], 50.0, run, lambda: now_min[0]) == ([ONE], left_out)
+    assert [*ran, *left_out] == [ONE, TWO]
 
 
 def test_a_base_that_git_does_not_know_is_an_unknown_change() -> None:

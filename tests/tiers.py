@@ -1,15 +1,16 @@
 """Run the long tests of what changed: those tiers of `tiers.toml` whose paths a change touches.
 
 usage: python -m tests.tiers [BASE]    BASE: the commit before the change; by default where the branch left origin/main,
-                                       on the main branch the commit before; when there is no git, every tier starts
+                                       on the main branch the commit before; where git knows neither, no tier starts
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+import time
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,22 +43,25 @@ def load_tiers() -> list[Tier]:
     ]
 
 
-def started_tiers(tiers: Iterable[Tier], changed: Iterable[str] | None) -> list[Tier]:
-    """Return the tiers that a change of these files starts; every tier of CI when the change is unknown."""
-    if changed is None:
-        return [tier for tier in tiers if tier.ci]
+def started_tiers(tiers: Iterable[Tier], changed: Iterable[str]) -> list[Tier]:
+    """Return the tiers that a change of these files starts."""
     files = list(changed)
     return [tier for tier in tiers if tier.ci and any(tier.covers(file) for file in files)]
 
 
-def within_budget(tiers: Iterable[Tier], budget_min: float) -> tuple[list[Tier], list[Tier]]:
-    """Divide the tiers into those that fit into the budget, in their order, and the others."""
-    fitting: list[Tier] = []
-    others: list[Tier] = []
+def run_tiers(
+    tiers: Iterable[Tier], budget_min: float, run: Callable[[Tier], bool], now_min: Callable[[], float]
+) -> tuple[list[Tier], list[Tier]]:
+    """Run the tiers that fit into the budget, in their order; return those that failed and those that did not run."""
+    began_min = now_min()
+    failed: list[Tier] = []
+    left_out: list[Tier] = []
     for tier in tiers:
-        fits = sum(one.minutes for one in fitting) + tier.minutes <= budget_min
-        (fitting if fits else others).append(tier)
-    return fitting, others
+        if now_min() - began_min + tier.minutes > budget_min:
+            left_out.append(tier)
+        elif not run(tier):
+            failed.append(tier)
+    return failed, left_out
 
 
 def changed_files(base: str | None) -> list[str] | None:
@@ -68,19 +72,31 @@ def changed_files(base: str | None) -> list[str] | None:
 
 
 def main() -> int:
-    """Run the tiers; returns pytest's exit code."""
-    changed = changed_files(sys.argv[1] if len(sys.argv) > 1 else None)
-    fitting, others = within_budget(started_tiers(load_tiers(), changed), BUDGET_MIN)
-    _say("unknown change" if changed is None else f"{len(changed)} changed files")
-    for tier in fitting:
-        _say(f"long tests of {tier.name}: {tier.proves}")
-    for tier in others:
+    """Run the tiers; returns 1 when one failed."""
+    base = sys.argv[1] if len(sys.argv) > 1 else None
+    changed = changed_files(base)
+    if changed is None:
+        _say(
+            f"NO LONG TEST RUN: git does not know the commit before the change ({base or 'a shallow clone?'}): "
+            "make test-changed BASE=COMMIT runs the long tests of a change, make test-all every test"
+        )
+        return 1 if base else 0
+    started = started_tiers(load_tiers(), changed)
+    _say(f"{len(changed)} changed files start the long tests of {', '.join(one.name for one in started) or 'nothing'}")
+    failed, left_out = run_tiers(started, BUDGET_MIN, _passes, lambda: time.monotonic() / 60.0)
+    for tier in left_out:
         _say(f"NOT RUN, as {BUDGET_MIN:g} minutes are full: {tier.name}; make test-all runs it")
-    if not fitting:
-        return 0
-    tests = [test for tier in fitting for test in tier.tests]
+    for tier in failed:
+        _say(f"FAILED: {tier.name}")
+    return 1 if failed else 0
+
+
+def _passes(tier: Tier) -> bool:
+    _say(f"long tests of {tier.name}: {tier.proves}")
     options = ["-n", "2", "--dist", "loadfile", "--durations=25", "-m", "slow and not board and not system"]
-    return subprocess.run([sys.executable, "-m", "pytest", *options, *tests], cwd=ROOT, check=False).returncode
+    return (
+        subprocess.run([sys.executable, "-m", "pytest", *options, *tier.tests], cwd=ROOT, check=False).returncode == 0
+    )
 
 
 def _default_base() -> str | None:

@@ -35,7 +35,9 @@ def judge(frame_set: Path, results: Path) -> dict[str, Any]:
     return verdict
 
 
-@pytest.mark.parametrize("name", LABELLED)
+@pytest.mark.parametrize(
+    "name", ["finger", *(pytest.param(name, marks=pytest.mark.slow) for name in ("oem-bga", "taxim-small"))]
+)
 def test_every_labelled_ball_is_reconstructed(name: str, tmp_path: Path) -> None:
     assert main(["reconstruct", str(DATA / name / "frameset.toml"), "--out", str(tmp_path)]) == 0
     verdict = judge(DATA / name, tmp_path)

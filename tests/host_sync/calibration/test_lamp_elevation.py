@@ -203,6 +203,7 @@ def test_what_a_map_reads_of_raised_skin_is_taken_from_that_map() -> None:
     assert as_read(unknown, inverse) is unknown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begins", [(0, 1), (1, 0)])
 def test_of_two_searches_the_one_counts_that_explains_the_balls_better(
     begins: tuple[int, int], monkeypatch: pytest.MonkeyPatch
@@ -217,6 +218,7 @@ def test_of_two_searches_the_one_counts_that_explains_the_balls_better(
     np.testing.assert_allclose(again.lamps.model.position, FIT.lamps.model.position, rtol=0.02, atol=0.005)
 
 
+@pytest.mark.slow
 def test_the_sign_of_a_strip_from_which_a_search_begins_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lamp_fit, "MAX_RESIDUAL", 0.0)  # the first search alone
     # Points show little of a strip's length: searches have to go on for as long as they gain anything.

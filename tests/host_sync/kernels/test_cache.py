@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import host_sync
-from host_sync.kernels.cache import KEPT_S, SETTING, SUFFIX, USER_CACHE, configure_cache, prune_cache
+from host_sync.kernels.cache import KEPT_S, SETTING, SUFFIX, USER_CACHE, configure_cache, prune_cache, state_of
 from host_sync.kernels.compile_time import CompileTime
 from host_sync.kernels.jit import kernel_digest, njit
 
@@ -178,3 +178,35 @@ def test_kernels_that_nobody_has_used_for_a_month_are_removed(tmp_path: Path, mo
         os.utime(home / old, (0, used_s - KEPT_S - 60.0))
     prune_cache(environment, now_s=used_s)
     assert sorted(entry.name for entry in home.iterdir()) == ["folder of today", f"recent{SUFFIX}"]
+
+
+def test_a_state_of_sources_is_another_after_every_change_of_a_source_file(tmp_path: Path) -> None:
+    package, other = tmp_path / "package", tmp_path / "other"
+    deeper = package / "deeper"
+    for folder in (deeper, package / "__pycache__", other):
+        folder.mkdir(parents=True)
+    for path in (package / "one.py", deeper / "two.py", other / "three.py"):
+        path.write_text("A = 1\n")
+        os.utime(path, (1e9, 1e9))
+    states = [state_of(package, other)]
+    for beside in (package / "table.toml", package / "__pycache__" / "one.py", package / "__pycache__" / "one.pyc"):
+        beside.write_text("1")
+    (deeper / "two.py").read_text()
+    assert state_of(package, other) == states[0], "what is compiled from sources and what lies beside them is no source"
+
+    (deeper / "two.py").write_text("A = 2\n")
+    os.utime(deeper / "two.py", (1e9, 1e9 + 1))
+    states.append(state_of(package, other))
+    (deeper / "two.py").write_text("A = 20\n")
+    os.utime(deeper / "two.py", (1e9, 1e9 + 1))
+    states.append(state_of(package, other))
+    (deeper / "two.py").rename(deeper / "four.py")
+    states.append(state_of(package, other))
+    (deeper / "four.py").rename(package / "four.py")
+    states.append(state_of(package, other))
+    (package / "four.py").unlink()
+    states.append(state_of(package, other))
+    (other / "three.py").write_text("A = 3\n")
+    states.append(state_of(package, other))
+    assert len(set(states)) == len(states) == 7
+    assert states[-1] != state_of(package)

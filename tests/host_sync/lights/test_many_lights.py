@@ -71,12 +71,14 @@ def test_frames_of_different_numbers_of_lights_are_refused() -> None:
         calibrate_lights(presses(4)[:2], lit_by_ring(np.zeros(SHAPE), 5, 0), PITCH_UM)
 
 
+@pytest.mark.slow
 def test_six_lights_are_nearer_the_truth_than_three(six: Calibration) -> None:
     ordinary = calibrated(3)
     assert ordinary.lights is None
     assert slope_error(six, SIX) < 0.8 * slope_error(ordinary, 3)
 
 
+@pytest.mark.slow
 def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibration) -> None:
     presses_of_six = presses(SIX)
     assert six.lights is not None
@@ -89,6 +91,7 @@ def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibratio
     assert six.slope_error.tilt_deg == first.tilt_deg
 
 
+@pytest.mark.slow
 def test_three_lights_take_the_path_of_an_rgb_frame_bit_for_bit() -> None:
     rest = lit_by_ring(np.zeros(SHAPE), 3, 99)
     by_lights, alone = calibrate_lights(presses(3), rest, PITCH_UM), calibrate(presses(3), rest, PITCH_UM)

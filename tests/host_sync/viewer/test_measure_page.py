@@ -141,7 +141,7 @@ def test_the_keyboard_alone_measures(served: Any, visit: Callable[..., Any]) -> 
     assert " ± " in numbers(page, "distance 1")["in height"]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
 def test_measuring_passes_the_accessibility_scan(served: Any, visit: Callable[..., Any], scheme: str) -> None:
     page = visit(served, color_scheme=scheme)
     page.wait_for_selector(".card")
