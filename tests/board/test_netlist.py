@@ -14,7 +14,7 @@ import pytest
 from hal.board_profile import BoardProfile, load_board_profile
 from tests.drawings.board.electrical_rules import complaints
 from tests.drawings.board.netlist import netlist
-from tests.drawings.board.wiring import Wiring, of_profile, wired_boards, wiring
+from tests.drawings.board.wiring import Wiring, drawn_boards, of_profile, wired_boards, wiring
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,7 +28,7 @@ def test_a_board_keeps_every_rule(board: str) -> None:
     assert complaints(load_board_profile(board), wiring(board)) == []
 
 
-@pytest.mark.parametrize("board", wired_boards())
+@pytest.mark.parametrize("board", drawn_boards())
 def test_every_wire_led_and_chip_is_on_a_net(board: str) -> None:
     wired = wiring(board)
     nets = netlist(wired)

@@ -28,10 +28,10 @@ def test_what_is_drawn_is_what_is_there() -> None:
 def test_every_wired_board_has_its_pages() -> None:
     assert tuple(wiring.wired_boards()) == WIRED
     shown = {path.stem for path in (ROOT / "board/wiring").iterdir() if path.suffix in {".svg", ".md"}}
-    assert shown == set(WIRED)
+    assert shown == set(WIRED) - {"pi4-imx477-binned"}, "which is wired as pi4-imx477"
 
 
-@pytest.mark.parametrize("board", WIRED)
+@pytest.mark.parametrize("board", wiring.drawn_boards())
 def test_a_drawing_shows_every_wire_of_its_profile(board: str) -> None:
     profile = load_board_profile(board)
     drawn = ElementTree.parse(ROOT / f"board/wiring/{board}.svg")  # noqa: S314

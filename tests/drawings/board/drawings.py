@@ -11,7 +11,7 @@ from tests.drawings.board.block import block_drawing
 from tests.drawings.board.light_tables import with_tables
 from tests.drawings.board.netlist import netlist_page
 from tests.drawings.board.totals import with_total
-from tests.drawings.board.wiring import wired_boards, wiring
+from tests.drawings.board.wiring import drawn_boards, wiring
 from tests.drawings.board.wiring_drawing import drawing
 from tests.drawings.board.wiring_table import wiring_page
 from tests.drawings.pcb.designs import carrier, light
@@ -23,7 +23,7 @@ FOLDER = Path(__file__).parents[3] / "board"
 def pages() -> dict[Path, str]:
     """Text of every page and drawing made from board profiles, wiring and physics, by its path below `board/`."""
     made = {}
-    for board in wired_boards():
+    for board in drawn_boards():
         facts = wiring(board)
         made[Path("wiring") / f"{board}.svg"] = drawing(facts)
         made[Path("wiring") / f"{board}.md"] = wiring_page(facts)

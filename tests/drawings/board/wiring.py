@@ -25,7 +25,6 @@ class Wire:
     part: str
     terminal: str
     kind: str
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +57,15 @@ class Wiring:
 def wired_boards() -> list[str]:
     """Names of the profiles with wiring: not the simulated ones, nor sensors on USB."""
     return [name for name in profile_names() if load_board_profile(name).driver == "picamera2"]
+
+
+def drawn_boards() -> list[str]:
+    """Names of the boards that have pages: of boards that are wired alike the first one."""
+    first: dict[tuple[object, ...], str] = {}
+    for name in wired_boards():
+        facts = wiring(name)
+        first.setdefault((facts.wires, facts.leds, facts.parts), name)
+    return list(first.values())
 
 
 def wiring(board: str, facts: dict[str, Any] | None = None) -> Wiring:
@@ -113,7 +121,7 @@ def _light_driver(driver: LightDriverConfig, facts: dict[str, Any]) -> Iterator[
         yield _wire(facts, facts["header"].index(lines[signal]) + 1, driver.chip, terminals[signal], signal)
     if driver.enable_line is not None:
         yield _line(facts, driver.enable_line, driver.chip, terminals["enable"])
-    yield _wire(facts, place["led_supply"], driver.chip, "LED+", "supply", "anodes of every LED")
+    yield _wire(facts, place["led_supply"], driver.chip, "LED+", "supply")
 
 
 def _button(button: ButtonConfig, facts: dict[str, Any]) -> Iterator[Wire]:
@@ -139,12 +147,12 @@ def _line(facts: dict[str, Any], line: int, part: str, terminal: str) -> Wire:
     return _wire(facts, facts["header"].index(f"GPIO{line}") + 1, part, terminal, "line")
 
 
-def _wire(facts: dict[str, Any], pin: int, part: str, terminal: str, kind: str, note: str = "") -> Wire:
+def _wire(facts: dict[str, Any], pin: int, part: str, terminal: str, kind: str) -> Wire:
     name = facts["header"][pin - 1]
     expected = {"ground": "GND", "supply": "5V" if terminal in FIVE_VOLT else "3V3"}.get(kind, name)
     if name != expected:
         raise ValueError(f"{WIRING_FILE.name}: {part} {terminal} is on pin {pin}, which is {name}")
-    return Wire(pin, name, part, terminal, kind, note)
+    return Wire(pin, name, part, terminal, kind)
 
 
 def _chip(facts: dict[str, Any], name: str, address: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The wiring table and the pin map of one board, as Markdown."""
+"""The pin map of one board, its LEDs and what ties its parts, as Markdown."""
 
 from __future__ import annotations
 
@@ -20,15 +20,18 @@ def _lines(wiring: Wiring) -> Iterator[str]:
     yield f"![Drawing]({wiring.board}.svg)"
     yield ""
     yield (
-        f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too, for anyone who "
-        "lays out a circuit board. A test runs electrical rules on it: one driver a net, no floating pin, pulls, "
-        "levels, currents, heat."
+        f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too. A test runs "
+        "electrical rules on it: one driver a net, no floating pin, pulls, levels, currents, heat."
     )
     yield ""
-    yield "| header pin | is | goes to | note |"
-    yield "|---|---|---|---|"
-    for wire in sorted(wiring.wires, key=lambda wire: wire.pin):
-        yield f"| {wire.pin} | {wire.pin_name} | {wire.part} {wire.terminal} | {wire.note} |"
+    yield "Odd pins are the row nearer to the board's middle; pin 1 is the one at the end without USB ports."
+    yield ""
+    yield "| used for | name | odd | even | name | used for |"
+    yield "|---|---|---|---|---|---|"
+    for odd in range(1, 41, 2):
+        left, right = _use(wiring, odd), _use(wiring, odd + 1)
+        yield f"| {left} | {wiring.header[odd - 1]} | {odd} | {odd + 1} | {wiring.header[odd]} | {right} |"
+
     yield ""
     yield "| LEDs | channels, one LED each | current in each |"
     yield "|---|---|---|"
@@ -40,16 +43,6 @@ def _lines(wiring: Wiring) -> Iterator[str]:
     yield ""
     for part, ties in wiring.parts:
         yield f"- **{part}**: {'; '.join(ties)}."
-    yield ""
-    yield "## Pin map"
-    yield ""
-    yield "Odd pins are the row nearer to the board's middle; pin 1 is the one at the end without USB ports."
-    yield ""
-    yield "| used for | name | odd | even | name | used for |"
-    yield "|---|---|---|---|---|---|"
-    for odd in range(1, 41, 2):
-        left, right = _use(wiring, odd), _use(wiring, odd + 1)
-        yield f"| {left} | {wiring.header[odd - 1]} | {odd} | {odd + 1} | {wiring.header[odd]} | {right} |"
 
 
 def _use(wiring: Wiring, pin: int) -> str:
