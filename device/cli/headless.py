@@ -39,7 +39,9 @@ def _announce(state: InstrumentState, print_line: Print, print_error: PrintError
     room = "" if state.scans_left is None else f" room for {state.scans_left} scans."
     if state.calibration.fault:
         print_error(f"no scans yet: {state.calibration.fault}")
-    print_line(f"Ready:{room} Push the button to scan, hold it to pair, twice to calibrate; Ctrl-C stops.")
+    print_line(
+        f"Ready:{room} Push the button to scan, hold it to pair, twice to calibrate, 6 s to power off; Ctrl-C stops."
+    )
 
 
 def print_event(event: Event, print_line: Print, print_error: PrintError) -> None:

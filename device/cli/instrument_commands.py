@@ -152,7 +152,7 @@ def run(
     pair_when_new: bool = False,
     options: Given,
 ) -> int:
-    """Scan at every press of the button, without a screen.
+    """Scan at every press of the button, without a screen; held for six seconds it powers off.
 
     Parameters
     ----------
@@ -172,17 +172,19 @@ def run(
                 instrument.set_sticky(given)
             if pair_when_new:
                 instrument.open_pairing_when_new()
-            report = ServiceReport(SdNotify.from_environment(os.environ), hardware.clock)
+            service = SdNotify.from_environment(os.environ)
+            report = ServiceReport(service, hardware.clock)
             try:
                 run_headless(instrument, print_line, print_error, lambda: _goes_on(report, instrument))
             finally:
                 report.ended()
+            service.power_off()
     return 0
 
 
 def _goes_on(report: ServiceReport, instrument: Instrument) -> bool:
     report.turn(instrument.state)
-    return True
+    return instrument.state.activity != "off"
 
 
 def check_parts(*, push: bool = False, json: bool = False, options: Given) -> int:

@@ -15,7 +15,10 @@ from hal.interfaces import Clock
 LONG_PUSH_S: Final = 2.0
 """A push held at least this long is a long push, which takes no scan."""
 
-ButtonEvent = Literal["pushed", "short", "long"]
+OFF_PUSH_S: Final = 6.0
+"""A push held on for this long powers off, without a screen."""
+
+ButtonEvent = Literal["pushed", "short", "long", "off"]
 
 
 AGAIN_S: Final = 10.0
@@ -31,10 +34,11 @@ class ButtonWatch:
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
         self._waiting_ns: int | None = None
+        self._is_long = False
         self.began_ns: int | None = None
 
     def wait(self, wait_s: float) -> ButtonEvent | None:
-        """The next event within `wait_s`: a push begins, or the current one is released or held long.
+        """The next event within `wait_s`: a push begins, is released, is held long, or is held until power off.
 
         Raises
         ------
@@ -46,16 +50,25 @@ class ButtonWatch:
             self.began_ns, self._waiting_ns = self._waiting_ns or button.wait_for_push(wait_s), None
             return None if self.began_ns is None else "pushed"
         if press := button.wait_for_press(wait_s):
-            self.began_ns = None
+            was_long, self.began_ns, self._is_long = self._is_long, None, False
+            if was_long:
+                return None
             return "long" if press.held_s >= LONG_PUSH_S else "short"
-        if self._hardware.clock.monotonic_ns() - self.began_ns >= LONG_PUSH_S * 1e9:
-            self.began_ns = None
+        held_s = (self._hardware.clock.monotonic_ns() - self.began_ns) * 1e-9
+        if self._is_long and held_s >= OFF_PUSH_S:
+            self.forget()
+            return "off"
+        if not self._is_long and held_s >= LONG_PUSH_S:
+            self._is_long = True
             return "long"
         return None
 
-    def forget(self) -> None:
-        """Forget the current push: after a failure of the button's driver its release was not seen."""
+    def forget(self) -> bool:
+        """Forget the current push, whose release may never be seen; returns whether it had no event but "pushed"."""
+        was_open = self.began_ns is not None and not self._is_long
         self._waiting_ns = self.began_ns = None
+        self._is_long = False
+        return was_open
 
     def is_waiting(self) -> bool:
         """Return whether a push has begun that the next `wait` will report."""

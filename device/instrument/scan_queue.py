@@ -22,7 +22,7 @@ from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, 
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError, NoCalibration, StoreError
-from device.instrument.button import ButtonWatch
+from device.instrument.button import ButtonEvent, ButtonWatch
 from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import (
     REFUSALS,
@@ -105,7 +105,7 @@ class ScanQueue:
     ----------
     scanner : returns the active scanner; called for each press
     motion : how much a frame differs from the last live frame
-    on_long_press : called after a long push
+    on_long_press : called after a long push ("long"), and when it is held on until power off ("off")
     is_asleep : whether the next push only wakes the instrument
     labels, deleted, spot : annotations of scans, where a replaced one goes, and what compares touches
 
@@ -119,7 +119,7 @@ class ScanQueue:
         executor: Executor,
         scanner: Callable[[], Scanner],
         motion: Callable[[RawFrame], float | None],
-        on_long_press: Callable[[], None],
+        on_long_press: Callable[[ButtonEvent], None],
         is_asleep: Callable[[], bool],
         labels: ScanLabels,
         deleted: DeletedScans,
@@ -155,6 +155,8 @@ class ScanQueue:
             event = self._button.wait(0.0)
         if event in {"short", "long"}:
             self._released(was_long=event == "long")
+        elif event == "off":
+            self._on_long_press(event)
         return event is not None or self._button.began_ns is not None
 
     def scan(self, source: Source) -> None:
@@ -272,10 +274,8 @@ class ScanQueue:
 
     def forget_push(self) -> bool:
         """Drop a push whose release was missed while a part did not answer; returns whether there was one."""
-        was_down = self._button.began_ns is not None
-        self._button.forget()
         self._held = None
-        return was_down
+        return self._button.forget()
 
     def finish(self) -> None:
         """Store every press in memory, without waiting for untouched skin any more."""
@@ -347,7 +347,7 @@ class ScanQueue:
         """At the release, or after the long-push time: submit the frame, or handle the long push."""
         taken, self._held = self._held, None
         if was_long:
-            self._on_long_press()
+            self._on_long_press("long")
         elif taken:
             self.submit(taken)
 

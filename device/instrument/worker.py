@@ -16,7 +16,7 @@ from device.instrument.active_setup import ActiveSetup
 from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.area_cover import AreaCover
 from device.instrument.balance_run import BalanceRun
-from device.instrument.button import LONG_PUSH_S, LongPressHandler
+from device.instrument.button import LONG_PUSH_S, ButtonEvent, LongPressHandler
 from device.instrument.calibration_run import CalibrationRun
 from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
@@ -75,17 +75,10 @@ class InstrumentWorker:
         self._pairing = pairing
         self.spot = SpotSearch(hardware, states, executor)
         self.area = AreaCover(states, executor)
+        motion, asleep, long_press = self._live.motion, self._live.is_asleep, self._on_long_press
+        scanner = self._active.scanner_for_press
         self._scans = ScanQueue(
-            hardware,
-            states,
-            executor,
-            self._active.scanner_for_press,
-            self._live.motion,
-            self._on_long_press,
-            self._live.is_asleep,
-            labels,
-            deleted,
-            self.spot,
+            hardware, states, executor, scanner, motion, long_press, asleep, labels, deleted, self.spot
         )
         self._deleted = deleted
         self._focus = focus_figure_of(states, self._live, hardware.clock)
@@ -170,6 +163,7 @@ class InstrumentWorker:
         if by_button:
             self._pairing.close()
         self._focus.stop()
+        self._scans.forget_push()
         fitted, done = self._active.fitted(), self._end_run
         self._run = CalibrationRun(fitted, self._store, self.states, self._executor, ball_radius_mm, done, by_button)
         self._live.begin(self._run.plan, None)
@@ -184,6 +178,7 @@ class InstrumentWorker:
             self.states.publish(Failed(STILL_JUDGED))
             return
         self._focus.stop()
+        self._scans.forget_push()
         fitted, in_use = self._active.fitted(), self._active.plan
         self._run = BalanceRun(fitted, self._store, self.states, ball_radius_mm, in_use, self._end_run)
         self._live.begin(self._run.plan, None)
@@ -343,8 +338,11 @@ class InstrumentWorker:
         self.states.update(activity="ready")
         self._active.prepare()
 
-    def _on_long_press(self) -> None:
-        if self._redirects_long:
+    def _on_long_press(self, event: ButtonEvent) -> None:
+        if event == "off":
+            self.enqueue(InstrumentWorker.power_off)
+        elif self._redirects_long:  # a screen switches off in its Set-up, where it asks first
+            self._scans.forget_push()
             self.states.publish(ButtonPushed(held_long=True))
         else:
             self._long_presses.on_long_press()

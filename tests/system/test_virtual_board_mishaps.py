@@ -135,8 +135,8 @@ def test_the_usb_cable_is_a_network(board: Board) -> None:
 def test_power_off_in_order_leaves_everything(
     board: Board, tmp_path: Path, publish_scan: Callable[..., ScanBundle]
 ) -> None:
-    with board.stage("power off in order, as the battery's guard asks for it"):
-        board.machine.power_off("runuser -u retroscan -- touch /run/retroscan/poweroff")
+    with board.stage("power off in order, by the button"):
+        board.machine.power_off("systemctl is-active retroscan; /usr/local/lib/virtual/press 12")
     writes = read_log(board.machine.log)
     recording = Recording(board.blank, board.machine.log, writes, dict(board.acknowledged))
     assert lost_scans(recording, 1, tmp_path, publish_scan) == []

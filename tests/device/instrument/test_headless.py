@@ -3,13 +3,17 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
 from fake_gpio import Edge
 
+import device.cli.instrument_commands
+from device.acquisition.sd_notify import POWER_OFF_FILE
 from device.acquisition.selftest import selftest
 from device.cli.headless import run_headless
+from device.cli.main import main
 from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument
 from device.pairing_service.service import PairingSetup
@@ -187,6 +191,43 @@ def test_a_calibration_without_pushes_ends(calibrating: Board) -> None:
     calibrating.run(1.0)
     assert calibrating.instrument.state.activity == "ready"
     assert any("No push for three minutes" in line for line in calibrating.printed)
+
+
+def test_held_for_six_seconds_it_powers_off_once_the_scan_is_stored(board: Board) -> None:
+    board.push(0.5)
+    board.push(1.0, held_s=5.5)
+    board.run(18.0)
+    assert board.instrument.state.activity == "ready"
+    board.push(0.1)
+    board.push(1.0, held_s=30.0)
+    board.run(15.0, until=lambda: board.instrument.state.activity == "off")
+    assert board.printed[-1] == "The power may be switched off."
+    assert board.scans == 2
+    assert board.emulated.wire.opened == board.emulated.cameras.opened == 0
+
+
+def test_the_command_then_ends_and_asks_the_system_to_power_off(
+    bench: SimulatedScene, calibrated: BundleStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulated = emulated_hardware(bench, "PCA9955B")
+    monkeypatch.setattr(device.cli.instrument_commands, "open_hardware", lambda _profile, _clock: emulated.hardware)
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+
+    def held(*arguments: Any) -> None:
+        emulated.bench.schedule_button(ButtonPress(bench.clock.monotonic_ns() + SECOND, 30.0))
+        run_headless(*arguments)
+
+    monkeypatch.setattr(device.cli.instrument_commands, "run_headless", held)
+    assert main(["--board", "twin", "--store", str(calibrated.root), "run"]) == 0
+    assert (tmp_path / POWER_OFF_FILE).exists()
+
+
+def test_a_button_that_stays_down_after_it_began_a_calibration_does_not_power_off(calibrating: Board) -> None:
+    calibrating.push(0.5, held_s=2.5)
+    calibrating.run(20.0)
+    calibrating.push(0.1)
+    calibrating.run(5.0)
+    assert calibrating.instrument.state.activity == "ready"
 
 
 def test_long_pushes_far_apart_begin_no_calibration(board: Board) -> None:
