@@ -15,7 +15,7 @@ from pathlib import Path
 import image_build
 import pytest
 from image_layout import Sizes
-from paired_guest import pair_with
+from paired_guest import pair_by_typing
 from virtual_board import Stage
 from virtual_card import VirtualCard
 from virtual_machine import SSH
@@ -87,7 +87,7 @@ def test_it_scans_with_the_twin_by_name_and_is_pulled_from(
         said = card.run(f"{TWIN} scan </dev/null", 3000.0)
     taken = re.search(r"^good: .* \(([\w-]+)\)$", said, re.MULTILINE)
     assert taken, said
-    device = pair_with(card, TREE)
+    device = pair_by_typing(card, TREE)
     library = tmp_path / "library"
     with stage("image: pull over SFTP"):
         retrosync("pull", device, "--at", f"127.0.0.1:{card.ports[SSH]}", "--library", str(library), *PATIENCE)

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from paired_guest import pair_with
+from paired_guest import pair_by_button
 from virtual_board import INSTALL, PATIENCE, PROGRAM, PUSHING, PWM_ALL, SHARES, STATUS, Board, register, replug
 from virtual_machine import SSH
 
@@ -101,7 +101,7 @@ def test_a_workstation_pairs_and_pulls(board: Board, tmp_path: Path, monkeypatch
     ports, library = board.machine.ports, tmp_path / "library"
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     with board.stage("pair"):
-        device = pair_with(board.machine, TREE)
+        device = pair_by_button(board.machine, TREE)
     pull = ("pull", device, "--at", f"127.0.0.1:{ports[SSH]}", "--library", str(library))
     with board.stage("pull over SFTP"):
         retrosync(*pull)
