@@ -120,7 +120,11 @@ check_wishes() {
     *) refuse "--data $data: a device such as /dev/sda1, or the word folder" ;;
     esac
     [ "$with_app" = no ] || check_release
-    [ "$read_only" = no ] || wait_for_cloud_init
+    if [ "$read_only" = yes ]; then
+        [ -f "$root$(boot_folder)/cmdline.txt" ] ||
+            refuse "--read-only: neither /boot/firmware nor /boot holds config.txt and cmdline.txt: mount the boot partition"
+        wait_for_cloud_init
+    fi
 }
 
 check_release() {

@@ -178,7 +178,8 @@ def lacking(root: Path, profile: dict[str, Any]) -> list[str]:
     wanted = [
         f"usr/lib/*/libcamera/**/ipa_rpi_{pipeline}.so",
         f"usr/share/libcamera/ipa/rpi/{pipeline}/{profile['sensor']['model'].lower()}.json",
-        f"boot/firmware/kernel{'_2712' if pipeline == 'pisp' else '8'}.img",
+        f"boot/firmware/kernel{(kernel := '_2712' if pipeline == 'pisp' else '8')}.img",
+        f"boot/firmware/initramfs{kernel}",
     ]
     if profile["power"]["throttled"] == "vcgencmd":
         wanted.append("usr/bin/vcgencmd")

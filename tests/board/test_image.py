@@ -215,6 +215,7 @@ def test_what_a_profile_claims_is_in_the_image_or_named_as_lacking(
         f"usr/lib/aarch64-linux-gnu/libcamera/ipa/ipa_rpi_{pipeline}.so",
         f"usr/share/libcamera/ipa/rpi/{pipeline}/{sensor}.json",
         f"boot/firmware/{kernel}",
+        f"boot/firmware/{kernel.replace('kernel', 'initramfs').removesuffix('.img')}",
         *([f"usr/bin/{tool}"] if tool else []),
     ]
     assert len(image_build.lacking(tmp_path, profile)) == len(files)

@@ -113,6 +113,15 @@ def test_a_cloud_init_that_is_switched_off_is_not_waited_for(fresh: Path, run: R
     assert install(run, fresh, *BOARD)
 
 
+@pytest.mark.parametrize("missing", ["config.txt", "cmdline.txt"])
+def test_without_a_boot_partition_nothing_is_done(fresh: Path, run: Run, missing: str) -> None:
+    (fresh / "boot/firmware" / missing).unlink()
+    before = sorted(fresh.rglob("*"))
+    ran = run("board/install.sh", "--root", fresh, *BOARD)
+    assert (ran.returncode, "mount the boot partition" in ran.stderr) == (2, True), ran.stderr
+    assert sorted(fresh.rglob("*")) == before
+
+
 def test_the_boot_partition_is_read_only_as_long_as_the_root_is(fresh: Path, run: Run) -> None:
     assert f"write /{BOOT_READ_ONLY}" in install(run, fresh, *BOARD)
     assert (fresh / BOOT_READ_ONLY).read_text() == "[Mount]\nOptions=ro\n"
