@@ -16,15 +16,12 @@ from device.calibration.limits import PASSED_RESTING
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.skin_at_rest import SkinAtRest
 from host_sync.calibration.balls import PressFrame, UsedPress
-from host_sync.calibration.calibration_verdict import check_count, checks
+from host_sync.calibration.calibration_verdict import DIAMETER_CONTACT, checks, widest_contact
+from host_sync.calibration.located_presses import check_count
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.radii import check_radii, radius_shares, radius_spread
 from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
-
-DIAMETER_CONTACT: Final = 0.45
-"""A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
-
 
 NOTED_NOISE: Final = 0.02
 """Relative noise of untouched skin from which a calibration states it."""
@@ -71,7 +68,7 @@ def assess(
     CalibrationError
         Too few balls are left, their radii contradict each other, or held-out balls are wrong.
     """
-    check_count(used)
+    check_count(used, pitch_um)
     shares = radius_shares(training, inverse.map)
     check_radii(shares, [press.label for press in used for _ in press.balls])
     check_fit(inverse)
@@ -90,11 +87,11 @@ def assess(
 
 def diameter_note(presses: Sequence[UsedPress]) -> list[str]:
     """The question whether a diameter was given as the radius, where no press shows a contact that is half as wide."""
-    contacts = [ball.contact_radius_px / ball.radius_px for press in presses for ball in press.balls]
-    if not contacts or max(contacts) > DIAMETER_CONTACT:
+    widest = widest_contact(presses)
+    if widest > DIAMETER_CONTACT:
         return []
     return [
-        f"no ball's contact is wider than {max(contacts):.2f} of the stated radius: is ball_radius_mm the diameter? "
+        f"no ball's contact is wider than {widest:.2f} of the stated radius: is ball_radius_mm the diameter? "
         "Heights are then half as high as the surface; else press deeper"
     ]
 

@@ -15,7 +15,7 @@ from device.calibration.limits import MAX_CLIPPED
 from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.channel_order import check_channel_order
 from device.imaging.flat_field import LinearFrame, NormalizedImage, check_exposed, flat_field_correct
-from device.surface.fields import Float32Array
+from device.surface.fields import Float32Array, MaskArray
 
 SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
@@ -167,7 +167,7 @@ def drop_clipped(press: UsedPress) -> UsedPress:
     shares = [clipped_share(press.intensity, ball) for ball in press.balls]
     worst = max(shares, default=0.0)
     reason = f"{worst:.0%} of its contact is saturated in a channel, at most {MAX_CLIPPED:.0%} may be"
-    return _without(press, [share > MAX_CLIPPED for share in shares], reason)
+    return without_balls(press, [share > MAX_CLIPPED for share in shares], reason)
 
 
 def clipped_share(image: NormalizedImage, ball: Ball) -> float:
@@ -176,9 +176,9 @@ def clipped_share(image: NormalizedImage, ball: Ball) -> float:
     return float(image.clipped[row, column].mean()) if row.size else 0.0
 
 
-def _without(press: UsedPress, out: Sequence[bool], reason: str) -> UsedPress:
+def without_balls(press: UsedPress, out: Sequence[bool] | MaskArray, reason: str) -> UsedPress:
     """The press with the marked balls among the rejected."""
-    if not any(out):
+    if not np.any(out):
         return press
     balls = tuple(ball for ball, gone in zip(press.balls, out, strict=True) if not gone)
     rejected = tuple(

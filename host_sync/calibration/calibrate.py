@@ -27,11 +27,8 @@ from host_sync.calibration.balls import (
     apply_fit,
     check_distinct,
     check_sizes,
-    drop_clipped,
-    locate,
 )
-from host_sync.calibration.calibration_verdict import check_count
-from host_sync.calibration.consistency import check_agreement, check_reference
+from host_sync.calibration.consistency import check_reference
 from host_sync.calibration.elevation_response import ElevationResponse
 from host_sync.calibration.elevation_steps import (
     elevated_balls_of,
@@ -42,12 +39,12 @@ from host_sync.calibration.elevation_steps import (
     seen_from,
 )
 from host_sync.calibration.free_skin import with_free_skin
-from host_sync.calibration.grid_press import measure_pitch
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.lamp_elevation import as_read
-from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.located_presses import locate_all
 from host_sync.calibration.press_drift import drift_note, fit_without_drift, without_drift
 from host_sync.calibration.quadric_fit import quadric_that_reads_better
+from host_sync.calibration.radii import without_contradiction
 from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.stray_light import with_stray_light
 from host_sync.calibration.training_press import TrainingPress, training_presses
@@ -210,7 +207,7 @@ def calibrate(
         make_flat_field(reference) if reference else estimate_flat_field([p.frame for p in presses] + list(others))
     )
     tell("finding balls")
-    located, pitch = _locate_all(presses, flat_field, pitch_um, reference is not None)
+    located, pitch = locate_all(presses, flat_field, pitch_um, reference)
     pitch_um = pitch.pitch_um if pitch else pitch_um
     frame_model = FrameModel.of(reference, flat_field, [(press.intensity, press.balls) for press in located])
     tell("measuring the frames' noise")
@@ -223,6 +220,7 @@ def calibrate(
     begun, drifts = fit_without_drift(located, begun, light) if light else (begun, None)
     if drifts is not None:
         located = without_drift(located, drifts)
+    located, begun = without_contradiction(located, begun, light)
     lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     viewpoint = None
     # A grid's pitch is that at the balls' tops, as the camera sees it.
@@ -340,18 +338,6 @@ def _without_noise(located: Sequence[UsedPress], shrinkage: DetailShrinkage | No
     if shrinkage is None:
         return located
     return [replace(press, intensity=shrinkage.shrunk(press.intensity)) for press in located]
-
-
-def _locate_all(
-    presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, has_reference: bool
-) -> tuple[Sequence[UsedPress], PixelPitch | None]:
-    """The presses with the balls that may be used for training, and the pixel pitch that grids among them measure."""
-    labelled = [locate(press, flat_field) for press in presses]
-    check_agreement([p.label for p in presses], [used.intensity for used in labelled], has_reference)
-    located, pitch = measure_pitch(presses, labelled, stated_um)
-    located = [drop_clipped(used) for used in located]
-    check_count(located)
-    return located, pitch
 
 
 def _digest(

@@ -7,32 +7,15 @@ from typing import Final
 
 from device.calibration.acceptance import Check, fit_checks
 from device.calibration.coverage import Coverage
-from device.calibration.limits import MAX_RADIUS_SPREAD, MIN_BALLS
-from device.errors import CalibrationError
+from device.calibration.limits import MAX_RADIUS_SPREAD
 from host_sync.calibration.balls import UsedPress
 from host_sync.calibration.pixel_shape import PixelShape
 
+DIAMETER: Final = "widest contact over the stated radius (is ball_radius_mm the diameter?)"
+DIAMETER_CONTACT: Final = 0.45
+"""A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
+
 PIXEL_SHAPE: Final = "pixels' height over width against the stated, by the skin around the balls"
-
-
-def check_count(presses: Sequence[UsedPress]) -> None:
-    """Refuse presses that show too few balls.
-
-    Raises
-    ------
-    CalibrationError
-        Names the number and why the others were rejected.
-    """
-    balls = sum(len(press.balls) for press in presses)
-    if balls >= MIN_BALLS:
-        return
-    faults = [f"{press.label} {press.error}" for press in presses if press.error]
-    faults += [f"{press.label}: {ball.reason}" for press in presses if not press.error for ball in press.rejected]
-    why = f" ({'; '.join(faults[:MIN_BALLS])})" if faults else ""
-    raise CalibrationError(
-        f"{balls} usable balls in {len(presses)} calibration presses{why}, and {MIN_BALLS} are needed: "
-        "press balls of known radius all over the gel"
-    )
 
 
 def checks(
@@ -48,4 +31,10 @@ def checks(
     first, share, *rest = fit_checks(balls, rejected, held_out_deg, coverage)
     spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
     off = () if shape is None else (Check(PIXEL_SHAPE, shape.off, shape.allowed, "at most"),)
-    return (first, share, spread, *off, *rest)
+    widest = Check(DIAMETER, widest_contact(presses), DIAMETER_CONTACT, "at least")
+    return (first, share, spread, widest, *off, *rest)
+
+
+def widest_contact(presses: Sequence[UsedPress]) -> float:
+    """The widest contact of any ball over its stated radius."""
+    return max((ball.contact_radius_px / ball.radius_px for press in presses for ball in press.balls), default=0.0)

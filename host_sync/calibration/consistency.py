@@ -14,13 +14,23 @@ import numpy as np
 from device.calibration.limits import CLEAR_DISAGREEMENT, MAX_DISAGREEMENT, REFERENCE_CLIPPED
 from device.errors import CalibrationMismatch, FrameError
 from device.imaging.flat_field import DARK_FLOOR, LinearFrame, NormalizedImage, check_exposed
-from device.surface.fields import Float64Array
+from device.surface.fields import Float32Array, Float64Array
 
 BLOCKS = 48
 """Frames are compared when reduced to this width."""
 
 ENOUGH_FRAMES = 4
 """From so many frames on it shows how much they differ when nothing was changed."""
+
+SURROUNDINGS = 5.0
+"""Standard deviation, in blocks, of the surroundings that local changes are seen against."""
+
+OBJECT_PERCENTILE = 99.0
+OBJECT_CHANGE = 0.2
+OBJECT_STANDS_OUT = 6.0
+OBJECT_OF_REFERENCE = 1.35
+"""An object in the reference changes the logarithm of light over this part of the blocks by so much, by so many times
+the median change, and the reference's own light there by so many times what the presses' median light changes."""
 
 
 def check_reference(reference: LinearFrame) -> None:
@@ -38,6 +48,39 @@ def check_reference(reference: LinearFrame) -> None:
             f"the reference is saturated over {clipped:.0%} of its area, at most {REFERENCE_CLIPPED:.0%} may be: "
             "lower the exposure and take reference and presses again"
         )
+
+
+def check_untouched(reference: LinearFrame, presses: Sequence[LinearFrame]) -> None:
+    """Refuse a reference with an object in it: a local change that no press shows, and no press explains.
+
+    Raises
+    ------
+    CalibrationMismatch
+        Says where.
+    """
+    if len(presses) < ENOUGH_FRAMES:
+        return
+    at_rest, pressed = _log_blocks(reference.rgb), np.median([_log_blocks(press.rgb) for press in presses], axis=0)
+    change, own, usual = (np.linalg.norm(_local(part), axis=-1) for part in (pressed - at_rest, at_rest, pressed))
+    most = change >= np.percentile(change, OBJECT_PERCENTILE)
+    size = float(change[most].min())
+    if size < max(OBJECT_CHANGE, OBJECT_STANDS_OUT * float(np.median(change))):
+        return
+    if own[most].mean() < OBJECT_OF_REFERENCE * usual[most].mean():
+        return
+    rows, columns = reference.shape
+    row, column = (float(np.median(at)) for at in np.nonzero(most))
+    across, down = (column + 0.5) / change.shape[1] * columns, (row + 0.5) / change.shape[0] * rows
+    raise CalibrationMismatch(
+        f"the reference is not of untouched skin: near column {across:.0f}, row {down:.0f} it shows something that the "
+        "presses do not: take it again with nothing on the gel"
+    )
+
+
+def _local(blocks: Float64Array) -> Float64Array:
+    """What blocks have beside their surroundings."""
+    around = cv2.GaussianBlur(blocks, (0, 0), SURROUNDINGS, borderType=cv2.BORDER_REFLECT)
+    return blocks - np.asarray(around).reshape(blocks.shape)
 
 
 def check_agreement(names: Sequence[str], images: Sequence[NormalizedImage], reference: bool) -> None:
@@ -103,7 +146,11 @@ def _steps_between_nearest(apart: Float64Array) -> list[float]:
 
 def _blocks(image: NormalizedImage) -> Float64Array:
     """Log intensity of a frame reduced by area, float64 array of shape (h, w, 3)."""
-    rows, columns = image.shape
+    return _log_blocks(np.nan_to_num(image.values))
+
+
+def _log_blocks(values: Float32Array) -> Float64Array:
+    rows, columns, channels = values.shape
     size = (min(BLOCKS, columns), max(1, round(rows * min(BLOCKS, columns) / columns)))
-    values = cv2.resize(np.nan_to_num(image.values), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(np.log(np.maximum(values, DARK_FLOOR)), np.float64)
+    small = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA)).reshape(*size[::-1], channels)
+    return np.asarray(np.log(np.maximum(small, DARK_FLOOR)), np.float64)

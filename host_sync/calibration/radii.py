@@ -8,16 +8,33 @@ balls cannot be told so: were all radii wrong by one share, the map would have l
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
-from device.balls.sphere import BallSamples
+from device.balls.sphere import BallSamples, gather_samples
+from device.calibration.fit import BegunFit
 from device.calibration.limits import MAX_RADIUS_SPREAD
 from device.errors import CalibrationError
+from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float64Array
+from device.surface.fields import Float64Array, MaskArray
+from host_sync.calibration.ball_choice import fit_to
+from host_sync.calibration.balls import UsedPress, apply_fit, without_balls
 
 MAX_SAMPLES = 20_000
+CONTRADICTS: Final = 0.16
+STANDS_OUT: Final = 3.0
+"""A ball whose radius is this far from the median, as a fraction and in deviations, contradicts the others ..."""
+
+MAX_LEFT_OUT: Final = 0.3
+"""... unless more than this fraction of the balls do."""
+
+NORMAL_MAD: Final = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+ROUNDS: Final = 2
+"""A ball that contradicts may hide another: the map is fitted again without it and read once more."""
 
 
 def radius_shares(samples: BallSamples, inverse_map: InverseMap) -> Float64Array:
@@ -40,6 +57,46 @@ def radius_spread(shares: Float64Array) -> float:
     return float(np.nanstd(shares) / np.nanmedian(shares))
 
 
+def without_contradiction(
+    presses: Sequence[UsedPress], begun: BegunFit, light: IlluminationMap | None
+) -> tuple[Sequence[UsedPress], BegunFit]:
+    """The presses without balls whose radius contradicts the others', and the fit to the balls that are left.
+
+    Presses stay as they are where no ball stands out, or where so many do that nothing shows which are right.
+
+    light : as of `fit_to`
+    """
+    for _ in range(ROUNDS):
+        used = apply_fit(presses, begun.fit)
+        shares = radius_shares(gather_samples([(press.intensity, press.balls) for press in used]), begun.fit.map)
+        out = np.zeros(len(begun.fit.kept), np.bool_)
+        out[begun.fit.kept] = contradicts(shares)
+        if not out.any() or out.sum() > MAX_LEFT_OUT * begun.fit.kept.sum():
+            break
+        read = np.full(len(out), np.nan)
+        read[begun.fit.kept] = shares / np.nanmedian(shares)
+        ends = np.cumsum([len(press.balls) for press in presses])[:-1]
+        presses = [
+            without_balls(
+                press, gone, f"is {_mean(own[gone]):.2f} times as large by its shading as is stated, beside others"
+            )
+            for press, gone, own in zip(presses, np.split(out, ends), np.split(read, ends), strict=True)
+        ]
+        begun = fit_to(presses, light, begun)
+    return presses, begun
+
+
+def _mean(values: Float64Array) -> float:
+    return float(values.mean()) if values.size else 1.0
+
+
+def contradicts(shares: Float64Array) -> MaskArray:
+    """True for balls whose radius stands out of the others: bool array of shape (number of balls,)."""
+    off = np.abs(shares / np.nanmedian(shares) - 1.0)
+    usual = NORMAL_MAD * float(np.nanmedian(off))
+    return np.asarray(off > max(CONTRADICTS, STANDS_OUT * usual))
+
+
 def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     """Refuse balls whose radii contradict one another.
 
@@ -55,9 +112,8 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     if spread <= MAX_RADIUS_SPREAD:
         return
     small, large = owners[int(np.nanargmin(shares))], owners[int(np.nanargmax(shares))]
-    odd = owners[int(np.nanargmax(np.abs(shares - np.nanmedian(shares))))]
     raise CalibrationError(
         f"the balls' radii contradict each other: by their shading they are {np.nanmin(shares):.2f} ({small}) to "
-        f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {MAX_RADIUS_SPREAD:.0%}): "
-        f"check ball_radius_mm of each press; where they are right, leave out {odd}"
+        f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {MAX_RADIUS_SPREAD:.0%}), "
+        "and too many stand out to be left out: check ball_radius_mm of each press"
     )

@@ -7,24 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 
 from device.balls.detector import BallSearch
 from device.errors import DeviceError
 from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, make_flat_field
+from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame, locate
+from host_sync.calibration.fitting_radius import FittingRadius, fitting_radius
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.linear_light import read_frame
-
-RADII: Final = tuple(0.07 * 1.4**step for step in range(9))
-"""Radii that are tried where none is known, shares of the frame's shorter side."""
-
-LOOKED_AT_PX: Final = 320
-"""Frames are reduced to about this length of their shorter side where any radius is sought."""
 
 ENOUGH: Final = 0.34
 """Share of the images that show a ball from which they are presses."""
@@ -40,15 +34,6 @@ class SeenPress:
     frame: LinearFrame | None
     search: BallSearch
     fault: str
-
-
-@dataclass(frozen=True, slots=True)
-class FittingRadius:
-    """The ball radius that shows in most of the presses that were looked at: pixels, and in how many of how many."""
-
-    radius_px: float
-    presses: int
-    looked_at: int
 
 
 def look_at(frames: Sequence[FrameSpec], reference: FrameSpec | None, radii_px: Sequence[float]) -> Iterator[SeenPress]:
@@ -69,30 +54,18 @@ def look_at(frames: Sequence[FrameSpec], reference: FrameSpec | None, radii_px: 
         yield _seen(frame, flat_field, radius_px, spec.images[0].name)
 
 
-def fitting_radius(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> FittingRadius | None:
-    """The radius of the balls that show in frames, from their contacts; None where none shows."""
+def survey_radius(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> FittingRadius | None:
+    """The radius of the balls that show in frames; None where none shows, or no frame has the reference's size."""
+    flat_field = _flat_field(frames, reference)
     readable = [frame for spec in frames if (frame := _readable(spec)) is not None]
-    if not readable:
-        return None
-    factor = max(1, min(readable[0].shape) // LOOKED_AT_PX)
-    small = [_reduced(frame, factor) for frame in readable if frame.shape == readable[0].shape]
-    at_rest = _readable(reference) if reference else None
-    flat_field = make_flat_field(_reduced(at_rest, factor)) if at_rest else estimate_flat_field(small)
-    if flat_field.shape[:2] != small[0].shape:
-        return None
-    best: FittingRadius | None = None
-    for share in RADII:
-        radius_px = share * min(small[0].shape)
-        found = [bool(_seen(frame, flat_field, radius_px, "").search.found) for frame in small]
-        if sum(found) > (best.presses if best else 0):
-            best = FittingRadius(radius_px * factor, sum(found), len(small))
-    return best
+    same = [frame for frame in readable if flat_field is not None and frame.rgb.shape == flat_field.shape]
+    return fitting_radius([flat_field_correct(frame, flat_field) for frame in same if flat_field is not None])
 
 
 def shows_balls(images: Sequence[Path], reference: Path | None) -> bool:
     """Return whether enough of these images show a ball, of whatever radius, that they are calibration presses."""
     at_rest = FrameSpec((reference,), "srgb") if reference else None
-    best = fitting_radius([FrameSpec((image,), "srgb") for image in images], at_rest)
+    best = survey_radius([FrameSpec((image,), "srgb") for image in images], at_rest)
     return best is not None and best.presses >= ENOUGH * best.looked_at
 
 
@@ -122,15 +95,6 @@ def _read(spec: FrameSpec) -> LinearFrame:
         return frame
     spread = np.ascontiguousarray(frame.rgb[..., [0, lights // 3, 2 * lights // 3]])
     return LinearFrame(spread, frame.clipped)
-
-
-def _reduced(frame: LinearFrame, factor: int) -> LinearFrame:
-    if factor == 1:
-        return frame
-    size = (frame.shape[1] // factor, frame.shape[0] // factor)
-    rgb = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
-    clipped = cv2.resize(frame.clipped.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    return LinearFrame(np.asarray(rgb, np.float32), clipped.astype(np.bool_))
 
 
 def _seen(frame: LinearFrame, flat_field: Float32Array | None, radius_px: float, name: str) -> SeenPress:

@@ -14,7 +14,7 @@ from device.io.atomic import write_output
 from host_sync.calibration.training_press import pictures_across
 from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
-from host_sync.importers.ball_survey import SeenPress, fitting_radius, look_at
+from host_sync.importers.ball_survey import SeenPress, look_at, survey_radius
 from host_sync.render.figure_png import figure_png
 
 WIDTH_IN: Final = 14.0
@@ -87,15 +87,12 @@ def _other_radius(frame_set: FrameSet, presses: Sequence[PressSpec], used: int) 
     """A hint where another radius than the one stated shows in more presses."""
     if 2 * used >= len(presses):
         return ()
-    best = fitting_radius([press.frame for press in presses[:: max(1, len(presses) // 12)]], frame_set.reference)
+    best = survey_radius([press.frame for press in presses[:: max(1, len(presses) // 12)]], frame_set.reference)
     stated = presses[0].radius_px
     if best is None or best.presses < 2 or best.presses * len(presses) <= used * best.looked_at:
         return ()
     ratio = best.radius_px / stated
     if 1.0 / CLOSE < ratio < CLOSE:
         return ()
-    return (
-        f"A ball of about {best.radius_px:.0f} px shows in {best.presses} of {best.looked_at} presses, and "
-        f"{presses[0].ball_radius_mm:g} mm at {frame_set.pixel_pitch_um:g} µm a pixel is {stated:.0f} px: check "
-        "--ball-radius-mm (is it the diameter?) and --pixel-pitch-um",
-    )
+    words = best.sentence(frame_set.pixel_pitch_um, stated).capitalize()
+    return (f"{words}: check --ball-radius-mm (is it the diameter?) and --pixel-pitch-um",)

@@ -23,6 +23,7 @@ from hal.simulator.surfaces import SphereGrid
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.grid_press import detect_grid
+from host_sync.calibration.radii import contradicts
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0
@@ -141,6 +142,52 @@ def test_contradictory_radii_are_refused_with_what_they_read(usual: SimulatedSce
     mixed = [*usual.balls[::2], *smaller.balls[1::2]]
     with pytest.raises(CalibrationError, match=r"radii contradict .* 0\.\d\d \(press-0\d\) to 1\.\d\d \(press-"):
         calibrate(presses(mixed), usual.rest, PITCH_UM)
+
+
+def test_a_press_whose_radius_contradicts_the_others_is_left_out_by_name(
+    usual: SimulatedScene, small_twin: BoardProfile
+) -> None:
+    odd = shoot(small_twin, radius_mm=2.0).balls[2]
+    calibration = calibrate([*presses(usual.balls), replace(presses([odd])[0], name="odd")], usual.rest, PITCH_UM)
+    assert [press.name for press in calibration.presses if not press.balls] == ["odd"]
+    (note,) = [note for note in calibration.assessment.notes if note.startswith("odd ")]
+    assert "it is not used" in note
+
+
+def test_only_balls_that_stand_out_of_the_others_contradict_them() -> None:
+    scattered = np.array([0.94, 0.96, 0.97, 0.98, 1.0, 1.01, 1.02, 1.05, 1.09, 1.12, 1.17, 1.37])
+    assert contradicts(scattered).nonzero()[0].tolist() == [11]
+    assert contradicts(1.05 * np.array([1.0, 1.0, 1.01, 0.99, 0.8, 1.0])).nonzero()[0].tolist() == [4]
+    assert not contradicts(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3])).any()
+
+
+def test_something_that_touches_the_skin_in_the_reference_is_named_with_its_place(usual: SimulatedScene) -> None:
+    with pytest.raises(
+        CalibrationMismatch, match=r"not of untouched skin: near column \d+, row \d+ .* nothing on the gel"
+    ):
+        calibrate(presses(usual.balls[1:]), usual.balls[0], PITCH_UM)
+
+
+def test_grey_frames_are_called_one_light(usual: SimulatedScene) -> None:
+    def grey(frame: LinearFrame) -> LinearFrame:
+        return replace(frame, rgb=np.repeat(frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1))
+
+    with pytest.raises(CalibrationError, match="all channels show the same light"):
+        calibrate(presses([grey(frame) for frame in usual.balls]), grey(usual.rest), PITCH_UM)
+
+
+def test_balls_of_another_radius_than_the_stated_one_are_named(usual: SimulatedScene) -> None:
+    stated = [replace(press, radius_px=0.3 * press.radius_px) for press in presses(usual.balls)]
+    words = r"balls of about \d+ px .* show in 6 of 6 presses, and .* is stated: check ball_radius_mm and"
+    with pytest.raises(CalibrationError, match=words) as refused:
+        calibrate(stated, usual.rest, PITCH_UM)
+    assert str(refused.value).count("shows no ball") == 1
+
+
+def test_a_diameter_given_as_the_radius_does_not_pass(usual: SimulatedScene) -> None:
+    stated = [replace(press, radius_px=2.0 * press.radius_px) for press in presses(usual.balls)]
+    assessment = calibrate(stated, usual.rest, PITCH_UM).assessment
+    assert any("is ball_radius_mm the diameter?" in check.name for check in assessment.checks if not check.passed)
 
 
 @pytest.mark.parametrize(("pitch_um", "words"), [(3e7, "too small to be seen"), (3e-3, "no useful contact")])

@@ -89,5 +89,5 @@ def test_a_diameter_given_as_the_radius_is_asked_for(stated: float, asks: bool) 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("host_sync.calibration.calibration_verdict.fit_checks", lambda *_: ("first", "share"))
-    (check,) = checks([], 1.0, 0.01, None, PixelShape(1.09, 0.02, 8))[3:]  # type: ignore[arg-type]
+    (check,) = checks([], 1.0, 0.01, None, PixelShape(1.09, 0.02, 8))[4:]  # type: ignore[arg-type]
     assert (check.name, check.passed) == (PIXEL_SHAPE, False)

@@ -13,7 +13,7 @@ from ball_folder import OPTIONS, PLACES, RADIUS_PX, frame, presses, put
 from host_sync.cli.main import main
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, load_frame_set
-from host_sync.importers.ball_survey import fitting_radius
+from host_sync.importers.ball_survey import survey_radius
 from host_sync.importers.recognition import IMPORTERS, Kind, recognize
 
 
@@ -120,7 +120,7 @@ def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) 
     presses(tmp_path, "sample_{}.png")
     assert run(tmp_path, *OPTIONS) == 0
     found = load_frame_set(tmp_path / "frameset.toml")
-    best = fitting_radius([press.frame for press in found.presses], found.reference)
+    best = survey_radius([press.frame for press in found.presses], found.reference)
     assert best is not None
     assert best.presses == 7
     assert 0.6 * RADIUS_PX < best.radius_px < 1.7 * RADIUS_PX

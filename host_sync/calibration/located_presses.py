@@ -1,0 +1,128 @@
+"""The balls of all presses of a calibration; and where too few can be used, the reason that most presses share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from device.calibration.limits import MIN_BALLS
+from device.errors import CalibrationError
+from device.imaging.flat_field import LinearFrame, NormalizedImage
+from device.surface.fields import Float32Array
+from host_sync.calibration.balls import PressFrame, UsedPress, drop_clipped, locate
+from host_sync.calibration.consistency import check_agreement, check_untouched
+from host_sync.calibration.fitting_radius import fitting_radius
+from host_sync.calibration.grid_press import measure_pitch
+from host_sync.calibration.pixel_pitch import PixelPitch
+
+NAMED: Final = 3
+"""At most so many presses are named that share a reason."""
+
+ONE_LIGHT: Final = 0.1
+"""Frames whose colour changes less than this fraction of their brightness show one light in all channels."""
+
+OTHER_RADIUS: Final = 1.25
+"""Up to this factor another radius is the same one: contacts do not distinguish them."""
+
+LOOKED_AT: Final = 12
+"""At most so many presses are searched for balls of another radius."""
+
+
+def locate_all(
+    presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, reference: LinearFrame | None
+) -> tuple[Sequence[UsedPress], PixelPitch | None]:
+    """The presses with the balls that may be used for training, and the pixel pitch that grids among them measure.
+
+    stated_um : the pixel pitch as stated
+
+    Raises
+    ------
+    FrameError, CalibrationMismatch
+        Frames do not belong together, or something touches the skin in the reference.
+    CalibrationError
+        Too few balls can be used.
+    """
+    labelled = [locate(press, flat_field) for press in presses]
+    check_agreement([p.label for p in presses], [used.intensity for used in labelled], reference is not None)
+    if reference is not None:
+        check_untouched(reference, [press.frame for press in presses])
+    located, pitch = measure_pitch(presses, labelled, stated_um)
+    located = [drop_clipped(used) for used in located]
+    check_count(located, stated_um, presses[0].radius_px)
+    return located, pitch
+
+
+def check_count(presses: Sequence[UsedPress], pitch_um: float, radius_px: float | None = None) -> None:
+    """Refuse presses that show too few balls.
+
+    radius_px : of the balls as stated; None where the balls were used and then left out
+
+    Raises
+    ------
+    CalibrationError
+        Names the number, why the others were rejected, and what explains it.
+    """
+    balls = sum(len(press.balls) for press in presses)
+    if balls >= MIN_BALLS:
+        return
+    why = "; ".join(_grouped(presses))
+    advice = _advice([press.intensity for press in presses if not press.balls], pitch_um, radius_px)
+    raise CalibrationError(
+        f"{balls} usable balls in {len(presses)} calibration presses{f' ({why})' if why else ''}, and {MIN_BALLS} are "
+        f"needed: {advice}"
+    )
+
+
+def _grouped(presses: Sequence[UsedPress]) -> list[str]:
+    """Why presses cannot be used, each reason once with the presses that share it; figures are those of the first."""
+    groups: dict[str, tuple[str, list[str]]] = {}
+    for press in presses:
+        reasons = [press.error] if press.error else [f"shows a ball that {ball.reason}" for ball in press.rejected]
+        for reason in reasons:
+            _, names = groups.setdefault(re.sub(r"[0-9.]+", "#", reason), (reason, []))
+            if press.label not in names:
+                names.append(press.label)
+    found = sorted(groups.values(), key=lambda group: -len(group[1]))[:MIN_BALLS]
+    return [f"{_listed(names)} {reason}" for reason, names in found]
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - NAMED
+    return f"{', '.join(names[:NAMED])} and {more} more:" if more > 0 else f"{', '.join(names)}"
+
+
+def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float | None) -> str:
+    """What explains that presses show no ball, as far as they show it."""
+    if images and float(np.median([colour_over_brightness(image) for image in images])) < ONE_LIGHT:
+        return (
+            "all channels show the same light (a grey image, or white lamps): balls are found by lights of three "
+            "colours, one a channel"
+        )
+    found = fitting_radius(images[:: max(1, len(images) // LOOKED_AT)]) if radius_px and images else None
+    if found is not None and radius_px and 2 * found.presses >= found.looked_at and found.presses > 1:
+        ratio = found.radius_px / radius_px
+        if not 1.0 / OTHER_RADIUS < ratio < OTHER_RADIUS:
+            return f"{found.sentence(pitch_um, radius_px)}: check ball_radius_mm{_diameter(ratio)} and pixel_pitch_um"
+    return "press balls of known radius all over the gel"
+
+
+def _diameter(ratio: float) -> str:
+    return " (is it the diameter?)" if ratio < 1.0 else ""
+
+
+def colour_over_brightness(image: NormalizedImage) -> float:
+    """Root mean square of what colour changes where a frame changes most, over that of brightness."""
+    values = np.log(np.maximum(np.nan_to_num(image.values[:: _step(image), :: _step(image)]), 1e-3))
+    brightness = values.mean(axis=-1)
+    brightness = brightness - np.median(brightness)
+    most = np.abs(brightness) >= np.percentile(np.abs(brightness), 90.0)
+    colour = values - values.mean(axis=-1, keepdims=True)
+    colour = colour - np.median(colour, axis=(0, 1))
+    return float(np.sqrt((colour[most] ** 2).mean() / max(float((brightness[most] ** 2).mean()), 1e-12)))
+
+
+def _step(image: NormalizedImage) -> int:
+    return max(1, min(image.shape) // 200)
