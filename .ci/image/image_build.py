@@ -118,17 +118,18 @@ def bootstrap_command(target: Path, sources: Path | None, snapshot: str) -> list
 
 def debian(cache: Path, sources: Path | None, snapshot: str) -> Path:
     """Archive of the bootstrapped root, kept under a name made of what it depends on."""
-    target = cache / "debian.tar.zst"
-    command = bootstrap_command(target, sources, snapshot)
+    target, new = cache / "debian.tar.zst", cache / "new.tar.zst"
+    command = bootstrap_command(new, sources, snapshot)
     hooks = "".join(source.read_text(encoding="utf-8") for source in BEFORE_THE_INITRAMFS)
     more = sources.read_text(encoding="utf-8") if sources else ""
-    made_of = hashlib.sha256("\0".join([*command, hooks, more]).encode()).hexdigest()
+    made_of = hashlib.sha256("\0".join([*command, hooks, more]).replace(str(TREE), "").encode()).hexdigest()
     named = cache / "debian.made-of"
     if target.exists() and named.exists() and named.read_text(encoding="utf-8") == made_of:
         print("image: Debian kept", flush=True)
         return target
-    named.unlink(missing_ok=True)
     call(*command)
+    named.unlink(missing_ok=True)
+    new.replace(target)
     named.write_text(made_of, encoding="utf-8")
     return target
 

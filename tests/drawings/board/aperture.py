@@ -7,7 +7,7 @@ import msgspec
 from hal.board_profile import load_board_profile
 from hal.simulator.blur import Blur, blur_of
 
-BOARDS = ("pi5-imx296", "pi4-imx477-binned", "pi4-imx477")
+BOARDS = ("pi5-imx296", "pi4-imx477-binned")
 
 
 def blur(board: str, f_number: float) -> Blur:
