@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
+from device.imaging.printed_marks import MarkPattern
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.many_lights import calibrate_lights
@@ -22,6 +23,7 @@ class CalibrationFrames:
     paper : whether the paper's model is fitted in any case
     lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
+    marks : printed on the skin, and taken out of the frames; None where there are none
     """
 
     presses: tuple[PressFrame, ...]
@@ -32,6 +34,7 @@ class CalibrationFrames:
     paper: bool = False
     lamps_mm: tuple[Position, ...] = ()
     pupil_height_mm: float | None = None
+    marks: MarkPattern | None = None
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """The same without one ball; the other balls are those of a calibration that was made from all of them."""
@@ -49,7 +52,7 @@ class CalibrationFrames:
 
 def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
     """The calibration that the frames carry; errors as for `calibrate`."""
-    return calibrate_lights(
+    calibration = calibrate_lights(
         frames.presses,
         frames.reference,
         frames.pixel_pitch_um,
@@ -60,3 +63,7 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         pupil_height_mm=frames.pupil_height_mm,
         tell=tell,
     )
+    if frames.marks is None:
+        return calibration
+    notes = (*calibration.assessment.notes, frames.marks.note)
+    return replace(calibration, assessment=replace(calibration.assessment, notes=notes))

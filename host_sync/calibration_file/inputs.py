@@ -13,7 +13,7 @@ from host_sync.calibration.frames import CalibrationFrames
 from host_sync.calibration_file.cache import key_of
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec, PressSpec
-from host_sync.frames.linear_light import read_frame
+from host_sync.frames.linear_light import mark_pattern, read_frame
 
 NO_REFERENCE_FRAMES: Final = 24
 """At most so many frames stand in for a missing reference."""
@@ -38,6 +38,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
         frame_set.lights,
         lamps_mm=frame_set.lamps_mm,
         pupil_height_mm=frame_set.pupil_height_mm,
+        marks=mark_pattern(frame_set.reference) if frame_set.reference else None,
     )
 
 

@@ -25,12 +25,14 @@ class FrameSpec:
 
     full_scale : count at which a pixel of 16 bit is saturated; None for the largest
     pixel_shape : height of a stored pixel over its width
+    at_rest : the set's frame of untouched skin, whose printed marks are taken out of this one; None where it has none
     """
 
     images: tuple[Path, ...]
     encoding: Encoding
     full_scale: int | None = None
     pixel_shape: float = 1.0
+    at_rest: FrameSpec | None = None
 
     @property
     def name(self) -> str:
@@ -145,6 +147,9 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         reference = reference and replace(reference, full_scale=full_scale)
         press_frames = [replace(spec, full_scale=full_scale) for spec in press_frames]
         scans = tuple(replace(scan, frame=replace(scan.frame, full_scale=full_scale)) for scan in scans)
+    if reference is not None:
+        reference, *press_frames = [replace(spec, at_rest=reference) for spec in (reference, *press_frames)]
+        scans = tuple(replace(scan, frame=replace(scan.frame, at_rest=reference.at_rest)) for scan in scans)
     presses = tuple(_press(i, press, press_frames[i], stored, pitch_um, path) for i, press in enumerate(file.press))
     return FrameSet(
         path,

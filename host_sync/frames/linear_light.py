@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import SATURATED, LinearFrame, demosaic
+from device.imaging.printed_marks import MarkPattern
 from device.surface.fields import Float32Array
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
@@ -21,11 +24,33 @@ from host_sync.frames.square_pixels import square_frame
 def read_frame(spec: FrameSpec) -> LinearFrame:
     """The frame as fractions of full scale; a pixel is clipped where a channel reaches `SATURATED` of full scale.
 
+    Where the frame of untouched skin shows a pattern of printed marks, light is interpolated under them.
+
     Raises
     ------
     FrameSetError
         An image is missing, truncated or not what the frame set described; names it.
     """
+    frame = _read_as_taken(spec)
+    pattern = mark_pattern(spec.at_rest) if spec.at_rest else None
+    return pattern.taken_out_of(frame) if pattern else frame
+
+
+def mark_pattern(at_rest: FrameSpec) -> MarkPattern | None:
+    """The pattern of printed marks that a frame of untouched skin shows; errors as of `read_frame`."""
+    try:
+        changed_ns = tuple(image.stat().st_mtime_ns for image in at_rest.images)
+    except OSError:
+        changed_ns = ()
+    return _known_pattern(replace(at_rest, at_rest=None), changed_ns)
+
+
+@lru_cache(maxsize=16)
+def _known_pattern(at_rest: FrameSpec, _changed_ns: tuple[int, ...]) -> MarkPattern | None:
+    return MarkPattern.of(_read_as_taken(at_rest))
+
+
+def _read_as_taken(spec: FrameSpec) -> LinearFrame:
     images = [read_image(path) for path in spec.images]
     first = images[0]
     for path, image in zip(spec.images, images, strict=True):
