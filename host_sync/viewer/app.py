@@ -110,6 +110,7 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route("/api/scan/{key}", _answering(lambda request: _facts(service, request))),
         Route("/api/scan/{key}/thumbnail", _answering(lambda request: _thumbnail(service, request))),
         Route("/api/scan/{key}/frame", _answering(lambda request: _frame(service, request))),
+        Route("/api/scan/{key}/calibration", _answering(lambda request: _calibration_overview(service, request))),
         Route("/api/scan/{key}/sigma", _answering(lambda request: _sigma(service, request))),
         Route("/api/scan/{key}/level/{level:int}", _answering(lambda request: _level(service, request))),
         Route("/api/scan/{key}/height", _answering(lambda request: _height(service, request))),
@@ -207,6 +208,10 @@ def _thumbnail(service: ViewerService, request: Request) -> Response:
 
 def _frame(service: ViewerService, request: Request) -> Response:
     return _picture(service.frame(_key(request)), "image/jpeg")
+
+
+def _calibration_overview(service: ViewerService, request: Request) -> Response:
+    return _picture(service.calibration_overview(_key(request)), "image/png")
 
 
 def _picture(data: bytes, media: str) -> Response:

@@ -20,9 +20,10 @@ from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.profile.profile_line import Line
 from host_sync.render.shading import steep_slope
+from host_sync.report.provenance import origin_of
 from host_sync.results.field_file import write_field
 from host_sync.results.files import HEIGHT_SIGMA_FILE, SAMPLES_FILE
-from host_sync.results.record import SequenceRecord
+from host_sync.results.record import ResultRecord, SequenceRecord
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import DifferenceRecord, Entry, Record, key_of
@@ -42,6 +43,11 @@ _DIFFERENCE: Final = 4
 
 _DIFFERENCE_FILE: Final = "difference_um.tif"
 _DIFFERENCE_RECORD: Final = "difference.json"
+
+
+def _overview_of(entry: Entry) -> Path | None:
+    """The file of the overview that `retrosync calibrate` drew, if the entry's calibration has one."""
+    return origin_of(entry.folder, entry.record).overview if isinstance(entry.record, ResultRecord) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +100,14 @@ class ViewerService:
         entry = self.catalogue.find(key)
         with self._turn:
             return self._cache.file(entry, "frame.jpg", lambda: frame_picture(entry, self._frames.get(entry.title)))
+
+    def calibration_overview(self, key: str) -> bytes:
+        """The picture of the entry's calibration, PNG."""
+        entry = self.catalogue.find(key)
+        picture = _overview_of(entry)
+        if picture is None:
+            raise ViewError(f"{entry.title}: its calibration has no overview: reconstruct it with a file of calibrate")
+        return picture.read_bytes()
 
     def sigma(self, key: str) -> Float32Array:
         """The reduced map of the standard uncertainty, µm."""
@@ -154,6 +168,7 @@ class ViewerService:
             "masked_share": float(np.isnan(sample).mean()),
             "has_frame": entry.kind != "difference" and (entry.scan is not None or entry.title in self._frames),
             "has_sigma": entry.kind in {"result", "difference"} and (entry.folder / HEIGHT_SIGMA_FILE).is_file(),
+            "has_calibration_overview": _overview_of(entry) is not None,
             "has_samples": entry.kind == "result" and (entry.folder / SAMPLES_FILE).is_file(),
         }
 

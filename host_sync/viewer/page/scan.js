@@ -40,7 +40,8 @@ class ScanPage {
     this.charts = h("section", { class: "drawer charts", "aria-label": "Charts", hidden: true });
     this.measure = new MeasurePanel(this.stage, this.charts);
     this.views = h("div", { class: "sections" }, this.panel.element, this.profileSection(), this.compareSection(),
-      ...(facts.scan_id ? [labelSection(facts)] : []), aboutSection(facts));
+      ...(facts.scan_id ? [labelSection(facts)] : []), aboutSection(facts),
+      ...(facts.has_calibration_overview ? [calibrationSection(facts)] : []));
     this.measure.element.hidden = true;
     this.tabs = ["Look", "Measure"].map((words, index) => h("button", { type: "button", "aria-pressed": String(index === 0),
       onclick: () => this.turnTo(index) }, words));
@@ -208,6 +209,14 @@ function labelSection(facts) {
     save.disabled = false;
   } }, field("Name", name), field("Tags", tags), field("Note", note), h("div", { class: "row" }, save), said, problem);
   return h("details", {}, h("summary", {}, "Label"), form);
+}
+
+/** The presses that the scan's calibration was made from, what became of each, and the error by place. */
+function calibrationSection(facts) {
+  const place = `/api/scan/${facts.key}/calibration`;
+  const alt = "Presses of the calibration, its error by place, and the reference read as a scan";
+  const picture = h("a", { href: place, target: "_blank", rel: "noopener" }, h("img", { src: place, loading: "lazy", alt }));
+  return h("details", { class: "calibration" }, h("summary", {}, "Calibration"), picture);
 }
 
 function aboutSection(facts) {

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import shutil
 import struct
 from pathlib import Path
 from typing import Any
@@ -166,6 +167,22 @@ def test_thumbnails_are_pictures(served: Any) -> None:
         status, headers, body = served.get(f"/api/scan/{key}/thumbnail")
         assert (status, headers["content-type"]) == (200, "image/webp")
         assert body[8:12] == b"WEBP"
+
+
+def test_the_overview_of_a_calibration_is_shown_where_there_is_one(served: Any, results: Path) -> None:
+    key = served.keys()["hill"]
+    assert not served.json(f"/api/scan/{key}")["has_calibration_overview"]
+    status, _, body = served.get(f"/api/scan/{key}/calibration")
+    assert status in range(400, 500)
+    assert b"has no overview" in body
+    folder = results / "calibration"
+    folder.mkdir()
+    (folder / "report.json").write_text('{"calibration_id": ""}')
+    (folder / "overview.png").write_bytes(b"\x89PNG a picture")
+    assert served.json(f"/api/scan/{key}")["has_calibration_overview"]
+    status, headers, body = served.get(f"/api/scan/{key}/calibration")
+    assert (status, headers["content-type"], body) == (200, "image/png", b"\x89PNG a picture")
+    shutil.rmtree(folder)
 
 
 def test_a_page_of_a_video_is_its_own(served: Any) -> None:
