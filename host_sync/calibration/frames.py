@@ -11,6 +11,7 @@ from device.imaging.printed_marks import MarkPattern
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.many_lights import calibrate_lights
+from host_sync.calibration.scale import with_stated_pitch
 from host_sync.lights.known_lamps import Position
 
 
@@ -23,6 +24,7 @@ class CalibrationFrames:
     paper : whether the paper's model is fitted in any case
     lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
+    pitch_tolerance : fraction by which the pixel pitch may be off; None where that is not known
     marks : printed on the skin, and taken out of the frames; None where there are none
     """
 
@@ -34,6 +36,7 @@ class CalibrationFrames:
     paper: bool = False
     lamps_mm: tuple[Position, ...] = ()
     pupil_height_mm: float | None = None
+    pitch_tolerance: float | None = None
     marks: MarkPattern | None = None
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
@@ -63,7 +66,10 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         pupil_height_mm=frames.pupil_height_mm,
         tell=tell,
     )
-    if frames.marks is None:
-        return calibration
-    notes = (*calibration.assessment.notes, frames.marks.note)
-    return replace(calibration, assessment=replace(calibration.assessment, notes=notes))
+    assessment = calibration.assessment
+    if frames.marks is not None:
+        assessment = replace(assessment, notes=(*assessment.notes, frames.marks.note))
+    if frames.pitch_tolerance is not None:
+        scale = with_stated_pitch(assessment.scale, calibration.pitch_um, frames.pitch_tolerance)
+        assessment = replace(assessment, scale=scale)
+    return replace(calibration, assessment=assessment)

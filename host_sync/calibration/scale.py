@@ -22,6 +22,7 @@ from host_sync.calibration.pixel_pitch import RECTANGLE, PixelPitch
 HEIGHT_PER_PITCH: Final = 2.0
 """Share by which heights change for one share of pixel pitch."""
 
+PIXEL_PITCH: Final = "pixel pitch"
 SAME_RADIUS: Final = 0.02
 """Radii this share apart are two sizes of balls."""
 
@@ -56,13 +57,28 @@ def scale_uncertainty(
     height_share = None
     if pitch_share is not None and radius_share is not None:
         height_share = float(np.hypot(HEIGHT_PER_PITCH * pitch_share, radius_share))
-    named = {"pixel pitch": pitch_share, "ball radius": radius_share}
+    named = {PIXEL_PITCH: pitch_share, "ball radius": radius_share}
     return ScaleUncertainty(
         pixel_pitch_sigma_um=pitch.sigma_um if pitch else None,
         pixel_pitch_share=pitch_share,
         ball_radius_share=radius_share,
         height_share=height_share,
         not_measured=tuple(name for name, share in named.items() if share is None),
+    )
+
+
+def with_stated_pitch(scale: ScaleUncertainty, pitch_um: float, tolerance: float) -> ScaleUncertainty:
+    """The scale's uncertainty with a pixel pitch that lies within ± a fraction `tolerance`; a measured one is kept."""
+    if scale.pixel_pitch_share is not None:
+        return scale
+    share = RECTANGLE * tolerance
+    radius_share = scale.ball_radius_share
+    return msgspec.structs.replace(
+        scale,
+        pixel_pitch_sigma_um=share * pitch_um,
+        pixel_pitch_share=share,
+        height_share=None if radius_share is None else float(np.hypot(HEIGHT_PER_PITCH * share, radius_share)),
+        not_measured=tuple(name for name in scale.not_measured if name != PIXEL_PITCH),
     )
 
 

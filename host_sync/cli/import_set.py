@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "fots", "digit", "images"]
 """As of `host_sync.importers.recognition`; defined here too because importing it loads the numerics."""
 
+FIELD_TOLERANCE: Final = 0.05
+"""The field's width as stated may be off by this fraction: the gel is thick, and streams are cropped."""
+
 SET_FILE: Final = "frameset.toml"
 
 
@@ -29,6 +32,7 @@ def import_command(
     kind: Kind | None = None,
     out: Folder | None = None,
     pixel_pitch_um: float | None = None,
+    field_mm: float | None = None,
     ball_radius_mm: float | None = None,
     encoding: Literal["linear", "srgb"] | None = None,
     reference: Path | None = None,
@@ -52,6 +56,9 @@ def import_command(
         lies beside it.
     pixel_pitch_um
         Distance of neighbouring pixels on the skin; goes before what the files say.
+    field_mm
+        Width of the field on the skin, by a data sheet or a ruler, where the pixel pitch is not known; the pitch that
+        follows from it is stated with ± 5 %, which every height carries.
     ball_radius_mm
         Radius of the calibration ball, half of its diameter; goes before what the files say.
     encoding
@@ -62,7 +69,10 @@ def import_command(
     from host_sync.importers.draft import Said
 
     folder, kind = _folder_and_kind(source, kind)
-    for name, value in (("--pixel-pitch-um", pixel_pitch_um), ("--ball-radius-mm", ball_radius_mm)):
+    if pixel_pitch_um is not None and field_mm is not None:
+        raise FrameSetError("--field-mm and --pixel-pitch-um state the same: give one of them")
+    lengths = {"--pixel-pitch-um": pixel_pitch_um, "--field-mm": field_mm, "--ball-radius-mm": ball_radius_mm}
+    for name, value in lengths.items():
         if value is not None and not 0.0 < value < float("inf"):
             raise FrameSetError(f"{name} {value:g}: is no length: give a positive number")
     if not folder.is_dir():
@@ -70,7 +80,7 @@ def import_command(
     path = out or folder
     path = path if path.suffix == ".toml" else path / SET_FILE
     check_output(path, makes_folders=True)
-    draft = _described(folder, kind, Said(pixel_pitch_um, ball_radius_mm, encoding, reference))
+    draft = _described(folder, kind, Said(pixel_pitch_um, ball_radius_mm, encoding, reference), field_mm)
     draft.write(path)
     _print_draft(draft, path)
     if draft.presses:
@@ -93,8 +103,11 @@ def _folder_and_kind(source: tuple[Path, ...], kind: Kind | None) -> tuple[Path,
     return source[0], kind
 
 
-def _described(folder: Path, kind: Kind | None, said: Said) -> Draft:
-    """The draft of a folder; what is missing is asked for where somebody can answer."""
+def _described(folder: Path, kind: Kind | None, said: Said, field_mm: float | None) -> Draft:
+    """The draft of a folder; what is missing is asked for where somebody can answer.
+
+    field_mm : width of the field, from which the pixel pitch follows; None where the pitch is known
+    """
     from host_sync.importers.recognition import IMPORTERS, WRITTEN_BY, recognize
 
     if kind is None:
@@ -103,6 +116,10 @@ def _described(folder: Path, kind: Kind | None, said: Said) -> Draft:
     with status_spinner() as tell:
         tell("looking at the images")
         draft = IMPORTERS[kind](folder, said)
+        if field_mm is not None:
+            said = replace(said, pixel_pitch_um=draft.pitch_of_field_um(field_mm))
+            draft = IMPORTERS[kind](folder, said)
+            draft = replace(draft, pitch_tolerance_um=FIELD_TOLERANCE * (said.pixel_pitch_um or 0.0))
     if not draft.missing() or not sys.stdin.isatty():
         return draft
     _print_draft(draft, folder)

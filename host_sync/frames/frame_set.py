@@ -76,6 +76,7 @@ class FrameSet:
     pixel_shape : height of a stored pixel over its width
     full_scale : count at which a pixel of 16 bit is saturated; None where no frame has 16 bit
     states_full_scale : it stands in the file, or in an image's header
+    pitch_tolerance : fraction by which the pixel pitch may be off; None where the file does not say
     lights : their names with their colours, empty where the file does not say
     lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
     pupil_height_mm : the camera's height over untouched skin; None where the file does not say
@@ -94,6 +95,7 @@ class FrameSet:
     pixel_shape: float = 1.0
     full_scale: int | None = None
     states_full_scale: bool = False
+    pitch_tolerance: float | None = None
 
     def scaled_as(self, full_scale: int | None) -> FrameSet:
         """Return the same with scans of a full scale that another set's frames show, where this one states none.
@@ -165,7 +167,16 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         pixel_shape,
         full_scale,
         is_stated,
+        _pitch_tolerance(file, pitch_um, path),
     )
+
+
+def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | None:
+    """The tolerance of the pixel pitch as a fraction; FrameSetError where it is not smaller than the pitch."""
+    tolerance_um = file.pixel_pitch_tolerance_um
+    if tolerance_um is not None and tolerance_um >= pitch_um:
+        raise FrameSetError(f"{path}: pixel_pitch_tolerance_um: {tolerance_um:g} is not smaller than the pitch")
+    return None if tolerance_um is None else tolerance_um / pitch_um
 
 
 def _full_scale(

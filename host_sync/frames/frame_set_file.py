@@ -89,6 +89,7 @@ class FileTable(_Table, frozen=True):
     """The whole file.
 
     pixel_pitch_um : of pixels that are not square, along a row and down a column
+    pixel_pitch_tolerance_um : the pitch lies within ± this
     full_scale : count at which a pixel of 16 bit is saturated
     pupil_height_mm : height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it
     """
@@ -96,6 +97,7 @@ class FileTable(_Table, frozen=True):
     name: str
     pixel_pitch_um: PixelPitch
     encoding: Encoding
+    pixel_pitch_tolerance_um: Tolerance | None = None
     full_scale: Annotated[int, msgspec.Meta(ge=255, le=65535)] | None = None
     pupil_height_mm: Length | None = None
     light: Annotated[tuple[LightTable, ...], msgspec.Meta(max_length=MAX_LIGHTS)] = ()

@@ -14,6 +14,7 @@ from device.errors import OutputError
 from device.io.atomic import write_output
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, Encoding, names_a_folder
+from host_sync.frames.image_file import read_info
 
 LONGEST_NAME: Final = 90
 SHOWN_EVERY: Final = 5
@@ -59,6 +60,7 @@ class Draft:
     encoding : None where it is not known
     lights : of each grey image of a frame; empty for RGB images
     notes : what the user should know of the folder, one sentence each
+    pitch_tolerance_um : the pixel pitch lies within ± this; None where that is not known
     """
 
     name: str
@@ -69,12 +71,28 @@ class Draft:
     scans: tuple[DraftScan, ...]
     lights: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    pitch_tolerance_um: float | None = None
+
+    def pitch_of_field_um(self, field_mm: float) -> float:
+        """The pixel pitch of images that show a field of this width.
+
+        Raises
+        ------
+        FrameSetError
+            There is no image, or the first one cannot be read.
+        """
+        images = [press.images[0] for press in self.presses] + [scan.images[0] for scan in self.scans]
+        if not images:
+            raise FrameSetError(f"{self.name}: holds no frames: name another folder")
+        return 1e3 * field_mm / read_info(images[0]).shape[1]
 
     def missing(self) -> list[str]:
         """Options that must be given, for what neither the files nor the user said."""
         needs = []
         if self.pixel_pitch_um is None:
-            needs.append("--pixel-pitch-um (distance of neighbouring pixels on the skin)")
+            needs.append(
+                "--pixel-pitch-um (distance of neighbouring pixels on the skin) or --field-mm (the field's width)"
+            )
         if any(press.ball_radius_mm is None for press in self.presses):
             needs.append("--ball-radius-mm (of the calibration ball)")
         if self.encoding is None:
@@ -109,6 +127,8 @@ class Draft:
 
     def _lines(self, folder: Path) -> list[str]:
         lines = [f"name = {_text(self.name)}", f"pixel_pitch_um = {self.pixel_pitch_um:.6g}"]
+        if self.pitch_tolerance_um is not None:
+            lines.append(f"pixel_pitch_tolerance_um = {self.pitch_tolerance_um:.3g}")
         lines.append(f"encoding = {_text(self.encoding or '')}")
         for light in self.lights:
             lines += ["", "[[light]]", f"name = {_text(light)}"]

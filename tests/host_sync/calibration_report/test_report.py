@@ -20,7 +20,7 @@ from host_sync.calibration.balls import (
     relocate_labels,
 )
 from host_sync.calibration.pixel_pitch import PixelPitch
-from host_sync.calibration.scale import scale_uncertainty
+from host_sync.calibration.scale import scale_uncertainty, with_stated_pitch
 from host_sync.calibration.training_press import MAX_SHOWN, training_presses
 from host_sync.calibration_report.balls_figure import balls_figure
 
@@ -85,6 +85,9 @@ def test_a_scale_that_nothing_measures_has_no_uncertainty_rather_than_none() -> 
     scale = scale_uncertainty(None, [frame_of()], np.array([1.0, 1.02, 0.99]), np.full(3, RADIUS_PX))
     assert (scale.pixel_pitch_sigma_um, scale.ball_radius_share, scale.height_share) == (None, None, None)
     assert scale.not_measured == ("pixel pitch", "ball radius")
+    stated = with_stated_pitch(scale, 20.0, 0.05)
+    assert stated.pixel_pitch_sigma_um == pytest.approx(1.0 / np.sqrt(3.0))
+    assert (stated.height_share, stated.not_measured) == (None, ("ball radius",))
 
 
 def test_heights_feel_the_pitch_twice_and_the_radius_once() -> None:
@@ -94,6 +97,7 @@ def test_heights_feel_the_pitch_twice_and_the_radius_once() -> None:
     assert scale.ball_radius_share == pytest.approx(0.01 / np.sqrt(3.0))
     assert scale.height_share == pytest.approx(np.hypot(0.006, 0.01 / np.sqrt(3.0)))
     assert scale.not_measured == ()
+    assert with_stated_pitch(scale, 20.0, 0.05) is scale
 
 
 def test_balls_of_two_sizes_tell_how_far_their_radii_agree() -> None:

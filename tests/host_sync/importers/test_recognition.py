@@ -53,6 +53,21 @@ def test_names_of_known_programs_tell_presses_and_untouched_skin(
     assert sheet.std() > 10.0
 
 
+def test_the_width_of_the_field_states_the_pitch_with_its_uncertainty(tmp_path: Path) -> None:
+    put(tmp_path / "flat.png")
+    presses(tmp_path, "ball-{}.png")
+    columns = cv2.imread(str(tmp_path / "flat.png")).shape[1]
+    options = dict(zip(OPTIONS[::2], OPTIONS[1::2], strict=True))
+    pitch_um = options.pop("--pixel-pitch-um")
+    field_mm = float(pitch_um) * columns / 1e3
+    others = [word for option in options.items() for word in option]
+    assert run(tmp_path, "--field-mm", field_mm, "--pixel-pitch-um", pitch_um, *others) == 2
+    assert run(tmp_path, "--field-mm", field_mm, *others) == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert found.pixel_pitch_um == pytest.approx(float(pitch_um), rel=1e-4)
+    assert found.pitch_tolerance == pytest.approx(0.05, rel=0.01)
+
+
 def test_a_first_image_that_is_pressed_is_a_press(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     presses(tmp_path, "{:04d}.png", first=0)
     assert run(tmp_path, *OPTIONS) == 0
