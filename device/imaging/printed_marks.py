@@ -95,7 +95,7 @@ class MarkPattern:
 def _marks(
     rgb: Float32Array, largest_px: float, smallest_px: float
 ) -> tuple[MaskArray, NDArray[np.int32], NDArray[np.float64]]:
-    """Where a frame is marked (H, W), the marks' areas (N,), pixels, and centres (N, 2)."""
+    """Marks of a frame: bool array (H, W), True under them; their areas (N,), pixels; their centres (N, 2)."""
     reach = max(3, round(largest_px)) | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     light = np.log(np.maximum(cv2.blur(rgb, (3, 3)).reshape(rgb.shape), np.float32(DARK_FLOOR)))
