@@ -180,6 +180,7 @@ tell_of_ssh
 end_cloud_init
 tell_the_system
 install_program
+[ "$read_only" = no ] || end_writing "$(boot_folder)"
 works=yes
 camera_is_loaded || works=no
 finish

@@ -34,10 +34,9 @@ set_up_firmware() {
     fi
     grep -qx 'include retrograph.txt' "$root$boot/config.txt" ||
         act "include retrograph.txt in $boot/config.txt" append "$root$boot/config.txt" "$include"
-    [ "$read_only" = no ] || end_writing "$boot"
 }
 
-# A read-only root. Its command line comes last: whatever was interrupted before leaves the root writable.
+# A read-only root. Its command line is the last thing that install.sh writes: whatever was interrupted before leaves the root writable.
 initramfs_modules=/usr/share/initramfs-tools/modules.d/retrograph
 initramfs_check=/etc/initramfs/post-update.d/zz-retrograph
 end_writing() { # BOOT-FOLDER

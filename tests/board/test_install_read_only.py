@@ -113,6 +113,18 @@ def test_a_cloud_init_that_is_switched_off_is_not_waited_for(fresh: Path, run: R
     assert install(run, fresh, *BOARD)
 
 
+def test_the_command_line_is_the_last_thing_that_is_written(fresh: Path, run: Run) -> None:
+    """An installation that fails before, for want of a network perhaps, leaves a root that can be written."""
+    assert install(run, fresh, *BOARD)[-1] == "write /boot/firmware/cmdline.txt"
+
+
+def test_a_program_that_cannot_be_installed_leaves_the_root_writable(fresh: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "release").mkdir()
+    wishes = (*(word for word in BOARD if word != "--no-app"), "--release", tmp_path / "release")
+    assert run("board/install.sh", "--root", fresh, *wishes).returncode != 0
+    assert "overlayroot" not in (fresh / "boot/firmware/cmdline.txt").read_text()
+
+
 @pytest.mark.parametrize("missing", ["config.txt", "cmdline.txt"])
 def test_without_a_boot_partition_nothing_is_done(fresh: Path, run: Run, missing: str) -> None:
     (fresh / "boot/firmware" / missing).unlink()
