@@ -34,8 +34,8 @@ def twin_bundle(calibrated_root: Path) -> CalibrationBundle:
 
 @pytest.fixture(scope="session")
 def calibrator(calibration_cache: CalibrationCache, twin_bundle: CalibrationBundle, shared_folder: Path) -> Calibrator:
-    """A calibrator that has made the calibration of the small twin."""
-    found = Calibrator(calibration_cache)
+    """A calibrator that has made the calibration of the small twin, with the paper's model."""
+    found = Calibrator(calibration_cache, paper=True)
     with FileLock(shared_folder / "calibration of the twin.lock"):
         found.of_bundle(twin_bundle)
     return found
