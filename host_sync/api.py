@@ -16,12 +16,13 @@ argument of the wrong type raises an `ArgumentError`, which is a HostError.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from device.shutdown import keep_types_at_exit
-from host_sync.api_types import Detail, Encoding, Method, Press
+from host_sync.api_types import Detail, Encoding, Method
+from host_sync.api_types import Press as Press
+from host_sync.api_types import Result as Result
 from host_sync.blas_threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -32,77 +33,8 @@ if TYPE_CHECKING:
     from host_sync.calibration_file.kept_calibration import KeptCalibration
     from host_sync.library.library import Library
     from host_sync.measurement.quantity import Quantity
-    from host_sync.results.reader import ResultSurface
 
 keep_types_at_exit()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """A reconstructed surface; every array has the shape (H, W), is float32, and NaN where nothing is known.
-
-    surface : the same as the workstation's other parts take it
-
-    >>> result = load_result("results/ball")
-    >>> bool(result.height_um[130, 154] > 200.0)  # the ball's apex, µm above untouched skin
-    True
-    """
-
-    surface: ResultSurface
-
-    @property
-    def height_um(self) -> Float32Array:
-        """Height, µm; zero at untouched skin unless a warning says that it is relative."""
-        return self.surface.height.z_um
-
-    @property
-    def sigma_um(self) -> Float32Array | None:
-        """Standard uncertainty of the height, µm; None where the result's folder does not hold it."""
-        return self.surface.sigma_um
-
-    @property
-    def slopes(self) -> tuple[Float32Array, Float32Array]:
-        """Slopes p along a row and q down a column, µm/µm."""
-        from device.surface.fields import surface_slopes
-
-        return surface_slopes(self.surface.height)
-
-    @property
-    def pitch_um(self) -> float:
-        """Distance of neighbouring pixels on the skin, µm."""
-        return self.surface.height.pitch_um
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Return what speaks against the heights, one sentence each."""
-        return tuple(doubt.sentence for doubt in self.surface.doubts)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The result as `xarray.Dataset.from_dict` takes it; coordinates in µm.
-
-        >>> described = load_result("results/ball").as_dict()
-        >>> sorted(described["data_vars"]), described["attrs"]["method"]
-        (['height', 'height_sigma', 'slope_p', 'slope_q'], 'direct')
-        """
-        import numpy as np
-
-        rows, columns = self.height_um.shape
-        p, q = self.slopes
-        fields = {"height": (self.height_um, "um"), "slope_p": (p, "um/um"), "slope_q": (q, "um/um")}
-        if self.sigma_um is not None:
-            fields["height_sigma"] = (self.sigma_um, "um")
-        places = {"y": np.arange(rows) * self.pitch_um, "x": np.arange(columns) * self.pitch_um}
-        record = self.surface.record
-        origin = {name: getattr(record, name) for name in ("name", "method", "calibration_id")}
-        return {
-            "dims": {"y": rows, "x": columns},
-            "coords": {axis: {"dims": (axis,), "data": at, "attrs": {"units": "um"}} for axis, at in places.items()},
-            "data_vars": {
-                name: {"dims": ("y", "x"), "data": values, "attrs": {"units": unit}}
-                for name, (values, unit) in fields.items()
-            },
-            "attrs": {**origin, "doubts": list(self.warnings)},
-        }
 
 
 def calibrate(

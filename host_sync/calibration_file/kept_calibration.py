@@ -39,7 +39,7 @@ PAPER_REPORT_NAMES: Final = frozenset(PAPER_PICTURES)
 reports."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class KeptCalibration:
     """A calibration with its report and its origin.
 
@@ -49,6 +49,9 @@ class KeptCalibration:
     calibration: Calibration
     report: dict[str, bytes]
     facts: Facts
+
+    def __repr__(self) -> str:
+        return f"<KeptCalibration {self.facts.calibration_id} of {self.facts.made_from}: {self.summary[0]}>"
 
     @property
     def summary(self) -> tuple[str, ...]:

@@ -69,6 +69,9 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     limits: Limits | None = None
     left_out_share: float = 0.0
 
+    def __repr__(self) -> str:
+        return f"<Quantity {self.subject}: {self.sentence}>"
+
     @property
     def number(self) -> str:
         """For example "1.83 ± 0.06 µm": two digits of the uncertainty, the value to the same decimal place."""

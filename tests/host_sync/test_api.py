@@ -8,10 +8,12 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
@@ -30,6 +32,7 @@ from host_sync.errors import (
     MosaicError,
     UnreadableResult,
 )
+from host_sync.kernels.cache import USER_CACHE
 from host_sync.mosaic.motion import Motion
 
 PUBLIC = {
@@ -44,6 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder in which the examples stand: a frame set, its calibration, and a result."""
     folder = write_frame_set(tmp_path_factory.mktemp("api") / "set").parent
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(USER_CACHE, str(folder / "cache"))
         kept = api.calibrate_frame_set(folder / "frameset.toml")
         kept.write(folder / "gel.calibration")
         api.reconstruct(folder / "ball-6.png", kept, out=folder / "results" / "ball")
@@ -61,7 +65,9 @@ def test_every_example_runs(name: str, folder: Path) -> None:
     item = PUBLIC.get(name, api)
     found = [
         one
-        for one in doctest.DocTestFinder(recurse=item is not api).find(item, name, module=api, globs=dict(vars(api)))
+        for one in doctest.DocTestFinder(recurse=item is not api).find(
+            item, name, module=sys.modules[getattr(item, "__module__", api.__name__)], globs=dict(vars(api))
+        )
         if one.examples
     ]
     assert found, f"{name} has no example"
@@ -302,3 +308,32 @@ def test_every_type_in_a_signature_is_explained() -> None:
     named = set(re.findall(r"\b[A-Z]\w+", " ".join(texts))) - {"Any", "Literal", "None", "Path", "Sequence", *PUBLIC}
     assert {"Float32Array", "KeptCalibration", "Quantity", "Image"} <= named
     assert {name for name in named if f"`{name}`" not in document} == set()
+
+
+def test_a_result_is_one_line_and_in_a_notebook_a_relief(folder: Path) -> None:
+    result = api.load_result("results/ball")
+    assert re.fullmatch(
+        r"<Result ball-6: 384 x 288 pixels of 20 µm, heights -?[\d.]+ to [\d.]+ µm, ± [\d.]+ µm, \d+ doubts?>",
+        repr(result),
+    )
+    page = result._repr_html_()
+    assert '<img alt="Relief of ball-6" src="data:image/webp;base64,UklGR' in page
+    assert page.count("<li>doubt: ") == len(result.warnings)
+    surface = replace(result.surface, record=msgspec.structs.replace(result.surface.record, name="<b>"), sigma_um=None)
+    assert "<b></b>" not in (unknown := api.Result(surface)._repr_html_())
+    assert "± not known" in unknown
+    assert re.fullmatch(r"<KeptCalibration \w+ of gel-3: calibration passed .*>", repr(_kept()))
+    (sa,) = api.measure(result, form="plane", parameters=("Sa",))
+    assert re.fullmatch(r"<Quantity surface: Sa [\d.]+ ± [\d.]+ µm.*>", repr(sa))
+
+
+def test_a_result_is_a_dataset_where_xarray_is_installed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = api.load_result("results/ball")
+    dataset = result.to_xarray()
+    assert dataset.height.dims == ("y", "x")
+    np.testing.assert_array_equal(dataset.height_sigma, result.sigma_um)
+    assert dataset.height.sel(y=2600.0, x=3080.0) == result.height_um[130, 154]
+    assert dataset.attrs["doubts"] == result.warnings
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ArgumentError, match=r"xarray is not installed: pip install 'retrograph\[xarray\]'"):
+        result.to_xarray()
