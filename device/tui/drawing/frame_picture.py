@@ -17,6 +17,9 @@ from device.tui.drawing.resampling import fitted_shape, resampled
 
 Mark = Literal["found", "wanted", "refused"]
 
+_SEEN: Final = 8.0
+"""Difference of a colour that is shown; colours have 5 bits."""
+
 _SLOWLY: Final = 0.2
 _MIN_CONTRAST: Final = 0.25
 _GLYPHS: Final[dict[Mark, str]] = {"found": "o", "wanted": ".", "refused": "x"}
@@ -38,13 +41,23 @@ class Circle:
     label: str = ""
 
 
-def frame_cells(
-    picture: NDArray[np.uint8], rows: int, columns: int, depth: ColourDepth, circles: Iterable[Circle] = ()
-) -> CellGrid:
-    """Cells of a live picture, uint8 array of shape (h, w, 3), in at most `rows` x `columns`, with circles on it."""
+def shown_colours(
+    picture: NDArray[np.uint8], rows: int, columns: int, before: Float32Array | None = None
+) -> Float32Array:
+    """Colours of a live picture, uint8 array of shape (h, w, 3), in at most `rows` x `columns` cells, two a cell.
+
+    before : colours that are shown; one that hardly differs stays, so that noise sends nothing to the terminal
+    """
     shape = fitted_shape(picture.shape[:2], rows, columns)
     size = (2 * shape[0], shape[1])
     colours = np.stack([resampled(picture[..., i].astype(np.float32), size) for i in range(3)], axis=-1)
+    if before is None or before.shape != colours.shape:
+        return colours
+    return np.where(np.abs(colours - before).max(axis=-1, keepdims=True) > _SEEN, colours, before)
+
+
+def frame_cells(colours: Float32Array, depth: ColourDepth, circles: Iterable[Circle] = ()) -> CellGrid:
+    """Cells of a live picture's colours, with circles on it."""
     cells = _cells(colours, depth)
     for circle in circles:
         _draw(cells, circle)

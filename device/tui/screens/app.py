@@ -96,6 +96,9 @@ CHECK_ANSWERS: Final = ("Repeat with the right ball", "It is the standard: FAILE
 STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped."""
 
+NOTICE_NS: Final = {"info": 20_000_000_000, "success": 20_000_000_000, "error": 60_000_000_000}
+"""How long a notice stays."""
+
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16
 
@@ -150,6 +153,7 @@ class RetroscanApp(App[str]):
         self._faults = faults
         self.findings: list[Finding] = []
         self.notice: Notice | None = None
+        self._noticed: tuple[Notice | None, int] = None, 0
         self._depth: ColourDepth = depth
         self._updates_per_s = updates_per_s
         self._live_rate = FrameRateLimiter(1.0 / UPDATES_PER_S)
@@ -175,8 +179,17 @@ class RetroscanApp(App[str]):
         """Show the present state and handle the events since the last call."""
         for event in self.instrument.take_events():
             await self._handle(event)
+        self._drop_stale_notice()
         if screen := self._current():
             screen.show_state(self.instrument.state, self._too_small() or self.notice)
+
+    def _drop_stale_notice(self) -> None:
+        """Drop a notice that was shown long enough, unless it says that something goes on."""
+        notice, since_ns = self._noticed
+        if notice is not self.notice:
+            self._noticed = self.notice, self.now_ns()
+        elif notice and not notice.lasts and self.now_ns() - since_ns > NOTICE_NS[notice.severity]:
+            self.notice = None
 
     def _too_small(self) -> Notice | None:
         columns, rows = self.size
@@ -287,7 +300,9 @@ class RetroscanApp(App[str]):
         await self.go(place)
 
     async def go(self, place: Place) -> None:
-        """Open a screen; the button scans on the first one and navigates on the others."""
+        """Open a screen; the button scans on the first one and navigates on the others. What was said stays behind."""
+        if place != self.current_mode and self.notice and not self.notice.lasts:
+            self.notice = None
         await self.switch_mode(place)
         self.instrument.redirect_button(short_too=place != "scan")
         self.instrument.show_live(place in {"scan", "calibrate"})

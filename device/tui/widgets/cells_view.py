@@ -10,6 +10,7 @@ from rich.color import Color, ColorType
 from rich.segment import Segment
 from rich.style import Style
 from textual.events import Resize
+from textual.geometry import Region
 from textual.strip import Strip
 from textual.widget import Widget
 
@@ -31,6 +32,7 @@ class CellsView(Widget):
         self._below = below
         self._depth: ColourDepth = depth
         self._lines: list[Strip] | None = None
+        self._cells: CellGrid | None = None
 
     def draw(self, room: Room) -> CellGrid:
         """The widget's cells, which fill the room."""
@@ -43,12 +45,30 @@ class CellsView(Widget):
     def render_line(self, y: int) -> Strip:
         """A row of the picture."""
         if self._lines is None:
-            self._lines = to_strips(self.draw(self.room(self.size.height, self.size.width)), self.rich_style)
+            self._cells = self.draw(self.room(self.size.height, self.size.width))
+            self._lines = to_strips(self._cells, self.rich_style)
         return self._lines[y] if y < len(self._lines) else Strip.blank(self.size.width, self.rich_style)
 
     def room(self, rows: int, columns: int) -> Room:
         """Cells for a picture, in the terminal's colours."""
         return Room(rows, columns, self._depth)
+
+    def redraw_changes(self) -> None:
+        """Draw again, and send the terminal only the cells that differ."""
+        before = self._cells
+        if self._lines is None or before is None:
+            self.redraw(layout=False)
+            return
+        cells = self.draw(self.room(*before.shape))
+        differ = (cells.glyphs != before.glyphs) | (cells.bold != before.bold)
+        differ |= (cells.ink != before.ink) | (cells.paper != before.paper)
+        self._cells, changed = cells, []
+        for row in np.flatnonzero(differ.any(axis=1)):
+            first, last = np.flatnonzero(differ[row])[[0, -1]].tolist()
+            self._lines[row] = _strip(cells, int(row), self.rich_style)
+            changed.append(Region(first, int(row), last - first + 1, 1))
+        if changed:
+            self.refresh(*changed)
 
     def redraw(self, layout: bool) -> None:
         """Draw again; `layout` if the picture's height may have changed."""

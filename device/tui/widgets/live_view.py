@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from textual.geometry import Size
 
+from device.surface.fields import Float32Array
 from device.tui.drawing.cells import CellGrid, ColourDepth
-from device.tui.drawing.frame_picture import Circle, frame_cells
+from device.tui.drawing.frame_picture import Circle, frame_cells, shown_colours
 from device.tui.drawing.height_picture import Room, sentence_cells
 from device.tui.drawing.resampling import fitted_shape
 from device.tui.widgets.cells_view import CellsView
@@ -20,6 +21,7 @@ class LiveView(CellsView):
         super().__init__(depth, below, id=id)
         self._picture: NDArray[np.uint8] | None = None
         self._circles: tuple[Circle, ...] = ()
+        self._colours: Float32Array | None = None
         self._sentence = "Waiting for the camera."
 
     def show(self, picture: NDArray[np.uint8] | None, circles: tuple[Circle, ...] = (), sentence: str = "") -> None:
@@ -29,7 +31,11 @@ class LiveView(CellsView):
         before, self._picture = self._picture, picture
         self._circles, self._sentence = circles, sentence
         shapes = [None if shown is None else shown.shape for shown in (before, picture)]
-        self.redraw(layout=shapes[0] != shapes[1])
+        if picture is None or shapes[0] != shapes[1]:
+            self._colours = None
+            self.redraw(layout=shapes[0] != shapes[1])
+        else:
+            self.redraw_changes()
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
         """The picture's height, so that the next widget follows directly."""
@@ -40,7 +46,8 @@ class LiveView(CellsView):
         """The picture centred in the room, or the sentence."""
         if self._picture is None:
             return sentence_cells(self._sentence, room)
-        picture = frame_cells(self._picture, max(room.rows, 1), max(room.columns, 1), room.depth, self._circles)
+        self._colours = shown_colours(self._picture, max(room.rows, 1), max(room.columns, 1), self._colours)
+        picture = frame_cells(self._colours, room.depth, self._circles)
         cells = CellGrid.empty(room.rows, room.columns, room.depth)
         cells.blit(0, max((room.columns - picture.shape[1]) // 2, 0), picture)
         return cells

@@ -143,6 +143,11 @@ class Notice:
     sentence: str
     severity: Severity = "info"
 
+    @property
+    def lasts(self) -> bool:
+        """Return whether it names work that goes on: its outcome replaces it."""
+        return self.sentence.endswith("...")
+
 
 class NoticeLine(Words):
     """The last notice; an empty line without one, so that the layout stays."""

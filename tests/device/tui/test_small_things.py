@@ -12,7 +12,7 @@ from device.tui.drawing.text import local_time
 from device.tui.screens.app import FRAMEWORK_ACTIONS
 from device.tui.screens.panels import battery_text
 from device.tui.widgets.dialogs import KeysDialog
-from device.tui.widgets.navigation import KeyHint
+from device.tui.widgets.navigation import KeyHint, Notice, Severity
 from hal.interfaces import PowerReading
 from tests.device.tui.conftest import Stage
 
@@ -196,3 +196,35 @@ def test_what_is_uncovered_is_said_while_one_can_still_press(play: Callable[...,
         assert any(seen)
 
     play(scenario, empty_root, size=(100, 30))
+
+
+def test_a_notice_goes_after_a_while_and_with_its_screen(
+    play: Callable[..., None], root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def story(stage: Stage) -> None:
+        time_s = 0.0
+        monkeypatch.setattr(stage.app, "now_ns", lambda: int(time_s * 1e9))
+
+        async def shown_after(seconds: float) -> Notice | None:
+            nonlocal time_s
+            await stage.show()
+            time_s += seconds
+            await stage.show()
+            return stage.app.notice
+
+        goes_after_s: dict[Severity, float] = {"info": 21.0, "success": 21.0, "error": 61.0}
+        for severity, goes_s in goes_after_s.items():
+            stage.app.notice = Notice("Said.", severity)
+            assert await shown_after(goes_s - 2.0)
+            assert await shown_after(2.0) is None
+        stage.app.notice = Notice("Joining a network ...")
+        assert await shown_after(900.0)
+        await stage.press("3")
+        assert stage.app.notice == Notice("Joining a network ...")
+        stage.app.report_failure("not joined")
+        await stage.press("3")
+        assert stage.app.notice is not None
+        await stage.press("1")
+        assert stage.app.notice is None
+
+    play(story, root)
