@@ -177,9 +177,10 @@ _PLAIN: Final = {
 
 
 def write_any_sign() -> None:
-    """Let standard output and error take every sign: an encoding that lacks one writes it in plain letters.
+    """Let standard output and error take every sign, and each line at once, in a pipe too.
 
-    Without a language set, and in older terminals and services, that encoding is ASCII.
+    An encoding that lacks a sign writes it in plain letters. Without a language set, and in older terminals and
+    services, that encoding is ASCII.
     """
 
     def plain(error: UnicodeError) -> tuple[str, int]:
@@ -190,7 +191,7 @@ def write_any_sign() -> None:
     codecs.register_error("plain", plain)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="plain")
+            stream.reconfigure(errors="plain", line_buffering=True)
 
 
 def print_json(document: object) -> None:

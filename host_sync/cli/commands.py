@@ -23,7 +23,7 @@ COMMANDS: Final = (
         (
             "retrosync pull",
             "retrosync pull /media/card",
-            "retrosync pull rg-bench --library scans --verify",
+            "retrosync pull rg-bench --library scans --rehash",
         ),
     ),
     Command(
@@ -147,7 +147,7 @@ COMMANDS: Final = (
         "Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.",
         (
             "retrosync report results/coin --out reports",
-            "retrosync report --library scans --recipe recipe.toml --out reports --force",
+            "retrosync report --library scans --out reports --overwrite",
         ),
     ),
     Command(

@@ -7,11 +7,12 @@ from typing import Final
 from device.command_line import Folder, print_json
 from device.pairing.exchange import PAIRING_PORT
 from host_sync.cli.console import CONNECTION, DONE, print_error, print_line
-from host_sync.errors import PairingError
+from host_sync.errors import PairingError, SourceError
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
 from host_sync.offload.resolve import MAX_PORT
 
 CLOCK_SEEN_S: Final = 2.0
+LISTEN_S: Final = 3.0
 UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
 
 
@@ -33,7 +34,7 @@ def pair_command(
     Parameters
     ----------
     host
-        The device's address.
+        The device's address; by default that of the one device that announces itself on the local network.
     card
         Its mounted memory card, when it has no screen: run this, start the device with it, run this again.
     port
@@ -50,13 +51,25 @@ def pair_command(
         if device is None:
             print_line(f"This workstation's key is on {card} now: start the device with it, then run this again.")
             return DONE
-    elif host:
-        device = pairing.pair_over_network(host, _checked_port(port), own, _same_code)
     else:
-        raise PairingError("name the device's address, or --card with its memory card")
+        device = pairing.pair_over_network(host or _only_announced(), _checked_port(port), own, _same_code)
     pairing.keep(devices, device, replace=replace)
     print_line(f"Paired with {device.device_id} at {device.host}:{device.port}.")
     return DONE
+
+
+def _only_announced() -> str:
+    """Return the address of the one device that announces itself on the local network."""
+    from host_sync.offload import discovery
+
+    print_line("Looking for the device on this network ...")
+    found = discovery.discover(LISTEN_S)
+    if not found:
+        raise SourceError("no device announces itself on this network: name its address, or --card and its memory card")
+    if len(found) > 1:
+        raise PairingError(f"several devices announce themselves: name one of {', '.join(one.host for one in found)}")
+    print_line(f"Found {found[0].name} at {found[0].host}.")
+    return found[0].host
 
 
 def _same_code(code: str) -> bool:
@@ -74,7 +87,7 @@ def _checked_port(port: int) -> int:
     return port
 
 
-def status_command(*, network: bool = False, seconds: float = 3.0, json: bool = False) -> int:
+def status_command(*, network: bool = False, seconds: float = LISTEN_S, json: bool = False) -> int:
     """List the paired devices and how the last pull from each went; with --network, who announces itself.
 
     Parameters

@@ -36,6 +36,7 @@ def export_command(
     base_mm: float | None = None,
     line_um: LineUm | None = None,
     sigma: bool = False,
+    semicolon: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Export a result's surface, or the raw frame of a scan, for other programs.
@@ -62,12 +63,14 @@ def export_command(
     sigma
         Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file:
         gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv hold it beside the heights in any case.
+    semicolon
+        Write csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     overwrite
         Replace files of the same name, though never those of another source of the same command.
     """
     if not sources:
         raise ExportError("name what to export: a result's folder, a TMD file, or a scan")
-    choices = ExportChoices(mesh_step, line_um, overwrite, base_mm, sigma)
+    choices = ExportChoices(mesh_step, line_um, overwrite, base_mm, sigma, semicolon)
     failures: list[str] = []
     done = 0
     for source in sources:

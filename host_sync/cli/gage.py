@@ -107,13 +107,17 @@ def _measured(
 ) -> tuple[list[tuple[str, str, float]], str, list[str]]:
     """Part, operator and value of each row, the values' unit, and the results' doubts."""
     subject, _, name = number.rpartition("/")
+    from host_sync.measurement.measurement import copies_among
+
     found = []
     doubts: list[str] = []
     unit = ""
     # The spread of the repeats replaces the samples.
+    every = []
     for row, measurement in zip(rows, measured([Path(row.value) for row in rows], recipe, samples=False), strict=True):
         if isinstance(measurement, str):
             raise MeasurementError(measurement)
+        every.append(measurement.numbers_only())
         known = {(one.subject, one.name): one for one in measurement.quantities}
         quantity = known.get((subject, name))
         if quantity is None:
@@ -124,4 +128,6 @@ def _measured(
         found.append((row.part, row.operator, quantity.value))
         unit = quantity.unit
         doubts += [f"{row.value}: {doubt.sentence}" for doubt in measurement.doubts]
+    for place, first in copies_among(every).items():
+        raise MeasurementError(f"{every[place].folder}: is a copy of {first.folder}, not another press: leave it out")
     return found, unit, doubts

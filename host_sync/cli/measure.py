@@ -14,6 +14,7 @@ from device.command_line import Folder, print_json
 from device.errors import DeviceError
 from device.io.atomic import check_output, write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
+from host_sync.csv_table import BYTE_ORDER_MARK
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.frames.sequence import natural_order
 from host_sync.library.library import Library
@@ -42,6 +43,7 @@ def measure_command(
     json: bool = False,
     json_file: OutputFile = None,
     csv: OutputFile = None,
+    semicolon: bool = False,
     trend: Path | None = None,
 ) -> int:
     """Measure results: form removal, S- and L-filter, ISO 25178 parameters, a recipe's quantities, each with its ±.
@@ -82,6 +84,8 @@ def measure_command(
         Also write that document to this file.
     csv
         Also write all quantities to this file; - writes only them, to the output.
+    semicolon
+        Write csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     trend
         Also print each number's trend over the results (mean, range, control limits, Cpk) with its ±, and draw it to
         this .png, .pdf or .svg: numbers with a tolerance, or the first twelve. JSON gets them as its last element.
@@ -118,10 +122,12 @@ def measure_command(
         if not alone:
             for line in (*as_text(found).splitlines(), ""):
                 print_line(line)
+    if trend is not None:
+        failed = name_copies(done) or failed
     if json or json_file is not None:
         _write_json(done, json_file, on_output=json, with_trend=trend is not None)
     if csv is not None:
-        _write_csv(done, csv)
+        _write_csv(done, csv, semicolon=semicolon)
     if trend is not None:
         _write_trend(done, trend, quiet=alone)
     if failed:
@@ -208,10 +214,21 @@ def _write_json(done: Sequence[Measurement], path: Path | None, *, on_output: bo
         write_text(path, msgspec.json.format(msgspec.json.encode(records), indent=2).decode())
 
 
-def _write_csv(done: Sequence[Measurement], path: Path) -> None:
+def _write_csv(done: Sequence[Measurement], path: Path, *, semicolon: bool) -> None:
     from host_sync.measurement.measurement_text import as_csv
 
-    write_text(path, as_csv(done))
+    write_text(path, as_csv(done, semicolon=semicolon))
+
+
+def name_copies(done: list[Measurement]) -> bool:
+    """Mark copies of one press, which take no part in a trend, and name them; returns whether there were any."""
+    from host_sync.measurement.measurement import copies_among, mark_copies
+
+    copies = copies_among(done)
+    for place, first in copies.items():
+        print_error(f"{done[place].folder}: is a copy of {first.folder}, not another press: no trend has it", PARTLY)
+    done[:] = mark_copies(done)
+    return bool(copies)
 
 
 def _check_trend(path: Path) -> None:
@@ -239,6 +256,6 @@ def write_text(path: Path, text: str) -> None:
         The place cannot be written.
     """
     if path == Path("-"):
-        sys.stdout.write(text.rstrip("\n") + "\n")
+        sys.stdout.write(text.removeprefix(BYTE_ORDER_MARK).rstrip("\n") + "\n")
         return
     write_output(path, text.encode())

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
 
 from device.command_line import Folder
-from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, print_line
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, print_line, progress
 from host_sync.cli.devices import known_devices
 from host_sync.errors import PairingError, SourceError
 from host_sync.library.library import Library, default_library
@@ -33,7 +22,7 @@ from host_sync.offload.pull_log import PullReport
 from host_sync.offload.resolve import Address, is_folder, open_device, open_source
 from host_sync.offload.source import PATIENCE_S
 
-Show = Callable[[str, PullProgress], None]
+ShowPull = Callable[[str, PullProgress], None]
 
 MAX_PATIENCE_S: Final = 3600.0
 
@@ -42,7 +31,7 @@ def pull_command(
     *sources: str,
     library: Folder | None = None,
     at: str | None = None,
-    verify: bool = False,
+    rehash: bool = False,
     patience_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_PATIENCE_S))] = PATIENCE_S,
 ) -> int:
     """Copy what the library lacks from every paired device, or from those, cards and folders named.
@@ -57,7 +46,7 @@ def pull_command(
         Folder of the library to copy to; ~/Retrograph by default.
     at
         The present address of the one device named, HOST or HOST:PORT, if it has changed since pairing.
-    verify
+    rehash
         Hash again what an earlier pull has verified; a damaged copy is named and its receipt withdrawn.
     patience_s
         Seconds without any data after which a device is given up; more for a slow or busy device.
@@ -71,8 +60,12 @@ def pull_command(
         raise PairingError("--at is the address of one device: name that device alone")
     address = Address.parse(at) if at else None
     codes = []
-    with _progress() as show:
-        reports = [(folder, _pull_folder(folder, target, show, verify=verify)) for folder in folders]
+    with progress("bytes") as show_bytes:
+
+        def show(source: str, state: PullProgress) -> None:
+            show_bytes(f"{source}: {state.bundle_id}", state.done_bytes, state.total_bytes, source)
+
+        reports = [(folder, _pull_folder(folder, target, show, rehash=rehash)) for folder in folders]
         outcomes = []
         if wanted:
             outcomes = sync(
@@ -81,7 +74,7 @@ def pull_command(
                 devices,
                 lambda device: open_device(device, devices, address, patience_s),
                 lambda device, state: show(device.device_id, state),
-                verify=verify,
+                verify=rehash,
             )
     alone = len(folders) + len(wanted) == 1
     for folder, report in reports:
@@ -94,11 +87,11 @@ def pull_command(
     return PARTLY if DONE in codes and max(codes) > DONE else max(codes)
 
 
-def _pull_folder(folder: str, target: Library, show: Show, *, verify: bool) -> PullReport:
+def _pull_folder(folder: str, target: Library, show: ShowPull, *, rehash: bool) -> PullReport:
     """Copy what the library lacks from a card, mount or folder."""
     opened = DirectorySource(Path(folder))
     writer = ReceiptWriter(this_host(), utc_now)
-    return pull(opened, target, lambda state: show(opened.name, state), writer, verify=verify)
+    return pull(opened, target, lambda state: show(opened.name, state), writer, verify=rehash)
 
 
 def push_command(source: str, calibration: str, /, *, library: Folder | None = None, at: str | None = None) -> int:
@@ -131,7 +124,7 @@ def _print_report(report: PullReport, where: str) -> int:
     """Print what a pull did; returns the exit code."""
     total = report.here + len(report.failed)
     print_line(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {where}")
-    earlier = f", {len(report.unread)} by an earlier pull (--verify hashes them again)" if report.unread else ""
+    earlier = f", {len(report.unread)} by an earlier pull (--rehash hashes them again)" if report.unread else ""
     print_line(f"{report.here - len(report.unread)} of {total} verified{earlier}")
     for scan in report.without_calibration:
         print_line(f"Note: scan {scan} has no calibration here.")
@@ -142,26 +135,3 @@ def _print_report(report: PullReport, where: str) -> int:
     if report.lost is not None:
         return print_error(report.lost, CONNECTION)
     return DONE if report.complete else PARTLY
-
-
-@contextmanager
-def _progress() -> Iterator[Show]:
-    """A progress bar for each source, on stderr."""
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bars: dict[str, TaskID] = {}
-
-        def show(source: str, state: PullProgress) -> None:
-            if source not in bars:
-                bars[source] = progress.add_task(source, total=None)
-            words = f"{source}: {state.bundle_id}"
-            progress.update(bars[source], description=words, completed=state.done_bytes, total=state.total_bytes)
-
-        yield show

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from device.command_line import Folder
 from device.io.atomic import check_output
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, tell_of_compiling
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, progress, tell_of_compiling
 from host_sync.errors import HostError, RenderError
 
 if TYPE_CHECKING:
@@ -172,8 +168,8 @@ def _draw_one(entry: Entry, still: Still, path: Path, frames: int | None) -> Non
     if frames is None:
         write_any_picture(path, render(_height(entry), still))
     else:
-        with _counting(entry.title) as count:
-            write_turntable(path, _height(entry), still, frames, count)
+        with progress("counts") as show:
+            write_turntable(path, _height(entry), still, frames, lambda done, total: show(entry.title, done, total))
     print_line(str(path))
     _print_doubts(entry)
 
@@ -242,13 +238,3 @@ def _common_range(entries: list[Entry]) -> tuple[float, float]:
         except HostError:
             continue  # what cannot be read is named when it is drawn
     return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else (0.0, 1.0)
-
-
-@contextmanager
-def _counting(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar, on a terminal only."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

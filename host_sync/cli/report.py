@@ -12,7 +12,7 @@ from device.command_line import Folder
 from device.errors import DeviceError
 from device.io.atomic import write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
-from host_sync.cli.measure import chosen_recipe, measured, result_folders
+from host_sync.cli.measure import chosen_recipe, measured, name_copies, result_folders
 from host_sync.errors import HostError, ResultError
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ def report_command(
     template: Path | None = None,
     library: Folder | None = None,
     population: bool = False,
-    force: bool = False,
+    semicolon: bool = False,
+    overwrite: bool = False,
 ) -> int:
     """Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.
 
@@ -52,16 +53,18 @@ def report_command(
     population
         Write one report on all results instead, population.html and population.pdf: control charts, mean and Cpk with
         ±, outliers with thumbnails.
-    force
+    semicolon
+        Write numbers.csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
+    overwrite
         Replace existing reports.
     """
     chosen = chosen_recipe(recipe, {})
     style, logo = _template(template)
     folders = result_folders(results, library)
     with _output_folder(out):
-        _check_free([out / NUMBERS_FILE], replace=force)
+        _check_free([out / NUMBERS_FILE], replace=overwrite)
         report = _report_on_all if population else _report_on_each
-        return report(folders, chosen, style, logo, out, force=force)
+        return report(folders, chosen, style, logo, out, overwrite=overwrite, semicolon=semicolon)
 
 
 @contextmanager
@@ -87,7 +90,8 @@ def _report_on_each(
     logo: Picture | None,
     out: Path,
     *,
-    force: bool,
+    overwrite: bool,
+    semicolon: bool,
 ) -> int:
     """Write a report on each result; returns the exit code."""
     done = []
@@ -102,7 +106,7 @@ def _report_on_each(
 
         name = file_name(found.record.scan_id or found.record.name, taken)
         try:
-            _write(compose(found, style, logo), out / name, replace=force)
+            _write(compose(found, style, logo), out / name, replace=overwrite)
         except (DeviceError, HostError) as error:
             failed = True
             print_error(error, PARTLY)
@@ -112,7 +116,7 @@ def _report_on_each(
     if done:
         from host_sync.measurement.measurement_text import as_csv
 
-        write_output(out / NUMBERS_FILE, as_csv(done).encode())
+        write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
     if failed:
         return PARTLY if done else BAD_INPUT
     return DONE
@@ -125,10 +129,11 @@ def _report_on_all(
     logo: Picture | None,
     out: Path,
     *,
-    force: bool,
+    overwrite: bool,
+    semicolon: bool,
 ) -> int:
     """Write the population's report; returns the exit code."""
-    _check_free([out / f"{POPULATION}.html", out / f"{POPULATION}.pdf"], replace=force)
+    _check_free([out / f"{POPULATION}.html", out / f"{POPULATION}.pdf"], replace=overwrite)
     done: list[Measurement] = []
     failed = False
     for found in measured(folders, recipe):
@@ -140,11 +145,12 @@ def _report_on_all(
             failed = failed or bool(found.failed) or found.fails
     if not done:
         return BAD_INPUT
+    failed = name_copies(done) or failed
     from host_sync.measurement.measurement_text import as_csv
     from host_sync.report.population import compose_population
 
-    _write(compose_population(done, style, logo), out / POPULATION, replace=force)
-    write_output(out / NUMBERS_FILE, as_csv(done).encode())
+    _write(compose_population(done, style, logo), out / POPULATION, replace=overwrite)
+    write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
     return PARTLY if failed else DONE
 
 
@@ -181,7 +187,7 @@ def file_name(text: str, taken: set[str]) -> str:
 
 
 def _check_free(places: Iterable[Path], *, replace: bool) -> None:
-    """Refuse to replace existing files without --force."""
+    """Refuse to replace existing files without --overwrite."""
     for path in places:
         if path.exists() and not replace:
-            raise ResultError(f"{path} exists already: choose another folder, or --force to replace it")
+            raise ResultError(f"{path} exists already: choose another folder, or --overwrite to replace it")

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from device.io.atomic import check_replaceable
 from host_sync.cli.calibrator import obtain_calibration
-from host_sync.cli.console import print_error, print_line, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, print_error, print_line, progress, tell_of_compiling
 from host_sync.cli.reconstruct import MethodName
 from host_sync.errors import FrameSetError
 from host_sync.frames.bundle_movie import BundleMovie
@@ -24,10 +20,6 @@ from host_sync.text import printable
 
 if TYPE_CHECKING:
     from host_sync.video.reconstruct import SequenceReport
-
-DONE, PARTLY = 0, 1
-
-Tell = Callable[[str, int | None, int | None], None]
 
 
 def video(
@@ -81,15 +73,15 @@ def video(
     calibration = calibration or own
     if calibration is None:
         raise FrameSetError("--calibration is missing: only a scan's movie names its own")
-    with _telling() as tell:
+    with progress("counts") as tell:
         tell_of_compiling()
-        tell("loading compiled code", None, None)
+        tell("loading compiled code")
         from host_sync.results.files import RECORD_FILE
         from host_sync.video.frame_solver import FrameSolver
         from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
 
         check_replaceable(out, RECORD_FILE)  # before minutes of work
-        kept = obtain_calibration(calibration, library, lambda words: tell(words, None, None), paper=method == "paper")
+        kept = obtain_calibration(calibration, library, tell, paper=method == "paper")
         known, stated = kept.calibration, encoding or kept.facts.encoding
         solver = FrameSolver(
             known,
@@ -124,18 +116,3 @@ def _tell_report(report: SequenceReport, out: Path) -> int:
     done = total - len(report.failures)
     print_line(f"{done} of {total} frames into {out}: {report.heights_per_s:.1f} heights/s{drawn}")
     return PARTLY if report.failures else DONE
-
-
-@contextmanager
-def _telling() -> Iterator[Tell]:
-    """A progress line, on a terminal only."""
-    console = Console(stderr=True)
-    words = TextColumn("{task.description}", markup=False)
-    columns = (words, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=None)
-
-        def tell(step: str, done: int | None, total: int | None) -> None:
-            progress.update(task, description=step, completed=done or 0, total=total)
-
-        yield tell

@@ -17,6 +17,7 @@ class ExportChoices:
     overwrite : replace files of the same name
     sigma : also write the uncertainty, as a file of its own, where a format has no place for it
     reserved : files that the same command wrote of another source, which are never replaced
+    semicolon : write CSV for spreadsheets of languages with a decimal comma
     base_mm : thickness of a base that makes STL watertight; None leaves it open
     """
 
@@ -25,4 +26,5 @@ class ExportChoices:
     overwrite: bool = False
     base_mm: float | None = None
     sigma: bool = False
+    semicolon: bool = False
     reserved: frozenset[Path] = frozenset()

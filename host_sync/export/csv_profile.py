@@ -7,6 +7,7 @@ from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
+from host_sync.csv_table import table_text
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface
 
@@ -14,10 +15,13 @@ LineUm: TypeAlias = tuple[float, float, float, float]
 """Start column, start row, end column, end row, µm from the centre of the first pixel."""
 
 
-def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | None) -> None:
+def write_csv_profile(
+    file: BinaryIO, surface: SourceSurface, line_um: LineUm | None, *, semicolon: bool = False
+) -> None:
     """Write distance along the line, column, row, height, standard uncertainty and doubts; invalid values are empty.
 
     line_um : None takes the middle row
+    semicolon : as for `table_text`
 
     Raises
     ------
@@ -27,11 +31,12 @@ def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | 
     distance_um, rows, columns = pixels_on_line(surface, line_um)
     z_um = surface.z_um[rows, columns]
     sigma_um = np.full_like(z_um, np.nan) if surface.sigma_um is None else surface.sigma_um[rows, columns]
-    doubts = _quoted("; ".join(surface.doubts))
-    lines = ["distance_um,column,row,height_um,height_sigma_um,doubts"]
-    for along, column, row, height, sigma in zip(distance_um, columns, rows, z_um, sigma_um, strict=True):
-        lines.append(f"{along:.9g},{column},{row},{_cell(height)},{_cell(sigma)},{doubts}")
-    file.write("\r\n".join([*lines, ""]).encode())
+    doubts = "; ".join(surface.doubts)
+    rows_of_numbers = zip(distance_um, columns, rows, z_um, sigma_um, strict=True)
+    table = [(_nine(along), int(column), int(row), _nine(z), _nine(sigma), doubts)
+             for along, column, row, z, sigma in rows_of_numbers]  # fmt: skip
+    names = ("distance_um", "column", "row", "height_um", "height_sigma_um", "doubts")
+    file.write(table_text([names, *table], semicolon=semicolon).encode())
 
 
 def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -66,13 +71,6 @@ def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.n
     return share * math.dist(ends[:2], ends[2:]) * surface.pitch_um, rows, columns
 
 
-def _quoted(text: str) -> str:
-    """A text cell, quoted, and harmless where a spreadsheet would take it for a formula."""
-    if not text:
-        return ""
-    guarded = f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
-    return '"' + guarded.replace('"', '""') + '"'
-
-
-def _cell(value: np.float32) -> str:
-    return "" if np.isnan(value) else f"{value:.9g}"
+def _nine(value: float) -> float:
+    """The number to nine digits."""
+    return float(f"{value:.9g}")

@@ -122,7 +122,7 @@ def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: Ex
             writers[".tif" if form == "tiff" else f".{form}"] = _bound(_FIELDS[form], surface)
         elif form == "csv":
             pixels_on_line(surface, choices.line_um)
-            writers[".csv"] = _bound(write_csv_profile, surface, choices.line_um)
+            writers[".csv"] = _bound(write_csv_profile, surface, choices.line_um, semicolon=choices.semicolon)
         elif form == "stl" and choices.base_mm is not None:
             solid(cast(Mesh, mesh), choices.base_mm)  # refused before anything is written
             writers[".stl"] = _bound(write_stl, cast(Mesh, mesh), surface.name, choices.base_mm)

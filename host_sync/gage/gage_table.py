@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from device.surface.fields import Float64Array
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MeasurementError
-
-MAX_BYTES: Final = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,26 +31,20 @@ def read_rows(path: Path, value_column: str) -> list[GageRow]:
     MeasurementError
         The file cannot be read, or lacks a column or a cell.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise MeasurementError(f"{path}: is larger than any table of measurements: name another file")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a CSV file") from error
-    except UnicodeDecodeError as error:
-        raise MeasurementError(f"{path}: is not UTF-8 text: save it as UTF-8") from error
-    reader = csv.DictReader(lines, skipinitialspace=True)
+    table = read_table(path, MeasurementError)
     wanted = ("part", "operator", value_column)
-    missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+    if not table:
+        raise MeasurementError(f"{path}: has no row below its line of names")
+    missing = [name for name in wanted if name not in table[0]]
     if missing:
         raise MeasurementError(
             f"{path}: has no column {', '.join(missing)}: its first line must name {', '.join(wanted)}"
         )
     rows = []
-    for cells in reader:
-        part, operator, value = (str(cells[name] or "").strip() for name in wanted)
+    for number, cells in enumerate(table, start=2):
+        part, operator, value = (cells[name] for name in wanted)
         if not (part and operator and value):
-            raise MeasurementError(f"{path}: line {reader.line_num}: a cell is empty: fill it in")
+            raise MeasurementError(f"{path}: line {number}: a cell is empty: fill it in")
         rows.append(GageRow(part, operator, value))
     return rows
 
@@ -68,10 +59,7 @@ def numbers(rows: Iterable[GageRow], source: str) -> list[tuple[str, str, float]
     """
     found = []
     for row in rows:
-        try:
-            number = float(row.value)
-        except ValueError:
-            number = float("nan")
+        number = number_in(row.value)
         if not np.isfinite(number):
             raise MeasurementError(f"{source}: part {row.part}, operator {row.operator}: {row.value!r} is not a number")
         found.append((row.part, row.operator, number))

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from device.balls.detector import MAX_CONTACT
+from host_sync.csv_table import read_table
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES, natural_order
-from host_sync.importers.ball_tables import read_table
 from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, left_out
 
 COLUMNS: Final = ("img_names", "center_x", "center_y", "radius")
@@ -49,7 +49,7 @@ def import_annotated(source: Path, said: Said) -> Draft:
     pitch_um = said.pixel_pitch_um or _stated_pitch_um(source)
     largest = MAX_CONTACT * said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
     circles: dict[str, list[Circle]] = {}
-    for row in read_table(table):
+    for row in read_table(table, FrameSetError):
         name = re.split(r"[/\\]", row["img_names"])[-1]  # paths of the computer on which they were drawn
         circles.setdefault(name, []).append(_contact(row, largest, table))
     images = _images(source, set(circles))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import zipfile
 import zlib
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +11,7 @@ import msgspec
 import numpy as np
 
 from hal.decoding import decode_json
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
 from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
@@ -30,7 +29,7 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
         There is no catalogue, or none of its images is there.
     """
     presses, missing = [], []
-    for row in read_table(source / CATALOGUE):
+    for row in read_table(source / CATALOGUE, FrameSetError):
         folder, diameter = inside(source, row.get("experiment_reldir", "")), row.get("diameter(mm)", "")
         image = folder / "gelsight.png"
         if image.is_file():
@@ -63,7 +62,7 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     pitch_um = said.pixel_pitch_um or (1e3 / scale if isinstance(scale, int | float) and scale > 0 else None)
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)
     presses, missing = [], []
-    for row in read_table(source / ANNOTATIONS):
+    for row in read_table(source / ANNOTATIONS, FrameSetError):
         image = inside(source, f"probe_images/{next(iter(row.values()), '')}")
         if image.is_file():
             presses.append(DraftPress((image,), known))  # places are the probe's, not seen; the balls are found
@@ -91,43 +90,9 @@ def _draft(
     )
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Rows of a table with a line of names; empty texts where a row is short.
-
-    Commas, semicolons or tabs separate columns, as the line of names shows; text is UTF-8, UTF-16 or Windows-1252, as
-    spreadsheets of any language write it.
-
-    Raises
-    ------
-    FrameSetError
-        It is no table.
-    """
-    try:
-        text = _decoded(path.read_bytes())
-        names = text.partition("\n")[0]
-        separator = max(",;\t", key=names.count)
-        rows = csv.DictReader(text.splitlines(), restkey="more", restval="", delimiter=separator)
-        rows.fieldnames = [name.strip() for name in rows.fieldnames or ()]
-        return [{key: one.strip() if isinstance(one, str) else one for key, one in row.items()} for row in rows]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FrameSetError(f"{path}: is no table: correct it, or name the calibration's folder") from error
-
-
-def _decoded(data: bytes) -> str:
-    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-        return data.decode("utf-16")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252")
-
-
 def _positive(value: str | None, path: Path) -> float:
     """The length, with a decimal point or comma."""
-    try:
-        number = float((value or "").replace(",", ".", 1))
-    except ValueError:
-        number = float("nan")
+    number = number_in(value or "")
     if not 0.0 < number < float("inf"):
         raise FrameSetError(f"{path}: {value!r} is no length: correct the table")
     return number

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
+import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
@@ -14,6 +17,9 @@ from host_sync.measurement.recipe import Recipe
 from host_sync.profile.profile_line import Line, Profile
 from host_sync.results.doubt import Doubt
 from host_sync.results.record import ResultRecord
+
+COPY: Final = "copy"
+"""Warning that a number is that of a frame which was measured before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,3 +97,24 @@ class Measurement:
         """
         nothing = HeightMap(np.full((1, 1), np.nan, np.float32), self.height.pitch_um)
         return replace(self, height=nothing, surface=nothing, sigma_um=None, profiles=(), spectrum=None, steps=())
+
+
+def copies_among(measurements: Sequence[Measurement]) -> dict[int, Measurement]:
+    """Return which measurements copy an earlier one, by their places: all numbers agree, so they are of one frame.
+
+    No two presses have the same noise.
+    """
+    first: dict[object, Measurement] = {}
+    numbers = [tuple((part.subject, part.name, part.value) for part in one.quantities) for one in measurements]
+    earlier = [first.setdefault(key or place, measurements[place]) for place, key in enumerate(numbers)]
+    return {place: one for place, one in enumerate(earlier) if one is not measurements[place]}
+
+
+def mark_copies(measurements: Sequence[Measurement]) -> list[Measurement]:
+    """Return the measurements, each number of a copy with a warning that it is one."""
+    marked = list(measurements)
+    for place, first in copies_among(measurements).items():
+        said = f"{COPY}: of {first.folder}, not another press"
+        quantities = [msgspec.structs.replace(one, warnings=(*one.warnings, said)) for one in marked[place].quantities]
+        marked[place] = replace(marked[place], quantities=tuple(quantities))
+    return marked

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from itertools import groupby
 from typing import Any, Final
@@ -11,6 +9,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from host_sync.csv_table import table_text
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
@@ -110,48 +109,23 @@ def as_record(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def as_csv(measurements: Sequence[Measurement]) -> str:
-    """Rows of all quantities of several results, with a header."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for measurement in measurements:
-        for one in measurement.quantities:
-            writer.writerow(_row(measurement, one))
-    return stream.getvalue()
+def as_csv(measurements: Sequence[Measurement], *, semicolon: bool = False) -> str:
+    """Rows of all quantities of several results, with a header.
+
+    semicolon : as for `table_text`
+    """
+    rows = [_row(measurement, one) for measurement in measurements for one in measurement.quantities]
+    return table_text([CSV_COLUMNS, *rows], semicolon=semicolon)
 
 
 def _row(measurement: Measurement, one: Quantity) -> list[object]:
-    record = measurement.record
+    record, limits = measurement.record, one.limits
     return [
-        _harmless(str(measurement.folder)),
-        _harmless(record.scan_id or ""),
-        _harmless(one.subject),
-        _harmless(one.name),
-        "" if one.value is None else repr(one.value),
-        "" if one.uncertainty is None else repr(one.uncertainty),
-        one.coverage_factor,
-        one.unit,
-        f"{100.0 * one.masked_share:.4g}",
-        one.samples,
-        "" if one.offset is None else repr(one.offset),
-        _harmless("; ".join(one.warnings)),
-        *(
-            ("", "", "")
-            if one.limits is None
-            else (_bound(one.limits.low), _bound(one.limits.high), one.limits.verdict)
-        ),
-        f"{100.0 * one.left_out_share:.4g}",
-    ]
-
-
-def _bound(value: float | None) -> str:
-    return "" if value is None else repr(value)
-
-
-def _harmless(text: str) -> str:
-    """The text, quoted if a spreadsheet would take it for a formula."""
-    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+        measurement.folder, record.scan_id, one.subject, one.name, one.value, one.uncertainty, one.coverage_factor,
+        one.unit, float(f"{100.0 * one.masked_share:.4g}"), one.samples, one.offset, "; ".join(one.warnings),
+        *((None, None, None) if limits is None else (limits.low, limits.high, limits.verdict)),
+        float(f"{100.0 * one.left_out_share:.4g}"),
+    ]  # fmt: skip
 
 
 def shared_warnings(group: Sequence[Quantity]) -> tuple[str, ...]:

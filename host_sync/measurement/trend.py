@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float64Array
-from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.measurement import COPY, Measurement
 from host_sync.measurement.quantity import Limits, Quantity, decimals, plain
 from host_sync.measurement.tolerance import NO_PITCH_SIGMA, VOID
 from host_sync.results.doubt import REPLACED, DoubtKind
@@ -47,7 +47,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     beyond : which results lie outside them, counted over all from 0
     cp, cpk, ppk : None without a tolerance, or without a spread
     doubts : what is doubted of the results that take part, and of how many
-    replaced : results with a value that do not take part, for their scans were taken again
+    replaced, copies : results with a value that do not take part, for their scans were taken again or are copies
     """
 
     count: int
@@ -67,6 +67,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
     coverage_factor: int = 1
     doubts: tuple[str, ...] = ()
     replaced: int = 0
+    copies: int = 0
 
     def text(self, unit: str) -> str:
         """For example "12 results: mean 1.83 ± 0.06 µm, range 0.2 µm, s 0.05 µm; Cpk 1.4 ± 0.3, Ppk 1.2; k = 1"."""
@@ -84,6 +85,7 @@ class Trend(msgspec.Struct, frozen=True, kw_only=True):
             words += f"; {cp}Cpk {with_uncertainty(self.cpk, self.cpk_uncertainty)}, Ppk {self.ppk:.2f}"
         words += "" if self.mean_uncertainty is None else f"; k = {self.coverage_factor}"
         words += f"; without {self.replaced} that were taken again" if self.replaced else ""
+        words += f"; without {self.copies} that copy another" if self.copies else ""
         return f"{words}; doubts: {', '.join(self.doubts)}" if self.doubts else words
 
 
@@ -102,12 +104,15 @@ def trend_of(
     low, high : the tolerance
     coverage_factor : of the trend's own uncertainties
     warnings : reasons to distrust each value, its doubts among them; empty where there are none. A value whose scan was
-        taken again takes no part, as if it had not been asked for
+        taken again, or that is a copy, takes no part, as if it had not been asked for
     """
     said = list(warnings) if warnings else [()] * len(values)
-    replaced = np.array([any(one.startswith(REPLACED) for one in words) for words in said], bool)
+    again, copies = (
+        np.array([any(one.startswith(kind) for one in words) for words in said], bool) for kind in (REPLACED, COPY)
+    )
+    replaced = again | copies
     every = np.array([np.nan if value is None else value for value in values], np.float64)
-    known = int((replaced & np.isfinite(every)).sum())
+    counts = [int((which & np.isfinite(every)).sum()) for which in (again, copies & ~again)]
     every[replaced] = np.nan
     seen = every[np.isfinite(every)]
     if seen.size < MIN_COUNT:
@@ -150,7 +155,8 @@ def trend_of(
         ppk=ppk,
         coverage_factor=coverage_factor,
         doubts=tuple(_doubted(said)),
-        replaced=known,
+        replaced=counts[0],
+        copies=counts[1],
     )
 
 

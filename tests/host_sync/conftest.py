@@ -13,6 +13,7 @@ from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.cli import console
 from host_sync.kernels.cache import USER_CACHE, configure_cache
 
 
@@ -23,6 +24,7 @@ def calibration_cache(pytestconfig: pytest.Config) -> Iterator[CalibrationCache]
     configure_cache()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(USER_CACHE, str(pytestconfig.cache.mkdir("retrograph")))
+        patch.setattr(console, "LINES_EVERY_S", 1e6)  # no command writes its steps as time passes
         yield CalibrationCache.of_user()
 
 
@@ -34,8 +36,8 @@ def twin_bundle(calibrated_root: Path) -> CalibrationBundle:
 
 @pytest.fixture(scope="session")
 def calibrator(calibration_cache: CalibrationCache, twin_bundle: CalibrationBundle, shared_folder: Path) -> Calibrator:
-    """A calibrator that has made the calibration of the small twin, with the paper's model."""
-    found = Calibrator(calibration_cache, paper=True)
+    """A calibrator that has made the calibration of the small twin."""
+    found = Calibrator(calibration_cache)
     with FileLock(shared_folder / "calibration of the twin.lock"):
         found.of_bundle(twin_bundle)
     return found

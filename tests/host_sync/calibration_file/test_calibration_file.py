@@ -19,7 +19,6 @@ from point_lamps import point_lamps
 from pressed_frames import write_frame_set
 
 from device.balls.viewpoint import Viewpoint
-from device.bundles.calibration import CalibrationBundle
 from device.errors import CalibrationError
 from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.calibrate import Calibration
@@ -31,6 +30,8 @@ from host_sync.calibration_file.inputs import frames_of_set, key_of_set
 from host_sync.calibration_file.kept_calibration import (
     REPORT_NAMES,
     KeptCalibration,
+    facts_of,
+    make_calibration,
     read_calibration_file,
 )
 from host_sync.calibration_file.soundness import Unsound, check_sound
@@ -63,23 +64,11 @@ def frame_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def kept(frame_set: Path, calibration_cache: CalibrationCache) -> KeptCalibration:
-    return Calibrator(calibration_cache, paper=True).of_frame_set(load_frame_set(frame_set))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("source", ["frame set", "twin"])
-def test_a_calibration_that_tests_share_is_what_its_frames_give(
-    source: str, frame_set: Path, twin_bundle: CalibrationBundle, calibration_cache: CalibrationCache
-) -> None:
-    found, again = (
-        calibrator.of_bundle(twin_bundle) if source == "twin" else calibrator.of_frame_set(load_frame_set(frame_set))
-        for calibrator in (Calibrator(calibration_cache, paper=True), Calibrator(paper=True))
-    )
-    assert as_members(found.calibration) == as_members(again.calibration)
-    assert found.report == again.report
-    facts = (msgspec.structs.replace(kept.facts, made_utc="", content="") for kept in (found, again))
-    assert next(facts) == next(facts)
+def kept(frame_set: Path) -> KeptCalibration:
+    described = load_frame_set(frame_set)
+    key = key_of_set(described)
+    frames = replace(frames_of_set(described), paper=True)
+    return make_calibration(frames, lambda found: facts_of(found, "gel-3", key, encoding="linear"))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import pytest
 
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames
+from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.evaluation.figures import frames_to_draw
@@ -29,8 +30,8 @@ def library(calibrated_root: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="module")
-def drawn(library: Library, calibrator: Calibrator) -> tuple[CalibrationFrames, Calibration]:
-    return frames_to_draw(None, library, calibrator)
+def drawn(library: Library, calibration_cache: CalibrationCache) -> tuple[CalibrationFrames, Calibration]:
+    return frames_to_draw(None, library, Calibrator(calibration_cache, paper=True))
 
 
 @pytest.fixture(scope="module")

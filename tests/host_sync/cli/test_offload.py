@@ -45,10 +45,10 @@ def test_a_copy_that_rotted_is_not_called_verified_and_its_receipt_is_taken_back
     (copy / "raw.tif").write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
     capsys.readouterr()
     assert main(pull) == 0
-    assert "0 of 1 verified, 1 by an earlier pull (--verify hashes them again)" in capsys.readouterr().out
+    assert "0 of 1 verified, 1 by an earlier pull (--rehash hashes them again)" in capsys.readouterr().out
     manifest = (scan.directory / "scan.json").read_bytes()
     assert is_receipted(store.root, "scans", scan.scan_id, manifest)
-    for arguments in ([*pull, "--verify"], pull):  # without its receipt it is looked at again
+    for arguments in ([*pull, "--rehash"], pull):  # without its receipt it is looked at again
         assert main(arguments) == 1
         told = capsys.readouterr()
         assert "0 of 1 verified\n" in told.out
@@ -58,11 +58,11 @@ def test_a_copy_that_rotted_is_not_called_verified_and_its_receipt_is_taken_back
     assert main(pull) == 0
     assert (copy / "raw.tif").read_bytes() == good
     assert is_receipted(store.root, "scans", scan.scan_id, manifest)
-    assert main([*pull, "--verify"]) == 0
+    assert main([*pull, "--rehash"]) == 0
     assert capsys.readouterr().out.count("1 of 1 verified\n") == 2
 
 
-@pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["pull"], ["pair"]])
+@pytest.mark.parametrize("arguments", [["pull", ""], ["pull", "/absent/card"], ["pull", "absent"], ["pull"]])
 def test_what_is_not_there_is_bad_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     error = capsys.readouterr().err

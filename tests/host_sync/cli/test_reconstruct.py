@@ -27,12 +27,9 @@ from hal.hardware import Hardware
 from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
-from host_sync.calibration_file.cache import CalibrationCache
-from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
 from host_sync.cli.verify import reproduce_results
 from host_sync.evaluation.reprocess import compare
-from host_sync.frames.frame_set import load_frame_set
 from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import LibraryReconstructor
 
@@ -96,14 +93,13 @@ def frames(tmp_path_factory: pytest.TempPathFactory, small_twin: BoardProfile) -
 
 
 @pytest.fixture(scope="module")
-def results(frames: Frames, calibration_cache: CalibrationCache, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the good scan and three bad ones; their calibration, which later tests find, has the paper's model."""
+def results(frames: Frames, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the good scan and three bad ones."""
     out = tmp_path_factory.mktemp("results")
     path = frames.copy(tmp_path_factory.mktemp("mixed") / "set")
     with path.open("a") as file:
         for name in ("swapped", "black", "bright"):
             file.write(f'[[scan]]\nname = "{name}"\nimage = "{name}.png"\n')
-    Calibrator(calibration_cache, paper=True).of_frame_set(load_frame_set(path))
     assert main(["reconstruct", str(path), "--out", str(out)]) == 1
     return out
 
@@ -197,7 +193,7 @@ def test_the_calibration_report_names_every_ball(results: Path) -> None:
     assert elevation["radius_px"] == pytest.approx(ball["radius_px"])
     assert report["scale_uncertainty"]["pixel_pitch_sigma_um"] is None
     pictures = {path.name for path in (results / "calibration").glob("*.png")}
-    assert pictures == {"residuals.png", "balls.png", "reflectance-maps.png", "ambiguous-bins.png"}
+    assert pictures == {"residuals.png", "balls.png"}
 
 
 def test_bad_scans_are_named_and_leave_nothing(
@@ -331,11 +327,7 @@ def pretend_another_version_wrote(folder: Path) -> None:
 
 
 def test_from_card_to_library_to_results(
-    calibrated_root: Path,
-    calibrator: Calibrator,
-    small_twin: BoardProfile,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    calibrated_root: Path, small_twin: BoardProfile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     card, library = tmp_path / "card", tmp_path / "library"
     shutil.copytree(calibrated_root, card)
@@ -362,7 +354,6 @@ def test_from_card_to_library_to_results(
 
 def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
     calibrated_root: Path,
-    calibrator: Calibrator,
     small_twin: BoardProfile,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -374,7 +365,7 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
         hardware.operator.ask(PressObject("coin"))
         hardware.button.wait_for_press(None)
         scan = scanner.scan(Annotations()).bundle
-    job = LibraryReconstructor(Library(root), calibrator=calibrator)
+    job = LibraryReconstructor(Library(root))
     _, folder = job.run(scan)
     assert run(lambda: reproduce_results(Library(root), job=job)) == 0
     assert "1 identical, 0 not as expected" in capsys.readouterr().out

@@ -174,7 +174,7 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     assert f"{first.scan_id}: has no results" in said.err
     shutil.rmtree(first.directory)
     assert main(["gage-rr", *library]) == 2
-    assert "repeats do not differ" in capsys.readouterr().err
+    assert "is a copy of" in capsys.readouterr().err
     assert main(["gage-rr", *library, "--number", "surface/Sx"]) == 2
     assert "accepted are surface/Sa" in capsys.readouterr().err
     out = tmp_path / "reports"
@@ -187,6 +187,22 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     assert "<b>bob" not in page
     assert "Frame: one exposure" in page
     assert "scan/scan.json" in page
+
+
+def test_a_copy_takes_no_part_in_a_trend(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gains = {"one": 1.0, "two": 1.1, "copy": 1.0, "three": 1.2}
+    folders = [str(write_result(gain * wave, name)) for name, gain in gains.items()]
+    assert main(["measure", *folders, "--parameters", "Sa", "--trend", str(tmp_path / "trend.png"), "--json"]) == 1
+    said = capsys.readouterr()
+    assert said.err == f"retrosync: {folders[2]}: is a copy of {folders[0]}, not another press: no trend has it\n"
+    *records, trend = json.loads(said.out)
+    assert len(records) == 4
+    (sa,) = trend["trends"]
+    assert (sa["count"], sa["copies"], sa["replaced"]) == (3, 1, 0)
+    assert sa["mean"] == pytest.approx(np.mean([sa["values"][at] for at in (0, 1, 3)]))
+    assert main(["measure", *folders[:2], "--parameters", "Sa", "--trend", str(tmp_path / "trend.png")]) == 0
 
 
 class Tags(HTMLParser):
@@ -234,7 +250,7 @@ def test_a_report_stands_alone_and_hostile_names_do_nothing(
     assert main(["report", str(write_result(wave, "another")), "--out", str(out)]) == 2
     assert (out / "numbers.csv").read_bytes() == numbers  # a second report does not take the first one's numbers away
     assert main(arguments) == 2  # they are there already
-    assert main([*arguments, "--force"]) == 0
+    assert main([*arguments, "--overwrite"]) == 0
     assert sheet.read_bytes() == before
     assert not list(tmp_path.rglob("*.partial"))
 

@@ -78,7 +78,7 @@ def test_a_population_needs_two_results_and_replaces_none_unasked(
     assert main(["report", *places[2:4], *arguments]) == 2
     assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "out" / "population.html").read_bytes() == before
-    assert main(["report", *places[2:4], *arguments, "--force"]) == 0
+    assert main(["report", *places[2:4], *arguments, "--overwrite"]) == 0
     assert (tmp_path / "out" / "population.html").read_bytes() != before
 
 

@@ -91,7 +91,7 @@ def test_the_signature_changes_with_a_number_and_with_nothing_else(files: list[s
     found = []
     for low in (1, 1, 1.9):
         (tmp_path / "recipe.toml").write_text(RECIPE.format(low=low))
-        assert main([*files, "--force"]) == 1
+        assert main([*files, "--overwrite"]) == 1
         found.append(signature(tmp_path / "out" / "wave.html"))
     assert found[0] == found[1] != found[2]
     assert '<p class="verdict fail">' in (tmp_path / "out" / "wave.html").read_text()
@@ -105,7 +105,7 @@ def test_the_signature_covers_footer_calibration_and_hashes_that_are_not_printed
     (tmp_path / "other.toml").write_text('footer = "public"\nparts = ["numbers", "calibration"]\n')
 
     def signed(template: str) -> None:
-        assert main([*files, "--force", "--template", str(tmp_path / template)]) == 1
+        assert main([*files, "--overwrite", "--template", str(tmp_path / template)]) == 1
         found.append(signature(tmp_path / "out" / "wave.html"))
 
     signed("short.toml")

@@ -26,7 +26,8 @@ from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
-from host_sync.offload import pairing
+from host_sync.offload import discovery, pairing
+from host_sync.offload.discovery import Announcement
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.resolve import Address
 
@@ -111,6 +112,31 @@ def test_after_pairing_and_not_before_scans_can_be_fetched(
     assert main(["pull", store.device_id, *library]) == 0
     keys.unlink()
     assert main(["pull", store.device_id, *library]) == 3
+
+
+def test_pair_looks_for_the_device_before_it_asks(
+    device_card: DeviceCard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+    def asked(_: str) -> str:
+        raise AssertionError("there is nothing to compare yet")
+
+    monkeypatch.setattr("builtins.input", asked)
+    announced: list[Announcement] = []
+    monkeypatch.setattr(discovery, "discover", lambda _: announced)
+    assert main(["pair"]) == 3
+    assert "no device announces itself" in capsys.readouterr().err
+    assert main(["pair", "127.0.0.1", "--port", "1"]) == 3
+    assert "127.0.0.1:1: no device waits there for pairing" in capsys.readouterr().err
+    announced += [Announcement(name, host, (), 22) for name, host in (("one", "127.0.0.1"), ("two", "two.local"))]
+    assert main(["pair"]) == 2
+    assert "name one of 127.0.0.1, two.local" in capsys.readouterr().err
+    del announced[1:]
+    with window(device_card, tmp_path / "keys") as (port, opened):
+        monkeypatch.setattr("builtins.input", lambda _: "yes" if compare(opened)(opened_code(opened)) else "no")
+        assert main(["pair", "--port", str(port)]) == 0
+    assert "Found one at 127.0.0.1." in capsys.readouterr().out
 
 
 def test_three_codes_that_nobody_confirms_close_the_window(

@@ -1,0 +1,88 @@
+"""Tables as CSV files: read as spreadsheets of any language write them, written so that each opens them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final
+
+from host_sync.errors import HostError
+
+MAX_BYTES: Final = 64 << 20
+BYTE_ORDER_MARK: Final = "\ufeff"
+
+
+def read_table(path: Path, error: type[HostError]) -> list[dict[str, str]]:
+    """Rows of a table with a line of names; empty texts where a row is short.
+
+    Commas, semicolons or tabs separate columns, as the line of names shows; text is UTF-8, UTF-16 or Windows-1252.
+
+    Raises
+    ------
+    HostError
+        The file cannot be read or is no table, as the given class.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise error(f"{path}: is larger than any table: name another file")
+        text = _decoded(path.read_bytes())
+        if "\0" in text:
+            raise error(f"{path}: is not text: name a CSV file")
+        names = text.partition("\n")[0]
+        separator = max(",;\t", key=names.count)
+        rows = csv.DictReader(text.splitlines(), restkey="more", restval="", delimiter=separator, skipinitialspace=True)
+        rows.fieldnames = [name.strip() for name in rows.fieldnames or ()]
+        return [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows)]
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror}): name a CSV file") from problem
+    except (UnicodeDecodeError, csv.Error) as problem:
+        raise error(f"{path}: is no table ({problem}): name a CSV file, or correct it") from problem
+
+
+def _whole(rows: csv.DictReader[str]) -> Iterator[dict[str, str]]:
+    """The rows, none of which holds more than names; a decimal comma would else cut a number where commas separate."""
+    for row in rows:
+        if any(row.pop("more", ())):
+            raise csv.Error(f"line {rows.line_num} has more cells than the line of names")
+        yield row
+
+
+def number_in(cell: str) -> float:
+    """The number in a cell, with a decimal point or comma; NaN where it is none."""
+    try:
+        return float(cell.replace(",", ".", 1))
+    except ValueError:
+        return math.nan
+
+
+def table_text(rows: Iterable[Iterable[object]], *, semicolon: bool = False) -> str:
+    """Rows as CSV; None and NaN are empty cells, and no text is taken for a formula.
+
+    semicolon : separate cells by semicolons and write decimal commas and a byte order mark, for spreadsheets of
+        languages with a decimal comma
+    """
+    stream = io.StringIO(BYTE_ORDER_MARK if semicolon else "", newline="")
+    stream.seek(0, io.SEEK_END)
+    writer = csv.writer(stream, lineterminator="\n", delimiter=";" if semicolon else ",")
+    writer.writerows([_cell(value, "," if semicolon else ".") for value in row] for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: object, point: str) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(float(value)).removesuffix(".0").replace(".", point)
+    text = "" if value is None else str(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) and not isinstance(value, int) else text
+
+
+def _decoded(data: bytes) -> str:
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
