@@ -6,6 +6,7 @@ import os
 import sys
 import webbrowser
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -37,7 +38,7 @@ def view_command(
     host
         Address to listen on. Beyond this machine the connection is not encrypted.
     port
-        Port to listen on; a free one by default.
+        Port to listen on; by default the one with which this folder was viewed last, at first a free one.
     cache
         Cache folder, which can be deleted at any time; in the user's cache by default.
     browser
@@ -48,21 +49,29 @@ def view_command(
     from host_sync.viewer.app import make_app
     from host_sync.viewer.cache import default_cache
     from host_sync.viewer.catalogue import Catalogue
+    from host_sync.viewer.kept_address import answers, keep_access, kept_access
     from host_sync.viewer.service import ViewerService
-    from host_sync.viewer.serving import listening, make_server
+    from host_sync.viewer.serving import is_free, listening, make_server
 
     catalogue = Catalogue(what or default_library())
     service = ViewerService(catalogue, cache or default_cache(), load_frame_set(frames) if frames else None)
+    known = kept_access(catalogue.root, host) if host in LOOPBACK else None
     with ExitStack() as stack:
-        listeners = stack.enter_context(listening(host, port))
-        access = Access(host, listeners[0].getsockname()[1])
+        if known and not port and not is_free(host, known.port):
+            if answers(known):
+                print_line(f"Open {known.link} (it is shown already)")
+                return DONE
+            known = None  # another program has the port
+        listeners = stack.enter_context(listening(host, port or (known.port if known else 0)))
+        taken = listeners[0].getsockname()[1]
+        access = replace(known, port=taken) if known else Access(host, taken)
         server = make_server(make_app(service, access))
         if host not in LOOPBACK:
             print_error(f"listening on {host}: anyone on that network can read the link and the scans", DONE)
-        print_line(f"Open {access.new_link()} (this link opens once)")
-        sys.stdout.flush()
+        kept = host in LOOPBACK and keep_access(catalogue.root, access)
+        print_line(f"Open {access.link}" + (" (keep it: it opens whenever this folder is viewed)" if kept else ""))
         if browser and _has_desktop():
-            webbrowser.open(stack.enter_context(redirect_file(access.new_link())).as_uri())
+            webbrowser.open(stack.enter_context(redirect_file(access.link)).as_uri())
         with suppress(KeyboardInterrupt):  # the normal way to end it
             server.run(sockets=listeners)
     return DONE

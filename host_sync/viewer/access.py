@@ -1,13 +1,15 @@
-"""Access control of the viewer: one-time links, session cookie, Host check and security headers.
+"""Access control of the viewer: link, session cookie, Host check and security headers.
 
-A link carries a code that can be exchanged once for a session cookie, and leaves the address bar with the exchange. On
-loopback the page is served under a random host name below `localhost`: browsers send a host's cookies to all of its
-ports, so a cookie of 127.0.0.1 would reach every other server on this machine. A browser on the desktop is started with
-a file that only its user can read, because every user can read the arguments of a program.
+A link carries a code that is exchanged for a session cookie, and leaves the address bar with the exchange. On loopback
+the link of a folder stays the same from run to run (`kept_address.py`), and the page is served under a random host name
+below `localhost`: browsers send a host's cookies to all of its ports, so a cookie of 127.0.0.1 would reach every other
+server on this machine. A browser on the desktop is started with a file that only its user can read, because every user
+can read the arguments of a program.
 """
 
 from __future__ import annotations
 
+import hashlib
 import html
 import ipaddress
 import os
@@ -19,7 +21,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
-from threading import Lock
 from typing import Final
 from urllib.parse import parse_qs
 
@@ -30,6 +31,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from host_sync.errors import ViewError
 
 LOOPBACK: Final = frozenset({"127.0.0.1", "localhost", "::1"})
+COOKIE_S: Final = 400 * 86_400
+"""Browsers keep no cookie longer."""
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -45,20 +48,23 @@ HEADERS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Credentials of one run of the viewer.
+    """Credentials of the viewer.
 
     host : address that the server listens on
     port : its port
-    token : value of the session cookie
+    code : secret in the link
     random_name : label of the host name below `localhost`
     """
 
     host: str
     port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
+    code: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     random_name: str = field(default_factory=lambda: secrets.token_hex(16))
-    _codes: set[str] = field(default_factory=set)
-    _lock: Lock = field(default_factory=Lock)
+
+    @property
+    def token(self) -> str:
+        """Value of the session cookie; it does not reveal the code."""
+        return hashlib.sha256(f"session {self.code}".encode()).hexdigest()
 
     @property
     def cookie(self) -> str:
@@ -73,19 +79,10 @@ class Access:
         shown = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104
         return f"http://[{shown}]:{self.port}" if ":" in shown else f"http://{shown}:{self.port}"
 
-    def new_link(self) -> str:
-        """An address that opens the page once."""
-        code = secrets.token_urlsafe(32)
-        with self._lock:
-            self._codes.add(code)
-        return f"{self.origin}/?code={code}"
-
-    def redeem(self, code: str) -> bool:
-        """Return whether this is the code of an unused link; marks it as used."""
-        with self._lock:
-            found = [one for one in self._codes if secrets.compare_digest(one.encode(), code.encode())]
-            self._codes.difference_update(found)
-        return bool(found)
+    @property
+    def link(self) -> str:
+        """The address that opens the page in any browser of this machine."""
+        return f"{self.origin}/?code={self.code}"
 
     def knows_host(self, header: str) -> bool:
         """Return whether a Host header names this server: the random name on loopback, else host or IP address."""
@@ -134,10 +131,10 @@ class AccessCheck:
             return refused("Another page requested this: only the viewer's own page may.", 403)
         if scope["path"] == "/" and scope["method"] == "GET" and "prefetch" not in headers.get("sec-purpose", ""):
             code = parse_qs(scope["query_string"].decode("latin-1")).get("code", [""])[0]
-            if code and self._access.redeem(code):
+            if secrets.compare_digest(code.encode(), self._access.code.encode()):
                 return self._session(headers)
         if not self._access.holds_token(_cookie(headers.get("cookie", ""), self._access.cookie)):
-            return refused("Open the link that retrosync view printed. Each link opens once: start it again.", 403)
+            return refused("Open the link that retrosync view printed.", 403)
         return None
 
     def _session(self, headers: Headers) -> Response:
@@ -148,7 +145,7 @@ class AccessCheck:
         else:
             answer = RedirectResponse("/", 303)
         answer.headers["Cache-Control"] = "no-store"
-        answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
+        answer.set_cookie(self._access.cookie, self._access.token, COOKIE_S, httponly=True, samesite="strict", path="/")
         return answer
 
 

@@ -106,6 +106,7 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route("/favicon.ico", mark),
         Route("/page/{name:path}", file),
         Route("/api/list", _answering(lambda request: _list(service, request))),
+        Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
         Route("/api/scan/{key}", _answering(lambda request: _facts(service, request))),
         Route("/api/scan/{key}/thumbnail", _answering(lambda request: _thumbnail(service, request))),

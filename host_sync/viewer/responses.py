@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.responses import Response
 
+from host_sync.csv_table import table_text
 from host_sync.viewer.entry import Entry
 from host_sync.viewer.profile import MeasuredLine
 from host_sync.viewer.pyramid import Level
@@ -61,6 +60,7 @@ def entry_info(entry: Entry) -> dict[str, Any]:
         "pages": entry.pages,
         "rate_hz": entry.rate_hz,
         "stamp": entry.stamp(),
+        "place": readable(entry.folder.name if entry.scan else "/".join(entry.folder.parts[-2:])),
         "doubts": [readable(words) for words in entry.doubts],
         "record": {name: value for name, value in facts.items() if value not in (None, "", ())},
     }
@@ -101,16 +101,13 @@ def profile_info(found: MeasuredLine, entry: Entry) -> dict[str, Any]:
 
 def profile_csv(found: MeasuredLine, entry: Entry) -> Response:
     """A profile as CSV; sigma is one standard uncertainty."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["row_px", "column_px", "distance_um", "height_um", "height_sigma_um", "doubts"])
     doubts = readable("; ".join(entry.doubts))
-    doubts = f"'{doubts}" if doubts.startswith(("=", "+", "-", "@")) else doubts
     sigma = np.full_like(found.z_um, np.nan) if found.sigma_um is None else found.sigma_um
-    for row in zip(found.rows, found.columns, found.along_um, found.z_um, sigma, strict=True):
-        table.writerow([*("" if not np.isfinite(value) else f"{value:.9g}" for value in row), doubts])
+    numbers = zip(found.rows, found.columns, found.along_um, found.z_um, sigma, strict=True)
+    rows = [[*(float(f"{value:.9g}") for value in row), doubts] for row in numbers]
+    names = ["row_px", "column_px", "distance_um", "height_um", "height_sigma_um", "doubts"]
     headers = {"Content-Disposition": f'attachment; filename="profile-{entry.key}.csv"', "Cache-Control": "no-store"}
-    return Response(text.getvalue(), media_type="text/csv; charset=utf-8", headers=headers)
+    return Response(table_text([names, *rows]), media_type="text/csv; charset=utf-8", headers=headers)
 
 
 def _listed(values: NDArray[np.float64]) -> list[float | None]:

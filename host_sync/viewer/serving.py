@@ -129,6 +129,15 @@ def listening(host: str, port: int) -> Iterator[list[socket.socket]]:
         yield listeners
 
 
+def is_free(host: str, port: int) -> bool:
+    """Return whether one can listen there."""
+    try:
+        with listening(host, port):
+            return True
+    except ViewError:
+        return False
+
+
 def _listeners(hosts: list[str], port: int) -> list[socket.socket]:
     """Sockets on one port at the first host and at the others whose address family this machine has."""
     with ExitStack() as stack:

@@ -17,7 +17,18 @@ async function ask(path, options = {}) {
 
 const json = async (path, options) => (await ask(path, options)).json();
 
-export const list = (filters) => json(`/api/list?${new URLSearchParams(filters)}`);
+/** The entries that match; `apart` is what tells one from others with its title. */
+export async function list(filters) {
+  const listing = await json(`/api/list?${new URLSearchParams(filters)}`);
+  const count = new Map();
+  for (const { title } of listing.entries) count.set(title, (count.get(title) ?? 0) + 1);
+  for (const one of listing.entries) {
+    if (count.get(one.title) > 1) one.apart = [one.scan_id === one.title ? null : one.scan_id, one.place].filter(Boolean).join(", ");
+  }
+  return listing;
+}
+
+export const link = async () => (await json("/api/link")).link + location.hash;
 export const facts = (key) => json(`/api/scan/${key}`);
 export const palettes = () => json("/api/palettes");
 export const thumbnail = (entry) => `/api/scan/${entry.key}/thumbnail?${entry.stamp}`;
@@ -40,6 +51,7 @@ export const trend = (numbers) => json("/api/trend", { method: "POST", body: JSO
 /** Address of a profile; a line is { row_0, column_0, row_1, column_1 }. */
 export const profileAddress = (key, page, line, form = "json") =>
   `/api/scan/${key}/profile?${new URLSearchParams({ ...line, page, form })}`;
+export const text = async (path) => (await ask(path)).text();
 export const profile = (key, page, line) => json(profileAddress(key, page, line));
 
 /** Some rows of a level: half floats (4 a pixel) and bytes (1 a pixel). */

@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { chart, polyline } from "./charts.js";
-import { announce, field, h, svg } from "./dom.js";
+import { announce, button, copy, field, h, harmless, svg, tabbed } from "./dom.js";
 import { plain } from "./format.js";
 import { KEPT } from "./measure.js";
 import { nameOf } from "./scan.js";
@@ -27,6 +27,7 @@ class BatchPage {
     this.status = h("p", { class: "count", role: "status" });
     this.startButton = h("button", { type: "button", onclick: () => (this.running ? this.stop() : this.run()) }, "Measure");
     this.saved = h("a", { class: "button small", download: "numbers.csv", hidden: true }, "Save table as CSV");
+    this.copying = button("Copy table", () => copy(tabbed(this.rows), "Table"), { hidden: true });
     this.shown = h("select", { onchange: () => this.trend() });
     this.chart = h("div", { class: "trend", hidden: true });
     this.table = h("table", { class: "numbers" });
@@ -34,7 +35,7 @@ class BatchPage {
     this.element = h("div", { class: "library" }, h("h1", {}, this.title), h("p", { class: "root" },
       "The recipe that was drawn last, on the scans of the list, in the order in which they were taken."), recipe,
       h("div", { class: "filters" }, field("Scans with", this.search), field("Trend of", this.shown)),
-      h("div", { class: "row between" }, this.status, h("div", { class: "row" }, this.startButton, this.saved)), this.chart,
+      h("div", { class: "row between" }, this.status, h("div", { class: "row" }, this.startButton, this.saved, this.copying)), this.chart,
       h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Numbers" }, this.table));
     this.layOut();
   }
@@ -89,6 +90,13 @@ class BatchPage {
     }
   }
 
+  /** The scan whose very numbers another one repeats: copies of one press are no two measurements. */
+  copied(entry) {
+    const numbers = (one) => JSON.stringify((this.answers.get(one.key)?.quantities ?? []).map(({ value }) => value));
+    const first = this.chosen.find((one) => this.answers.get(one.key)?.quantities?.length && numbers(one) === numbers(entry));
+    return first && first !== entry ? nameOf(first) : null;
+  }
+
   quantity(entry, key) {
     return (this.answers.get(entry.key)?.quantities ?? []).find((one) => `${one.subject}: ${one.name}` === key);
   }
@@ -108,7 +116,8 @@ class BatchPage {
         return h("td", { class: verdict ?? null }, one ? `${verdict ? `${SIGNS[verdict]} ` : ""}${one.number}` : "");
       });
       const words = found?.error ?? (found?.doubts ?? entry.doubts).map((doubt) => doubt.split(":")[0]).join(", ");
-      return h("tr", {}, h("th", { scope: "row" }, h("a", { href: `#/scan/${entry.key}` }, nameOf(entry))), ...cells, h("td", { class: "doubt" }, words));
+      const copied = this.copied(entry);
+      return h("tr", {}, h("th", { scope: "row" }, h("a", { href: `#/scan/${entry.key}` }, nameOf(entry))), ...cells, h("td", { class: "doubt" }, copied ? `copy of ${copied}` : words));
     });
     this.table.replaceChildren(h("caption", { class: "unseen" }, "Numbers of each scan"), h("thead", {}, head), h("tbody", {}, rows));
     this.save(chosen, keys);
@@ -117,12 +126,11 @@ class BatchPage {
 
   save(chosen, keys) {
     const cell = (value) => {
-      const text = String(value ?? "");
-      const safe = typeof value === "string" && /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+      const safe = harmless(value);
       return /[",\n\r]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
     };
     const head = ["scan", "taken", ...keys.flatMap((key) => [`${key}${this.columns.get(key).unit ? `, ${this.columns.get(key).unit}` : ""}`, `± of ${key}`, `verdict of ${key}`]), "doubts"];
-    const rows = chosen.filter((entry) => this.answers.get(entry.key)?.quantities).map((entry) => [entry.title, entry.taken ?? "",
+    const rows = chosen.filter((entry) => this.answers.get(entry.key)?.quantities).map((entry) => [[entry.title, entry.apart].filter(Boolean).join(", "), entry.taken ?? "",
       ...keys.flatMap((key) => {
         const one = this.quantity(entry, key);
         return [one?.value, one?.uncertainty, one?.limits?.verdict];
@@ -130,12 +138,13 @@ class BatchPage {
     if (this.address) URL.revokeObjectURL(this.address);
     this.address = URL.createObjectURL(new Blob([[head, ...rows].map((row) => row.map(cell).join(",")).join("\n"), "\n"], { type: "text/csv" }));
     this.saved.href = this.address;
-    this.saved.hidden = !rows.length;
+    this.saved.hidden = this.copying.hidden = !rows.length;
+    this.rows = [head, ...rows];
   }
 
   async trend() {
     const key = this.shown.value;
-    const shown = this.chosen.map((entry) => [entry, this.quantity(entry, key)]).filter(([, one]) => one);
+    const shown = this.chosen.map((entry) => [entry, this.quantity(entry, key)]).filter(([entry, one]) => one && !this.copied(entry));
     this.chart.hidden = shown.length < 2;
     if (shown.length < 2) return;
     const { low = null, high = null } = shown[0][1].limits ?? {};

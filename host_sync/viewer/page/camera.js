@@ -22,8 +22,10 @@ export class Eye {
 
   resize(width, height) {
     const fitted = Math.abs(this.zoom - this.fittingZoom) < 1e-6 * this.zoom;
+    const before = this.reach;
     this.view = { width: Math.max(1, width), height: Math.max(1, height) };
-    if (fitted && !this.space) this.fit();
+    this.distance *= this.reach / before;
+    if (fitted) this.zoom = this.fittingZoom;
   }
 
   get fittingZoom() {
@@ -36,9 +38,13 @@ export class Eye {
     this.zoom = this.fittingZoom;
     this.azimuth = -62;
     this.elevation = 42;
-    const aspect = this.view.width / this.view.height;
-    const reach = Math.hypot(this.size.rows, this.size.columns) / 2;
-    this.distance = (reach / Math.tan(MathUtils.degToRad(FIELD_DEG / 2))) * Math.max(1, 1.25 / aspect) * 0.87;
+    this.distance = this.reach;
+  }
+
+  /** Distance in space from which everything is seen. */
+  get reach() {
+    const half = Math.hypot(this.size.rows, this.size.columns) / 2;
+    return (half / Math.tan(MathUtils.degToRad(FIELD_DEG / 2))) * Math.max(1, (1.25 * this.view.height) / this.view.width) * 0.87;
   }
 
   /** Screen pixels per pixel of the height map, at the centre of the view. */

@@ -43,3 +43,22 @@ export function check(label, checked, onchange) {
 export function announce(words) {
   document.getElementById("live").textContent = words;
 }
+
+/** A small button. */
+export const button = (words, onclick, more = {}) => h("button", { type: "button", class: "small", onclick, ...more }, words);
+
+/** Copies a text; where the browser refuses, it is shown to be copied by hand. */
+export async function copy(text, what) {
+  try {
+    await navigator.clipboard.writeText(text);
+    announce(`${what}: copied`);
+  } catch {
+    prompt(what, text);
+  }
+}
+
+/** A cell that no spreadsheet takes for a formula. */
+export const harmless = (cell) => (typeof cell === "string" && /^[=+\-@\t\r]/.test(cell) ? `'${cell}` : String(cell ?? ""));
+
+/** Rows of cells as a spreadsheet takes them from the clipboard. */
+export const tabbed = (rows) => rows.map((row) => row.map((cell) => harmless(cell).replace(/\s+/g, " ")).join("\t")).join("\n");

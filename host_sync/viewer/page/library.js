@@ -83,10 +83,10 @@ class LibraryPage {
   }
 
   card(entry) {
-    const facts = [entry.kind === "result" ? null : entry.kind, moment(entry.taken),
+    const facts = [entry.apart, entry.kind === "result" ? null : entry.kind, moment(entry.taken),
       entry.job && `job ${entry.job}`, entry.tags?.length ? entry.tags.map((tag) => `#${tag}`).join(" ") : null, `${length(entry.columns * entry.pitch_um)} × ${length(entry.rows * entry.pitch_um)}`];
     const warned = entry.doubts.length ? entry.doubts.map((words) => words.split(":")[0]).join(", ") : null;
-    const box = h("input", { type: "checkbox", checked: this.chosen.has(entry.key), "aria-label": `Compare ${entry.title}`,
+    const box = h("input", { type: "checkbox", checked: this.chosen.has(entry.key), "aria-label": ["Compare", entry.title, entry.apart].filter(Boolean).join(" "),
       onchange: () => this.tick(entry, box) });
     return h("li", { class: "card" },
       h("a", { href: `#/scan/${entry.key}` },

@@ -3,7 +3,7 @@
 import * as api from "./api.js";
 import { batchPage } from "./batch.js";
 import { comparePage } from "./compare.js";
-import { h } from "./dom.js";
+import { copy, h } from "./dom.js";
 import { setUpKeys } from "./keys.js";
 import { libraryPage } from "./library.js";
 import { scanPage } from "./scan.js";
@@ -53,10 +53,20 @@ async function show() {
   if (mine > 1) main.focus({ preventScroll: true });
 }
 
+/** A recipe that is dropped on a scan measures it. */
+function drop(event) {
+  event.preventDefault();
+  const [file] = event.dataTransfer.files;
+  if (file) shown?.drop?.(file);
+}
+
 async function begin() {
   setUpTheme(document.getElementById("theme-button"));
   setUpKeys(document.getElementById("keys-button"));
+  document.getElementById("link-button").addEventListener("click", async () => copy(await api.link(), "Link to this page"));
   addEventListener("hashchange", show);
+  addEventListener("dragover", (event) => event.preventDefault());
+  addEventListener("drop", drop);
   if (!location.hash) {
     const { only } = await api.list({}).catch(() => ({ only: null }));
     if (only) history.replaceState(null, "", `#/scan/${only}`);

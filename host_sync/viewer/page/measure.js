@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { figures } from "./charts.js";
-import { announce, check, field, h } from "./dom.js";
+import { announce, button, check, copy, field, h, tabbed } from "./dom.js";
 import { ItemCard, SURFACE } from "./measure_card.js";
 import { RecipeHistory } from "./recipe_history.js";
 import { KINDS } from "./recipe_shapes.js";
@@ -93,11 +93,16 @@ export class MeasurePanel {
   }
 
   numberSection() {
-    return section("Numbers", this.status, this.problem, this.doubts, this.list);
+    this.copying = button("Copy numbers", () => copy(tabbed([["", "", "value", "±", "unit", "verdict"], ...this.found.quantities.map((one) =>
+      [one.subject, one.name, one.value, one.uncertainty, one.unit, one.limits?.verdict])]), "Numbers"), { disabled: true });
+    return section("Numbers", this.status, this.problem, this.doubts, this.list, h("div", { class: "row" }, this.copying));
   }
 
   recipeSection() {
-    const file = h("input", { type: "file", accept: ".toml", onchange: () => this.load(file) });
+    const file = h("input", { type: "file", accept: ".toml", onchange: () => {
+      if (file.files.length) this.load(file.files[0]);
+      file.value = "";
+    } });
     this.saved = h("a", { class: "small button", download: "recipe.toml", hidden: true }, "Save recipe");
     this.many = h("button", { type: "button", class: "small", disabled: true, onclick: () => {
       sessionStorage.setItem(KEPT, this.found.text);
@@ -216,8 +221,7 @@ export class MeasurePanel {
     if (this.address) URL.revokeObjectURL(this.address);
     this.address = URL.createObjectURL(new Blob([found.text], { type: "application/toml" }));
     this.saved.href = this.address;
-    this.saved.hidden = this.many.disabled = false;
-    this.many.disabled = false;
+    this.saved.hidden = this.many.disabled = this.copying.disabled = false;
     if (!found.samples || !this.stage.facts.has_samples || !this.drawer.childElementCount) this.drawer.replaceChildren(...figures(found));
     this.drawer.hidden = !this.drawer.childElementCount;
     this.layOut();
@@ -225,11 +229,11 @@ export class MeasurePanel {
     if (final) announce("Numbers are complete");
   }
 
+  /** Take the recipe of a file. */
   async load(file) {
-    const [one] = file.files;
-    if (!one) return;
     try {
-      const found = await api.measure(this.stage.facts.key, this.stage.relief.page, { text: await one.text() }, false);
+      if (!file.name.endsWith(".toml")) throw new Error(`${file.name} is no recipe: a recipe is a .toml file`);
+      const found = await api.measure(this.stage.facts.key, this.stage.relief.page, { text: await file.text() }, false);
       const kept = Object.entries(found.recipe).filter(([name, value]) => value !== null && name !== "scale");
       if (found.recipe.scale && Object.values(found.recipe.scale).some((share) => share !== null)) kept.push(["scale", found.recipe.scale]);
       this.commit(Object.fromEntries(kept));
@@ -237,7 +241,6 @@ export class MeasurePanel {
       this.problem.textContent = error.message;
       this.problem.hidden = false;
     }
-    file.value = "";
   }
 
   dispose() {

@@ -32,7 +32,7 @@ export class Relief {
     this.page = Math.floor(facts.pages / 2);
     this.playing = false;
     ColorManagement.enabled = false; // the shader writes what the screen shows
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: false });
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: false, preserveDrawingBuffer: true });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.eye = new Eye({ rows: facts.rows, columns: facts.columns });
     this.texture = this.newTexture();

@@ -1,7 +1,7 @@
 // One scan: the relief, the panel beside it, the profile and, for a video, the player below it.
 
 import * as api from "./api.js";
-import { announce, field, h } from "./dom.js";
+import { announce, button, copy, field, h } from "./dom.js";
 import { length, micrometres, moment, percent } from "./format.js";
 import { firstLook, LookPanel } from "./look.js";
 import { MeasurePanel } from "./measure.js";
@@ -73,12 +73,18 @@ class ScanPage {
     this.tabs.forEach((button, at) => button.setAttribute("aria-pressed", String(at === index)));
     this.views.hidden = index === 1;
     this.measure.element.hidden = index === 0;
+    this.plotBox.hidden = index === 1 || !this.asked;
     this.charts.hidden = index === 0 || !this.charts.childElementCount;
     if (index === 0) this.measure.left();
     else if (!this.measuring) {
       this.measuring = true;
       this.measure.start();
     }
+  }
+
+  drop(file) {
+    this.turnTo(1);
+    this.measure.load(file);
   }
 
   async loadFrame() {
@@ -100,13 +106,14 @@ class ScanPage {
       name, h("input", { type: "number", min: 0, step: 1, onchange: () => this.takeEnds(),
         max: (name.startsWith("row") ? this.facts.rows : this.facts.columns) - 1 })]));
     this.save = h("a", { class: "small button", download: "", hidden: true }, "Save as CSV");
+    this.copy = button("Copy", async () => copy(await api.text(this.save.href), "Profile"), { hidden: true });
     return h("details", { open: true }, h("summary", {}, "Profile"), h("div", { class: "inside" },
       h("p", { class: "hint" }, "Draw with the Profile tool, or give both ends in pixels."),
       h("div", { class: "pair" }, field("Row", this.ends.row_0), field("Column", this.ends.column_0)),
       h("div", { class: "pair" }, field("to row", this.ends.row_1), field("to column", this.ends.column_1)),
       h("div", { class: "row" },
         h("button", { type: "button", class: "small", onclick: () => this.middleLine() }, "Through the middle"),
-        h("button", { type: "button", class: "small", onclick: () => this.clearLine() }, "Clear"), this.save)));
+        h("button", { type: "button", class: "small", onclick: () => this.clearLine() }, "Clear"), this.save, this.copy)));
   }
 
   takeEnds() {
@@ -124,7 +131,7 @@ class ScanPage {
   clearLine() {
     this.stage.line = this.stage.profile = this.stage.cursor = null;
     this.asked = null;
-    this.plotBox.hidden = this.save.hidden = true;
+    this.plotBox.hidden = this.save.hidden = this.copy.hidden = true;
     for (const input of Object.values(this.ends)) input.value = "";
     this.stage.overlay();
   }
@@ -141,7 +148,7 @@ class ScanPage {
     try {
       const found = await api.profile(this.facts.key, page, line);
       if (!this.asked) return;
-      this.plotBox.hidden = this.save.hidden = false;
+      this.plotBox.hidden = this.save.hidden = this.copy.hidden = false;
       this.save.href = api.profileAddress(this.facts.key, page, line, "csv");
       this.stage.profile = this.asked === line ? found : null;
       this.stage.problem.hidden = true;
@@ -179,7 +186,7 @@ class ScanPage {
 
 /** Facts that distinguish an entry. */
 export function nameOf(entry) {
-  return [entry.title, moment(entry.taken), entry.kind === "result" ? null : entry.kind].filter(Boolean).join(" · ");
+  return [entry.title, entry.apart, moment(entry.taken), entry.kind === "result" ? null : entry.kind].filter(Boolean).join(" · ");
 }
 
 /** Name, tags and note, which the library keeps beside its scans. */

@@ -6,6 +6,7 @@ import { length, withSigma } from "./format.js";
 import { listenToGestures } from "./gestures.js";
 import { keysEverywhere } from "./keys.js";
 import { ColourLegend, ScaleBar } from "./legend.js";
+import { picture } from "./picture.js";
 import { Relief } from "./relief.js";
 
 const STEP_PX = 48;
@@ -36,15 +37,14 @@ export class Stage {
     this.lines = svg("svg", { class: "lines", "aria-hidden": "true" });
     this.reading = h("p", { class: "reading" });
     this.doubts = h("p", { class: "warning doubts", hidden: !facts.doubts.length },
-      `⚠ Doubt: ${facts.doubts.map((words) => words.split(":")[0]).join(", ")}`);
+      `⚠ Doubt: ${facts.doubts.join("; ")}`);
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.legend = new ColourLegend(palettes);
     this.scale = new ScaleBar();
     this.cross = h("span", { class: "cross", "aria-hidden": "true" });
     this.surface = h("div", { class: "surface" }, this.canvas, this.lines, this.cross);
-    this.element = h("div", { class: "stage" }, this.surface, this.toolbar(),
-      h("div", { class: "feet" }, h("div", { class: "foot" }, this.legend.element, this.scale.element), this.doubts, this.reading),
-      this.problem);
+    this.element = h("div", { class: "stage" }, this.toolbar(), this.problem, this.surface,
+      h("div", { class: "feet" }, this.legend.element, this.scale.element, this.reading, this.doubts));
     this.surface.dataset.tool = this.tool;
   }
 
@@ -98,7 +98,15 @@ export class Stage {
         button("Fit", "Show everything (0)", () => this.fit()),
         button("1:1", "A screen pixel for each pixel (1)", () => this.natural()),
         button("−", "Zoom out (−)", () => this.zoom(1 / 1.5)),
-        button("+", "Zoom in (+)", () => this.zoom(1.5))));
+        button("+", "Zoom in (+)", () => this.zoom(1.5))),
+      h("div", { class: "set" }, button("Save picture", "Save what is seen as a PNG", () => this.savePicture())));
+  }
+
+  async savePicture() {
+    const name = `${this.facts.title.replace(/[^\p{L}\p{N}._-]+/gu, "_")}.png`;
+    const href = URL.createObjectURL(await picture(this));
+    h("a", { href, download: name }).click();
+    setTimeout(() => URL.revokeObjectURL(href), 60_000);
   }
 
   choose(tool) {

@@ -225,7 +225,7 @@ def visit(browser: Any, context: Any) -> Iterator[Callable[..., Any]]:
         page.on("console", lambda said: problems.append(said.text) if said.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: problems.append(str(error)))
         page.on("request", lambda request: asked.append((served.origin, request.url)))
-        page.goto(begin or served.access.new_link())
+        page.goto(begin or served.access.link)
         return page
 
     open_page.problems = problems  # type: ignore[attr-defined]

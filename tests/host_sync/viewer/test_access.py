@@ -16,8 +16,10 @@ import pytest
 import uvicorn
 from uvicorn.server import ServerState
 
+from host_sync.cli.main import main
 from host_sync.errors import ViewError
-from host_sync.viewer.access import Access, redirect_file
+from host_sync.viewer.access import redirect_file
+from host_sync.viewer.kept_address import keep_access
 from host_sync.viewer.serving import ConnectionLimits, LimitedConnection, listening
 
 ANOTHER_USER = 65534
@@ -53,7 +55,7 @@ def test_a_browser_comes_through_the_redirect_file_and_its_cookie_stays(
 ) -> None:
     """From a file, as the desktop's browser does; then the same browser visits other servers of this machine."""
     port, heard = eavesdropper
-    link = served.access.new_link()
+    link = served.access.link
     with redirect_file(link) as path:
         page = visit(served, begin=path.as_uri(), locale="en")
         page.wait_for_selector(".card")
@@ -66,7 +68,8 @@ def test_a_browser_comes_through_the_redirect_file_and_its_cookie_stays(
     assert len([one for one in heard if one.startswith("/\n")]) == 3
     assert not [one for one in heard if served.access.token in one or served.access.random_name in one]
     status = page.goto(link).status
-    assert status == 200  # the same browser has the cookie; the code is spent
+    assert status == 200
+    assert page.context.cookies()[0]["expires"] > 0  # it outlives the browser's window
 
 
 def test_the_redirect_file_is_private_and_does_not_stay(tmp_path: Path) -> None:
@@ -87,7 +90,12 @@ def test_no_process_shows_a_link_to_other_users(results: Path, tmp_path: Path) -
     browser = tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\necho "$@" > {said}.part\ncp "${{1#file://}}" {seen}\nmv {said}.part {said}\n')
     browser.chmod(0o755)
-    environment = os.environ | {"BROWSER": str(browser), "DISPLAY": ":77", "XDG_CACHE_HOME": str(tmp_path)}
+    environment = os.environ | {
+        "BROWSER": str(browser),
+        "DISPLAY": ":77",
+        "XDG_CACHE_HOME": str(tmp_path),
+        "XDG_CONFIG_HOME": str(tmp_path),
+    }
     command = [sys.executable, "-m", "host_sync", "view", str(results)]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as viewer:
         try:
@@ -104,7 +112,8 @@ def test_no_process_shows_a_link_to_other_users(results: Path, tmp_path: Path) -
     assert "code" not in arguments
     assert name not in arguments
     assert name in seen.read_text()
-    assert code not in seen.read_text()  # each link has a code of its own
+    assert code in seen.read_text()
+    assert (tmp_path / "retrograph" / "viewer.json").stat().st_mode & 0o777 == 0o600
 
 
 def test_both_loopback_addresses_are_taken(tmp_path: Path) -> None:
@@ -122,18 +131,48 @@ def test_both_loopback_addresses_are_taken(tmp_path: Path) -> None:
             pass
 
 
-def test_a_prefetch_does_not_spend_a_link(served: Any) -> None:
-    path = served.access.new_link().removeprefix(served.origin)
+def test_a_prefetch_opens_nothing(served: Any) -> None:
+    path = served.access.link.removeprefix(served.origin)
     assert served.ask(path, Sec_Purpose="prefetch")[0] == 403
     assert served.ask(path, "HEAD")[0] == 403
     assert served.ask(path)[0] == 303
 
 
-def test_links_have_codes_of_their_own() -> None:
-    access = Access("127.0.0.1", 80)
-    first, second = access.new_link(), access.new_link()
-    codes = [link.partition("code=")[2] for link in (first, second)]
-    assert [access.redeem(codes[0]), access.redeem(codes[0]), access.redeem(codes[1])] == [True, False, True]
+def test_the_address_of_a_folder_stays(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def again(_server: uvicorn.Server, sockets: list[socket.socket]) -> None:
+        """A second `view` finds the port taken, by what does not answer as a viewer."""
+        monkeypatch.setattr(uvicorn.Server, "run", lambda *_, **__: None)
+        assert main(["view", str(results), "--no-browser"]) == 0
+
+    def view(folder: Path, *options: str) -> str:
+        assert main(["view", str(folder), "--no-browser", *options]) == 0
+        return capsys.readouterr().out.split()[1]
+
+    monkeypatch.setattr(uvicorn.Server, "run", lambda *_, **__: None)
+    link = view(results)
+    assert view(results) == link
+    assert view(results / "hill").partition("=")[2] != link.partition("=")[2]
+    monkeypatch.setattr(uvicorn.Server, "run", again)
+    assert view(results) == link
+    moved = view(results)
+    assert moved != link
+    assert view(results) == moved
+
+
+def test_a_folder_that_is_shown_already_is_named_and_not_served_twice(
+    serve: Callable[..., Any], results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    access = serve(results).access
+    keep_access(results, access)
+    assert main(["view", str(results), "--no-browser"]) == 0
+    assert capsys.readouterr().out == f"Open {access.link} (it is shown already)\n"
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,14 @@ import tifffile
 from host_sync.viewer.access import Access
 
 
-def test_a_link_opens_the_page_once_and_its_code_leaves_the_address(served: Any) -> None:
-    path = served.access.new_link().removeprefix(served.origin)
+def test_a_link_opens_the_page_and_its_code_leaves_the_address(served: Any) -> None:
+    path = served.access.link.removeprefix(served.origin)
     status, headers, _ = served.ask(path)
     assert (status, headers["location"]) == (303, "/")
     assert served.access.token not in path
-    assert served.ask(path)[0] == 403
+    assert served.access.code not in headers["set-cookie"]
+    assert served.ask(path)[0] == 303
+    assert served.json("/api/link") == {"link": served.access.link}
     assert "HttpOnly" in headers["set-cookie"]
     assert "SameSite=strict" in headers["set-cookie"]
     assert served.get("/")[0] == 200

@@ -291,7 +291,7 @@ def test_names_from_an_enemy_stay_words(
     page = visit(served)
     page.wait_for_selector(".card")
     open_scan(page, world.HOSTILE)
-    assert page.locator(".warning.doubts").text_content() == "⚠ Doubt: reconstruction"
+    assert page.locator(".warning.doubts").text_content() == f"⚠ Doubt: reconstruction: a warning {world.HOSTILE}"
     (words,) = page.locator(".warning:not(.doubts):not([hidden])").all_text_contents()
     assert words == f"reconstruction: a warning {world.HOSTILE}"
     assert page.locator("#where").text_content() == world.HOSTILE
@@ -336,3 +336,89 @@ def test_on_a_telephone_nothing_is_cut_off(served: Any, visit: Callable[..., Any
         touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
     settle(page)
     assert page.locator(".scale-bar").text_content() != before
+
+
+def overlap(page: Any, first: str, second: str) -> bool:
+    """Whether two elements share a pixel of the screen."""
+    one, other = (page.locator(selector).first.bounding_box() for selector in (first, second))
+    return all(
+        one[at] < other[at] + other[size] and other[at] < one[at] + one[size]
+        for at, size in (("x", "width"), ("y", "height"))
+    )
+
+
+def shown_columns(page: Any) -> float:
+    """Width of the relief on the screen, by what its own colours cover, as a fraction of the stage's."""
+    picture = stage_picture(page).astype(int)
+    inside = (np.abs(picture - picture[2, 2]).max(axis=2) > 12).mean(axis=0) > 0.2
+    return float(inside.mean())
+
+
+def test_plots_leave_the_relief_whole_and_nothing_lies_over_it(served: Any, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    page.set_viewport_size({"width": 1280, "height": 800})
+    open_scan(page, "moved")
+    before = shown_columns(page)
+    page.get_by_role("button", name="Through the middle").click()
+    page.wait_for_selector(".plot .line")
+    settle(page)
+    handle, surface = (page.locator(one).first.bounding_box() for one in (".lines .end", ".surface"))
+    assert surface["height"] > 250
+    assert shown_columns(page) < before
+    assert surface["x"] < handle["x"] < surface["x"] + surface["width"]
+    for cover in (".legend", ".scale-bar", ".toolbar"):
+        assert not overlap(page, ".surface", cover)
+    page.get_by_role("button", name="3-D").click()
+    page.get_by_role("button", name="Clear").click()
+    page.get_by_role("button", name="3-D").click()
+    settle(page)
+    assert shown_columns(page) == pytest.approx(before, abs=0.02)
+
+
+def test_numbers_pictures_and_links_are_taken_along(served: Any, visit: Callable[..., Any], tmp_path: Path) -> None:
+    page = visit(served, permissions=["clipboard-read", "clipboard-write"])
+    open_scan(page, "hill")
+
+    def copied(button: str) -> str:
+        page.evaluate("() => navigator.clipboard.writeText('')")
+        page.get_by_role("button", name=button, exact=True).click()
+        page.wait_for_function("() => navigator.clipboard.readText().then(text => text !== '')")
+        return str(page.evaluate("() => navigator.clipboard.readText()"))
+
+    assert copied("Copy link") == f"{served.access.link}{page.evaluate('location.hash')}"
+    page.get_by_role("button", name="Through the middle").click()
+    page.wait_for_selector(".plot .line")
+    assert copied("Copy").startswith("row_px,column_px,distance_um,height_um")
+    with page.expect_download() as saving:
+        page.get_by_role("button", name="Save picture").click()
+    saving.value.save_as(tmp_path / saving.value.suggested_filename)
+    picture = cv2.imread(str(tmp_path / "hill.png"))
+    assert picture.shape[1] == page.locator(".surface").bounding_box()["width"]
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 1000
+    page.evaluate(
+        """() => {
+            const data = new DataTransfer();
+            const text = "[[distance]]\\nname = 'dropped'\\nfrom_um = [9, 9]\\nto_um = [900, 9]";
+            data.items.add(new File([text], "own.toml"));
+            dispatchEvent(new DragEvent("drop", { dataTransfer: data }));
+        }"""
+    )
+    page.wait_for_selector(".item:has(input[aria-label='Name of dropped']) .value")
+    assert "\ndropped\t" in copied("Copy numbers")
+    page.emulate_media(media="print")
+    assert page.locator(".toolbar").is_hidden()
+    assert page.locator(".item .value").first.is_visible()
+
+
+def test_scans_of_one_name_are_told_apart(
+    serve: Callable[..., Any], world: Any, visit: Callable[..., Any], tmp_path: Path
+) -> None:
+    for day in ("monday", "tuesday"):
+        world.write_result(tmp_path / day / "coin", world.surface(), "coin")
+    page = visit(serve(tmp_path))
+    page.wait_for_selector(".card")
+    assert [words.partition(" · ")[0] for words in page.locator(".facts").all_text_contents()] == [
+        "monday/coin",
+        "tuesday/coin",
+    ]
+    assert page.get_by_label("Compare coin monday/coin").count() == 1
