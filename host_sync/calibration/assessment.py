@@ -92,7 +92,7 @@ def diameter_note(presses: Sequence[UsedPress]) -> list[str]:
         return []
     return [
         f"no ball's contact is wider than {widest:.2f} of the stated radius: is ball_radius_mm the diameter? "
-        "Heights are then half as high as the surface; else press deeper"
+        "Heights are then half as high as the surface; else check pixel_pitch_um, or press deeper"
     ]
 
 

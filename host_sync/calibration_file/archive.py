@@ -45,7 +45,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=S
     bundle_id, gel_id, fingerprint : of the calibration bundle, None where it was made from a frame set
     channel_order : Bayer order of that bundle's frames, which its fingerprint may leave open
     encoding : of light in the frame set's values, None where frames were raw
-    full_scale, pixel_shape : of that set's frames, as of `FrameSpec`
+    full_scale, pixel_shape, marks_px : of that set's frames, as of `FrameSpec`
     key : digest of everything it was made from, empty where nobody asked
     content : digest of all other members
     """
@@ -61,6 +61,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, tag_field="schema", tag=S
     encoding: Encoding | None = None
     full_scale: int | None = None
     pixel_shape: float = 1.0
+    marks_px: float = 0.0
     key: str = ""
     content: str = ""
 

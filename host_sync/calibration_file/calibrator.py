@@ -22,6 +22,7 @@ from host_sync.calibration_file.kept_calibration import (
 )
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import FrameSet
+from host_sync.frames.linear_light import mark_pattern
 
 Tell = Callable[[str], None]
 
@@ -103,6 +104,7 @@ class Calibrator:
         self._tell("looking for an earlier calibration")
         key = key_of_set(frame_set)
         frame = frame_set.presses[0].frame
+        marks = mark_pattern(frame_set.reference) if frame_set.reference else None
 
         def facts(calibration: Calibration) -> Facts:
             return facts_of(
@@ -112,6 +114,7 @@ class Calibrator:
                 encoding=frame.encoding,
                 full_scale=frame.full_scale,
                 pixel_shape=frame.pixel_shape,
+                marks_px=marks.width_px if marks else 0.0,
             )
 
         return self._take(key, facts, lambda: frames_of_set(frame_set))

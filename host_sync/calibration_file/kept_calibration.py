@@ -108,6 +108,7 @@ def facts_of(
     encoding: Encoding | None = None,
     full_scale: int | None = None,
     pixel_shape: float = 1.0,
+    marks_px: float = 0.0,
     bundle: CalibrationBundle | None = None,
 ) -> Facts:
     """Return what the file of a calibration that is made now says of itself."""
@@ -121,6 +122,7 @@ def facts_of(
         encoding=encoding,
         full_scale=full_scale,
         pixel_shape=pixel_shape,
+        marks_px=marks_px,
         bundle_id=None if record is None else record.calibration_id,
         gel_id=None if record is None else record.gel_id,
         fingerprint=None if record is None else record.fingerprint,

@@ -26,6 +26,7 @@ class FrameSpec:
     full_scale : count at which a pixel of 16 bit is saturated; None for the largest
     pixel_shape : height of a stored pixel over its width
     at_rest : the set's frame of untouched skin, whose printed marks are taken out of this one; None where it has none
+    marks_px : width of printed marks that are taken out where the set has no frame of untouched skin; 0 for none
     """
 
     images: tuple[Path, ...]
@@ -33,6 +34,7 @@ class FrameSpec:
     full_scale: int | None = None
     pixel_shape: float = 1.0
     at_rest: FrameSpec | None = None
+    marks_px: float = 0.0
 
     @property
     def name(self) -> str:
@@ -114,6 +116,13 @@ class FrameSet:
             )
         scans = tuple(replace(scan, frame=replace(scan.frame, full_scale=full_scale)) for scan in self.scans)
         return replace(self, scans=scans, full_scale=full_scale)
+
+    def with_marks(self, marks_px: float) -> FrameSet:
+        """Return the same with scans without the printed marks that another set's frame of untouched skin shows."""
+        if self.reference is not None or not marks_px:
+            return self
+        scans = tuple(replace(scan, frame=replace(scan.frame, marks_px=marks_px)) for scan in self.scans)
+        return replace(self, scans=scans)
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:

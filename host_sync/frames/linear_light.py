@@ -32,7 +32,9 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
         An image is missing, truncated or not what the frame set described; names it.
     """
     frame = _read_as_taken(spec)
-    pattern = mark_pattern(spec.at_rest) if spec.at_rest else None
+    pattern = MarkPattern(spec.marks_px, 0.0) if spec.marks_px else None
+    if spec.at_rest is not None:
+        pattern = mark_pattern(spec.at_rest)
     return pattern.taken_out_of(frame) if pattern else frame
 
 

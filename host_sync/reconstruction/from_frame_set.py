@@ -84,7 +84,7 @@ def reconstruct_frame_set(
     chosen_scans(frame_set, names)
     kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
     _check_pixels(frame_set, kept)
-    scans = chosen_scans(frame_set.scaled_as(kept.facts.full_scale), names)
+    scans = chosen_scans(frame_set.scaled_as(kept.facts.full_scale).with_marks(kept.facts.marks_px), names)
     kept.write_report(out / CALIBRATION_FOLDER)
     calibration = kept.calibration
     done: dict[str, tuple[str, ...]] = {}

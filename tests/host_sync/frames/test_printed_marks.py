@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from device.imaging.flat_field import LinearFrame
 from device.imaging.printed_marks import MarkPattern
+from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.linear_light import read_frame
 
 SHAPE = (240, 320)
 
@@ -41,6 +45,20 @@ def test_marks_are_taken_out_where_the_skin_has_moved_them() -> None:
     assert np.abs(left - 1.0).max() < 0.1
     assert np.abs(moved.rgb / skin(2).rgb - 1.0).max() > 0.8
     assert f"{pattern.covered:.0%} of the skin" in pattern.note
+
+
+def test_scans_of_a_set_are_read_without_the_marks_of_its_or_its_calibrations_untouched_skin(tmp_path: Path) -> None:
+    for name, frame in (("flat", marked(skin(), lattice())), ("scan", marked(skin(2), lattice(4)))):
+        counts = np.rint(65535.0 * frame.rgb[..., ::-1].clip(0.0, 1.0)).astype(np.uint16)
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), counts)
+    head = 'name = "dots"\npixel_pitch_um = 20\nencoding = "linear"\nfull_scale = 65535\n'
+    scan = '[[scan]]\nname = "scan"\nimage = "scan.png"\n'
+    (tmp_path / "own.toml").write_text(head + '[reference]\nimage = "flat.png"\n' + scan)
+    (tmp_path / "other.toml").write_text(head + scan)
+    own, other = (load_frame_set(tmp_path / f"{name}.toml", calibrates=False) for name in ("own", "other"))
+    for found, clean in ((own, True), (other, False), (other.with_marks(6.0), True)):
+        left = read_frame(found.scans[0].frame).rgb / skin(2).rgb
+        assert bool(np.abs(left - 1.0).max() < 0.1) == clean
 
 
 def test_a_wide_shadow_is_no_mark() -> None:
