@@ -7,14 +7,16 @@ import shutil
 import zipfile
 from pathlib import Path
 
-ENTRY = "device/cli/main.py"
+ENTRY = "device/cli/instrument_commands.py"
+SELF_TEST, INSTRUMENT = "check_parts", "run"
+"""Functions of the commands that an update must pass."""
 
 
 def release_with(good: Path, folder: Path, version: str, function: str, first_line: str) -> Path:
     """Make a release folder at `folder` whose wheel has another version, and a new first line in one function of the
     program.
 
-    function : begin of its definition, such as "def _watch("
+    function : its name, such as `SELF_TEST`
     """
     shutil.copytree(good, folder, ignore=shutil.ignore_patterns("retrograph-*.whl"))
     wheel = next(good.glob("retrograph-*.whl"))
@@ -26,7 +28,7 @@ def release_with(good: Path, folder: Path, version: str, function: str, first_li
         for name in source.namelist():
             content = source.read(name)
             if name == ENTRY:
-                content = _spoiled(content.decode(), function, first_line).encode()
+                content = spoiled(content.decode(), function, first_line).encode()
             elif name.endswith(".dist-info/METADATA"):
                 content = content.replace(f"\nVersion: {old}\n".encode(), f"\nVersion: {version}\n".encode())
             elif name.endswith(".dist-info/RECORD"):
@@ -35,8 +37,9 @@ def release_with(good: Path, folder: Path, version: str, function: str, first_li
     return folder
 
 
-def _spoiled(text: str, function: str, first_line: str) -> str:
-    definition = re.search(rf"^{re.escape(function)}.*:\n", text, re.MULTILINE)
+def spoiled(text: str, function: str, first_line: str) -> str:
+    """Return the text of `ENTRY` with a new first line in one function."""
+    definition = re.search(rf"^def {function}\(.*?\) -> int:\n", text, re.MULTILINE | re.DOTALL)
     if definition is None:
         raise ValueError(f"{ENTRY} has no {function!r}")
     return text[: definition.end()] + first_line + text[definition.end() :]

@@ -1,5 +1,6 @@
 """Two slots for the program: an update takes over only when it proves itself, and otherwise nothing has changed."""
 
+import ast
 import fcntl
 import os
 import subprocess
@@ -7,10 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from broken_release import ENTRY, INSTRUMENT, SELF_TEST, spoiled
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Release = Callable[..., Path]
 SLOT = "board/retrograph-slot"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -263,3 +266,12 @@ def test_a_power_cut_while_going_back_is_gone_on_with(app: Path, run: Run, relea
 def test_usage(app: Path, run: Run, arguments: list[str]) -> None:
     ran = run(SLOT, *arguments)
     assert (ran.returncode, ran.stderr.startswith("usage: retrograph-slot")) == (2, True)
+
+
+@pytest.mark.parametrize("function", [SELF_TEST, INSTRUMENT])
+def test_the_virtual_boards_broken_releases_break_a_function_that_there_is(function: str) -> None:
+    text = (ROOT / ENTRY).read_text(encoding="utf-8")
+    broken = spoiled(text, function, "    return 3\n")
+    (found,) = (one for one in ast.parse(broken).body if isinstance(one, ast.FunctionDef) and one.name == function)
+    assert isinstance(found.body[0], ast.Return)
+    assert broken.count("\n") == text.count("\n") + 1

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from broken_release import release_with
+from broken_release import INSTRUMENT, SELF_TEST, release_with
 from crash_disk import Recording, lost_scans, read_log
 from virtual_board import INSTALL, LEDOUT0, ONE_NETWORK, SHARES, STATUS, Board, register, replug
 
@@ -83,7 +83,7 @@ def test_a_part_that_goes_and_comes_back_is_told_in_the_status(board: Board) -> 
 
 
 def test_a_version_that_fails_its_self_test_is_refused(board: Board, release: Path) -> None:
-    release_with(release, board.handover / "dark", "9.9.1", "def _selftest(", "    return 3\n")
+    release_with(release, board.handover / "dark", "9.9.1", SELF_TEST, "    return 3\n")
     with board.stage("update that fails its self-test"):
         answer = board.machine.ask("retrograph-slot install /mnt/handover/dark")
     assert (answer.code, "9.9.1 fails its self-test: version 0.1.0 stays" in answer.text) == (1, True), answer.text
@@ -92,7 +92,7 @@ def test_a_version_that_fails_its_self_test_is_refused(board: Board, release: Pa
 
 
 def test_a_version_that_never_becomes_ready_is_undone(board: Board, release: Path) -> None:
-    release_with(release, board.handover / "silent", "9.9.2", "def _watch(", "    return 3\n")
+    release_with(release, board.handover / "silent", "9.9.2", INSTRUMENT, "    return 3\n")
     with board.stage("update that never becomes ready"):
         answer = board.machine.ask("retrograph-slot install /mnt/handover/silent --skip-selftest")
     assert answer.code == 1, answer.text
