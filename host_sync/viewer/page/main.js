@@ -57,7 +57,8 @@ async function show() {
 function drop(event) {
   event.preventDefault();
   const [file] = event.dataTransfer.files;
-  if (file) shown?.drop?.(file);
+  if (file && shown?.drop) shown.drop(file);
+  else main.prepend(h("p", { class: "problem", role: "alert" }, "Open a scan first: a recipe that is dropped there measures it."));
 }
 
 async function begin() {

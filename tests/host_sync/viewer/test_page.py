@@ -422,3 +422,11 @@ def test_scans_of_one_name_are_told_apart(
         "tuesday/coin",
     ]
     assert page.get_by_label("Compare coin monday/coin").count() == 1
+    page.evaluate(
+        """() => {
+            const data = new DataTransfer();
+            data.items.add(new File(["x"], "own.toml"));
+            dispatchEvent(new DragEvent("drop", { dataTransfer: data }));
+        }"""
+    )
+    assert page.get_by_role("alert").text_content().startswith("Open a scan first")
