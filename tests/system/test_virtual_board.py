@@ -104,7 +104,8 @@ def test_a_workstation_pairs_and_pulls(board: Board, tmp_path: Path, monkeypatch
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     with board.stage("pair"):
         device = pair_by_button(board.machine, TREE)
-    pull = ("pull", device, "--at", f"127.0.0.1:{ports[SSH]}", "--library", str(library))
+    # An emulated sshd on a loaded machine answers later than the 8 s that suffice for a board.
+    pull = ("pull", device, "--at", f"127.0.0.1:{ports[SSH]}", "--library", str(library), "--patience-s", "120")
     with board.stage("pull over SFTP"):
         retrosync(*pull)
     pulled = {path.name for path in (library / "scans").iterdir()}
