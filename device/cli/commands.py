@@ -47,7 +47,7 @@ COMMANDS: Final = (
     Command(
         "run",
         "device.cli.instrument_commands:run",
-        "Scan at every press of the button, without a screen.",
+        "Scan at every press of the button, without a screen; held for six seconds it powers off.",
         ("retroscan run", "retroscan run --operator Ada --ball-radius-mm 3"),
     ),
     Command(
