@@ -15,22 +15,24 @@ argument of the wrong type raises an `ArgumentError`, which is a HostError.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from device.shutdown import keep_types_at_exit
-from host_sync.api_types import Detail, Encoding, Method
-from host_sync.api_types import Press as Press
+from host_sync.api_types import Detail, Encoding, HeightStream, Kept, Method, Press
+from host_sync.api_types import HeightFrame as HeightFrame
 from host_sync.api_types import Result as Result
 from host_sync.blas_threads import one_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from device.errors import DeviceError
     from device.surface.fields import Float32Array
     from host_sync.api_types import Image
     from host_sync.calibration_file.kept_calibration import KeptCalibration
+    from host_sync.errors import HostError
     from host_sync.library.library import Library
     from host_sync.measurement.quantity import Quantity
 
@@ -209,6 +211,73 @@ def reconstruct(
             other=found.other,
         )
     )
+
+
+def reconstruct_many(
+    images: Iterable[Image],
+    calibration: KeptCalibration,
+    *,
+    workers: int | None = None,
+    **options: Any,
+) -> Iterator[Result | HostError | DeviceError]:
+    """The surfaces of many images in order, several at once; in place of one that cannot be used, the error.
+
+    workers : images at once; by default as many as there are cores
+    options : as of `reconstruct`, without `out`
+
+    >>> found = reconstruct_many(["ball-6.png", "flat.png"], load_calibration("gel.calibration"), workers=2)
+    >>> [bool(result.height_um.max() > 100.0) for result in found]
+    [True, False]
+    """
+    from host_sync.api_arguments import check_calibration
+    from host_sync.api_stream import reconstructed_in_order
+
+    check_calibration(calibration)
+    return reconstructed_in_order(lambda image: reconstruct(image, calibration, **options), images, workers)
+
+
+def stream(
+    source: int | str | Path | Iterable[NDArray[Any]],
+    calibration: KeptCalibration,
+    *,
+    frames: Kept | None = None,
+    sigma: bool = False,
+    encoding: Encoding | None = None,
+    full_scale: int | None = None,
+    method: Method | None = None,
+    force: bool = False,
+) -> HeightStream:
+    """Heights of the frames of a sensor or a recording as they come: iterate over it, in a `with` statement.
+
+    source : a board profile's name ("digit"), a camera's number, a movie or folder of frames, or arrays
+    frames : "newest" drops those that came while one was solved, as by default of a sensor; "every" solves all
+    sigma : also find the uncertainty of heights, which takes about twice as long
+    encoding, full_scale, method, force : as of `reconstruct`
+
+    Raises
+    ------
+    SourceError, SequenceError, HalError
+        The source cannot be opened. A sensor that is unplugged later is said in `problem` and looked for again.
+    CalibrationFileError
+        `calibration` is none.
+
+    >>> with stream(["ball-6.png"], load_calibration("gel.calibration")) as heights:
+    ...     for frame in heights:
+    ...         print(frame.height_um.shape, f"{frame.contact.depth_um:.0f} µm deep")
+    (288, 384) ... µm deep
+    """
+    from host_sync.api_arguments import check_calibration, check_choice
+    from host_sync.api_stream import open_stream
+
+    check_calibration(calibration)
+    for argument, given, choices in (
+        ("frames", frames, Kept),
+        ("encoding", encoding, Encoding),
+        ("method", method, Method),
+    ):
+        if given is not None:
+            check_choice(argument, given, choices)
+    return open_stream(source, calibration, frames, sigma, encoding, full_scale, method, force)
 
 
 def load_result(folder: str | Path) -> Result:

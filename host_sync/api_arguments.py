@@ -272,3 +272,12 @@ def _paths(image: Any) -> tuple[Any, ...]:
 
 def _is_series(image: object) -> bool:
     return isinstance(image, tuple | list)
+
+
+def check_workers(given: object) -> int:
+    """The number of workers; ArgumentError when it is no whole number above 0."""
+    if given is None:
+        return os.cpu_count() or 1
+    if isinstance(given, int) and given > 0:
+        return given
+    raise ArgumentError(f"workers {given!r} is not accepted; accepted is a whole number above 0")

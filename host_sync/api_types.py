@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
     from device.surface.fields import Float32Array
     from host_sync.results.reader import ResultSurface
+    from host_sync.video.contact import Contact
 
     Image = str | Path | tuple[str | Path, ...] | NDArray[Any]
     """An RGB image file; a grey one a light (three in R, G, B order); or an array of shape (H, W, N): uint8, uint16, or
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 Encoding = Literal["linear", "srgb"]
 Method = Literal["direct", "paper"]
 Detail = Literal["shrunk", "raw"]
+Kept = Literal["newest", "every"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,3 +150,86 @@ class Result:
             {axis: ((axis,), at, {"units": "um"}) for axis, at in places.items()},
             {name: getattr(record, name) for name in ("name", "method", "calibration_id")} | {"doubts": self.warnings},
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightFrame:
+    """Heights of one frame of a stream; arrays have the shape (H, W), are float32, and NaN where nothing is known.
+
+    number : of the source's frames, from 0; those that were dropped count
+    time_s : when it was taken, from the first frame on
+    height_um : height, µm, zero at untouched skin
+    sigma_um : its standard uncertainty, µm; None where it was not asked for
+    problem : the reason why the frame has no heights, or no zero; None where all is well
+
+    >>> with stream(["ball-6.png"], load_calibration("gel.calibration"), sigma=True) as heights:
+    ...     (frame,) = heights
+    >>> frame.number, frame.problem, bool(frame.contact.area_mm2 > 3.0 * frame.contact.area_sigma_mm2)
+    (0, None, True)
+    """
+
+    number: int
+    name: str
+    time_s: float
+    height_um: Float32Array
+    sigma_um: Float32Array | None
+    pitch_um: float
+    problem: str | None = None
+
+    @property
+    def contact(self) -> Contact:
+        """Contact with the skin: mask, area, centre, largest depth, each with its ± where `sigma_um` is known."""
+        from host_sync.video.contact import find_contact
+
+        return find_contact(self.height_um, self.pitch_um, self.sigma_um)
+
+
+class HeightStream:
+    """Heights of the frames of a source: an iterator, and a context manager that releases the source.
+
+    shape, pitch_um : of the height maps
+
+    >>> heights = stream(["ball-6.png"], load_calibration("gel.calibration"))
+    >>> heights.shape, heights.pitch_um, heights.dropped, heights.problem
+    ((288, 384), 20.0, 0, None)
+    >>> heights.close()
+    """
+
+    def __init__(
+        self,
+        frames: Iterator[HeightFrame],
+        shape: tuple[int, int],
+        pitch_um: float,
+        state: Callable[[], tuple[int, str | None]],
+        close: Callable[[], None],
+    ) -> None:
+        self.shape, self.pitch_um = shape, pitch_um
+        self._frames, self._state, self._close = frames, state, close
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames that came while another was solved and were dropped."""
+        return self._state()[0]
+
+    @property
+    def problem(self) -> str | None:
+        """The sentence on a sensor that was unplugged and is looked for; None while it gives frames."""
+        return self._state()[1]
+
+    def __iter__(self) -> Iterator[HeightFrame]:
+        return self
+
+    def __next__(self) -> HeightFrame:
+        return next(self._frames)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the source."""
+        self._close()

@@ -136,7 +136,7 @@ READS_A_FILE = {
     "a frame set to calibrate": "retrosync calibrate FILE.toml --out gel.calibration",
     "a frame set for figures": "retrosync paper-figures FILE.toml --out pictures",
     "a recipe": "retrosync measure results/coin --recipe FILE.toml",
-    "a recipe of the watch": "retrosync watch --library . --recipe FILE.toml",
+    "a recipe of the watch": "retrosync reconstruct --watch --library . --recipe FILE.toml",
     "a report's template": "retrosync report results/coin --template FILE.toml --out report",
     "a table": "retrosync gage-rr --table FILE.toml",
 }

@@ -82,7 +82,11 @@ def test_the_workstation_uses_only_portable_rooms_of_the_instrument(
 ) -> None:
     own = {"host_sync"} | graph.find_descendants("host_sync")
     reached = {imported for module in own for imported in graph.find_modules_directly_imported_by(module)}
-    of_the_instrument = {module for module in reached if module.partition(".")[0] in {"hal", "device"}}
+    # A sensor that is plugged into the workstation: one module opens it, when it is asked to (decision 0025).
+    own_sensor = {"hal.factory", "hal.hardware"} & graph.find_modules_directly_imported_by("host_sync.video.sensors")
+    for module in own - {"host_sync.video.sensors"}:
+        assert own_sensor.isdisjoint(graph.find_modules_directly_imported_by(module))
+    of_the_instrument = {module for module in reached - own_sensor if module.partition(".")[0] in {"hal", "device"}}
     assert of_the_instrument - portable_device - PORTABLE_HAL == set()
     assert reached.isdisjoint(INSTRUMENT_ONLY)
 

@@ -163,15 +163,19 @@ class SkinAtRest:
             near = np.asarray(2.0 / (1.0 + _distance(pooled, found.pooled)), np.float64)
         return found
 
-    def evidence(self, image: NormalizedImage) -> RestEvidence:
-        """Return where an image shows skin at rest."""
+    def evidence(self, image: NormalizedImage, squares: Float32Array | None = None) -> RestEvidence:
+        """Return where an image shows skin at rest.
+
+        squares : of an image that was reduced, means of the squared intensity of the pixels behind each of its own
+        """
         size = self.covariance.shape[:2]
-        logs, variance = _cell_logs(image, (size[0], size[1]))
+        logs, variance = _cell_logs(image, (size[0], size[1]), squares)
         weight: Float64Array = np.ones(size)
+        precision = np.linalg.inv(self.covariance.astype(np.float64))
         for _ in range(ROUNDS):
             gains, offsets = self._levels(logs, weight)
             left = np.where(self._lit[..., None], logs - self._field(gains, offsets), np.float32(0.0))
-            distance = np.asarray(cv2.GaussianBlur(_distance(left, self.covariance), (0, 0), 1.0), np.float32)
+            distance = np.asarray(cv2.GaussianBlur(_squared(left, precision), (0, 0), 1.0), np.float32)
             weight = np.asarray(1.0 / (1.0 + (distance / CAUCHY) ** 2), np.float64)
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
         gentle = _distance(_pooled(left, np.ones(size, np.bool_)), self.pooled)
@@ -222,11 +226,16 @@ def _reduced(values: NDArray[Any], size: tuple[int, int]) -> Float32Array:
     return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _cell_logs(image: NormalizedImage, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
-    """Log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w, 3)."""
+def _cell_logs(
+    image: NormalizedImage, size: tuple[int, int], squares: Float32Array | None = None
+) -> tuple[Float32Array, Float32Array]:
+    """Log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w, 3).
+
+    squares : as of `SkinAtRest.evidence`
+    """
     values = np.nan_to_num(image.values, nan=1.0)
     mean = np.maximum(_reduced(values, size), np.float32(MIN_LIGHT))
-    variance = np.maximum(_reduced(values * values, size) / mean**2 - 1.0, 1e-8)
+    variance = np.maximum(_reduced(values * values if squares is None else squares, size) / mean**2 - 1.0, 1e-8)
     return np.log(mean), np.asarray(variance, np.float32)
 
 
@@ -249,7 +258,11 @@ def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
 
 def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
     """Squared Mahalanobis distance a channel of values (..., h, w, 3)."""
-    precision = np.linalg.inv(covariance.astype(np.float64))
+    return _squared(left, np.linalg.inv(covariance.astype(np.float64)))
+
+
+def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
+    """The same by the inverse of the covariance."""
     return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
 
 

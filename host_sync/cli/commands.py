@@ -177,15 +177,7 @@ COMMANDS: Final = (
             "retrosync reconstruct FRAMESET.toml --out results",
             "retrosync reconstruct SCANS.toml --calibration gel.calibration --out DIR",
             "retrosync reconstruct --library scans --workers 2 --json",
-        ),
-    ),
-    Command(
-        "watch",
-        "host_sync.cli.watch:watch_command",
-        "Reconstruct and measure whatever comes into a library, until it is stopped.",
-        (
-            "retrosync watch scans --recipe recipe.toml",
-            "retrosync watch scans --once --workers 2",
+            "retrosync reconstruct --library scans --watch --recipe recipe.toml",
         ),
     ),
     Command(
@@ -198,10 +190,20 @@ COMMANDS: Final = (
     Command(
         "video",
         "host_sync.cli.video:video",
-        "Reconstruct every frame of a sequence and draw the moving relief.",
+        "Reconstruct every frame of a sequence, draw the moving relief, and follow the contact.",
         (
             "retrosync video frames --calibration gel.calibration --out moving",
-            "retrosync video press.mp4 --calibration FRAMESET.toml --out moving",
+            "retrosync video press.mp4 --calibration FRAMESET.toml --out moving --sigma",
+        ),
+    ),
+    Command(
+        "live",
+        "host_sync.cli.live:live_command",
+        "Show heights of a sensor in a browser while they come: relight, turn, contact, record. Ctrl-C ends it.",
+        (
+            "retrosync live gelsight-mini --calibration gel.calibration",
+            "retrosync live 0 --calibration gel.calibration --sigma",
+            "retrosync live press.mp4 --calibration FRAMESET.toml --no-browser",
         ),
     ),
 )
@@ -221,5 +223,6 @@ OLD_COMMANDS: Final = {
     "same-spot": NewWords(("compare",)),
     "gage": NewWords(("gage-rr",)),
     "figures": NewWords(("paper-figures",)),
+    "watch": NewWords(("reconstruct", "--watch")),
 }
 """Commands of the previous release, still accepted but not listed."""

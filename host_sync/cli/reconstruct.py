@@ -26,6 +26,7 @@ from host_sync.cli.console import (
     status_spinner,
     tell_of_compiling,
 )
+from host_sync.cli.watch import MAX_EVERY_S, watch_library
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
@@ -68,6 +69,10 @@ def reconstruct(
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     cluster: str | None = None,
     json: bool = False,
+    watch: bool = False,
+    recipe: Path | None = None,
+    every_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_EVERY_S))] = 5.0,
+    once: bool = False,
 ) -> int:
     """Calibrate and reconstruct the scans of a FRAMESET.toml (with --out) or of a library (with --library).
 
@@ -100,7 +105,20 @@ def reconstruct(
         this computer, reconstruct the scans of the library. Needs the extra `cluster`; see docs/offload.md.
     json
         Print one JSON document instead of lines: calibrations, and what became of each scan.
+    watch
+        Reconstruct and measure whatever comes into the library, ~/Retrograph by default, until Ctrl-C. Measurements go
+        to measurements/SCAN.json in it. What is already done is not done again.
+    recipe
+        With --watch: TOML file of the measurement recipe.
+    every_s
+        With --watch: look for new scans so many seconds after the last look's work is done; at most a day.
+    once
+        With --watch: do what there is to do now, and end: exit code 1 when a scan failed.
     """
+    if watch:
+        if out is not None or calibration is not None or cluster is not None or json or len(names) > (library is None):
+            raise FrameSetError("--watch is for a whole library: `reconstruct --library LIB --watch`")
+        return watch_library(library or (Path(names[0]) if names else None), recipe, workers, every_s, once=once)
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")

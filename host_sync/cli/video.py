@@ -35,21 +35,25 @@ def video(
     weighted: Annotated[bool, Parameter(negative="--no-weighted")] = True,
     mp4: Annotated[bool, Parameter(negative="--no-mp4")] = True,
     gif: Annotated[bool, Parameter(negative="--no-gif")] = True,
+    sigma: bool = False,
+    slip: bool = False,
     force: bool = False,
 ) -> int:
-    """Reconstruct every frame of a sequence and draw the moving relief.
+    """Reconstruct every frame of a sequence, draw the moving relief, and follow the contact.
 
     Parameters
     ----------
     sequence
-        A folder of RGB images or raw frames in natural order, a TIFF of many pages, or an AVI, MP4 or MKV movie; with
-        --library also a scan with a movie of its press, by id, label's name or part.
+        A folder of RGB images or raw frames in natural order, a recording of `retrosync live`, a TIFF of many pages, or
+        an AVI, MP4, QuickTime or MKV movie; with --library also a scan with a movie of its press, by id, label's name
+        or part.
     calibration
         A file of `retrosync calibrate`, a FRAMESET.toml or a calibration's folder; with --library, a calibration's id
         or its beginning or end. A scan's movie has its own by default.
     out
-        Folder for heights_um.tif, relief.mp4, relief.gif and result.json. With the extra `movies` the MP4 plays in
-        browsers; without it relief.webp does.
+        Folder for heights_um.tif, relief.mp4, relief.gif, contact.csv and contact.png (largest depth, area and centre
+        of the contact over time) and result.json. With the extra `movies` the MP4 plays in browsers; without it
+        relief.webp does.
     library
         Folder of pulled scans and calibrations.
     encoding
@@ -64,6 +68,10 @@ def video(
         Write the MP4.
     gif
         Write the GIF.
+    sigma
+        Also find the uncertainty of heights, for the ± of the contact's depth, area and centre.
+    slip
+        Also follow the skin's own texture or marks in the contact, by optical flow.
     force
         Also solve frames that do not fit the calibration.
     """
@@ -93,7 +101,7 @@ def video(
             force=force,
         )
         names = printable(sequence.name), printable(calibration)
-        order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, *names)
+        order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, sigma, slip, *names)
         report = reconstruct_sequence(frames, known, solver, out, order, tell)
     return _tell_report(report, out)
 

@@ -1,16 +1,12 @@
-"""`retrosync watch`: reconstructs and measures whatever a pull brings."""
+"""`retrosync reconstruct --watch`: reconstructs and measures whatever a pull brings."""
 
 from __future__ import annotations
 
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
-from cyclopts import Parameter
-from cyclopts.validators import Number
-
-from device.command_line import Folder
 from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.measure import chosen_recipe
@@ -24,30 +20,10 @@ MAX_EVERY_S: Final = 86_400.0
 """A day."""
 
 
-def watch_command(
-    library: Folder | None = None,
-    *,
-    recipe: Path | None = None,
-    workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
-    every_s: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_EVERY_S))] = 5.0,
-    once: bool = False,
-) -> int:
-    """Reconstruct and measure whatever comes into a library, until it is stopped.
+def watch_library(library: Path | None, recipe: Path | None, workers: int | None, every_s: float, *, once: bool) -> int:
+    """Reconstruct and measure whatever comes into a library, until it is stopped; returns the exit code.
 
-    Measurements go to measurements/SCAN.json in the library. What is already done is not done again.
-
-    Parameters
-    ----------
-    library
-        Folder of pulled scans; ~/Retrograph by default.
-    recipe
-        TOML file of the measurement recipe.
-    workers
-        Scans at a time, as for `retrosync reconstruct`.
-    every_s
-        Look for new scans so many seconds after the last look's work is done; at most a day.
-    once
-        Do what there is to do now, and end: exit code 1 when a scan failed.
+    Arguments as of `retrosync reconstruct --watch`.
     """
     held = Library(library or default_library())
     held.require()

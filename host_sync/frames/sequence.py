@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 import cv2
+import msgspec
 import numpy as np
 import tifffile
 
@@ -24,6 +25,9 @@ from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
 from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_image
 
+TIMES_FILE: Final = "times.json"
+"""Beside recorded frames: when each of them was taken."""
+
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _RAW_PAGES: Final = 4
@@ -31,10 +35,16 @@ _RAW_PAGES: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredFrame:
-    """One frame as stored: RGB values, uint8 or uint16 array of shape (H, W, 3), or a raw frame."""
+    """One frame as stored: RGB values, uint8 or uint16 array of shape (H, W, 3), or a raw frame.
+
+    number : of the source's frames, from 0; None where every frame of it comes
+    taken_ns : monotonic time at which it was taken, ns; None of a recorded one
+    """
 
     name: str
     pixels: Pixels | RawFrame
+    number: int | None = None
+    taken_ns: int | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -45,10 +55,12 @@ class StoredFrame:
 
 @dataclass(frozen=True, slots=True)
 class BadFrame:
-    """A frame that cannot be used, and the reason in one sentence."""
+    """A frame that cannot be used, and the reason in one sentence; numbers as of `StoredFrame`."""
 
     name: str
     reason: str
+    number: int | None = None
+    taken_ns: int | None = None
 
 
 class FrameSequence(Protocol):
@@ -97,9 +109,8 @@ def natural_order(path: Path) -> tuple[tuple[int, int | str], ...]:
 class FolderSequence:
     """Image files of a folder in natural order of their names: RGB images, or raw frames of a handheld."""
 
-    rate_hz = None
-
     def __init__(self, folder: Path) -> None:
+        self.rate_hz = _recorded_rate_hz(folder)
         files = (entry for entry in folder.iterdir() if entry.suffix.lower() in SUFFIXES and entry.name[0] != ".")
         self._files = sorted(files, key=natural_order)
         if not self._files:
@@ -197,6 +208,20 @@ class MovieSequence:
                 yield StoredFrame(f"frame {number}", np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8))
         finally:
             movie.release()
+
+
+class _Times(msgspec.Struct):
+    times_s: list[float]
+
+
+def _recorded_rate_hz(folder: Path) -> float | None:
+    """Return the mean rate of a recording; None of another folder."""
+    try:
+        times_s = msgspec.json.decode((folder / TIMES_FILE).read_bytes(), type=_Times).times_s
+    except (OSError, msgspec.DecodeError):
+        return None
+    lasting_s = times_s[-1] - times_s[0] if len(times_s) > 1 else 0.0
+    return (len(times_s) - 1) / lasting_s if lasting_s > 0.0 else None
 
 
 def _opened(path: Path) -> cv2.VideoCapture:

@@ -218,7 +218,7 @@ def _read_channels(
     meanwhile.start()
     z_px = _correct_elevation(gradients, calibration, method)
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
-    correction = _correction(gradients, intensity, calibration, method, alone)
+    correction = cell_correction(gradients, intensity, calibration, method, alone)
     if correction is not None:
         correction.apply(gradients)
     return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, meanwhile, rest), warnings
@@ -239,7 +239,7 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
         )
 
 
-def _correction(
+def cell_correction(
     gradients: GradientField,
     intensity: NormalizedImage,
     calibration: Calibration,

@@ -1,15 +1,20 @@
-"""Heights of successive frames under one calibration, with working arrays kept for the whole sequence."""
+"""Heights of successive frames under one calibration: a frame costs its slopes and one weighted integration.
+
+What changes slowly is shared. Frames of one stretch have the light of its first frame. Elevation, hidden lights and
+skin at rest are found on a coarse frame (`coarse`). Working arrays are kept.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
-from device.imaging.flat_field import NormalizedImage, flat_field_correct
+from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, flat_field_correct
 from device.imaging.frame_measures import shaded_fraction
-from device.surface.fields import Float32Array, GradientField, MaskArray, full_rectangle
+from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.errors import SequenceError
@@ -22,23 +27,36 @@ from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
 from host_sync.integration.integrate import Integrator
-from host_sync.integration.zero_level import find_datum
+from host_sync.integration.zero_level import Datum, find_datum, no_datum
+from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
-from host_sync.reconstruction.elevation_correction import correct_elevation
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
-from host_sync.reconstruction.slope_reading import estimate, raise_on_warnings
+from host_sync.reconstruction.slope_reading import raise_on_warnings
 from host_sync.results.record import refusals
+from host_sync.video.coarse import (
+    WIDEST_PX,
+    CoarseReading,
+    FineCorrection,
+    FrameLight,
+    at_size,
+    block_moments,
+    read_coarse,
+)
+from host_sync.video.frame_sigma import FrameSigma
 
 CHECK_STRIDE_FACTOR: Final = 4
 """Checks of video frames sample this many times more coarsely than those of a single frame."""
 
-CHECKED_EVERY: Final = 30
-"""Pattern, layout and levels are checked of every so many frames: they come from one camera."""
+STRETCH: Final = 30
+"""Frames that share one light; pattern, layout and levels are checked of the first of them."""
 
 SAMPLED_COLUMNS: Final = 180
 """Number of columns sampled for the contact fraction; rows are sampled at the same distance."""
+
+TOLERANCE_PX: Final = 0.01
+"""Estimated algebraic error of heights at which integration ends, pixels: far below the uncertainty of any frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +67,14 @@ class FrameStatistics:
     clipped_fraction : fraction of pixels with a saturated channel
     masked_fraction : fraction of pixels without a height
     peak_um : largest height above untouched skin, µm
+    is_relative : True where no untouched skin gives heights a zero
     """
 
     contact_fraction: float
     clipped_fraction: float
     masked_fraction: float
     peak_um: float | None
+    is_relative: bool = False
 
 
 class FrameSolver:
@@ -89,21 +109,26 @@ class FrameSolver:
         self.method: Method = method
         self.encoding = encoding
         self._full_scale, self._pixel_shape = full_scale, pixel_shape
-        self.force = force
-        self._light: dict[np.dtype[Any], Float32Array] = {}
+        self.force, self.weighted = force, weighted
+        self._tables: dict[np.dtype[Any], Float32Array] = {}
         rows, columns, _ = calibration.flat_field.shape
         self.shape = (rows, columns)
+        self.pitch_um = calibration.pitch_um
+        self._cell = -(-columns // WIDEST_PX)
         self._flat_field = in_planes(calibration.flat_field)
+        self._coarse, self._coarse_rest = calibration, self._flat_field
+        if self._cell > 1:
+            self._coarse = _coarse_calibration(calibration, self._cell)
+            self._coarse_rest = self._coarse.flat_field
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         self._integrator = Integrator(self.shape)
-        self._begun = 0
-        self.weighted = weighted
+        self._sigma: FrameSigma | None = None
         # A full array, not a broadcast scalar: the search for untouched skin reads every pixel.
         self._all_valid = np.ones((0, 0) if weighted else self.shape, np.bool_)
 
     def clone(self) -> FrameSolver:
-        """A solver of the same frames with its own working arrays, for another thread."""
+        """Return a solver of the same frames with its own working arrays, for another thread."""
         return FrameSolver(
             self._calibration,
             self.method,
@@ -114,10 +139,21 @@ class FrameSolver:
             force=self.force,
         )
 
-    def solve(self, frame: StoredFrame, out: Float32Array) -> FrameStatistics:
+    def light_of(self, frame: StoredFrame) -> FrameLight:
+        """Return the light of the stretch that begins with a frame; errors as for `solve`."""
+        intensity = self._read(frame)
+        checks = self._calibration.frame_model.check(intensity, self._flat_field)
+        raise_on_warnings(refusals(checks), frame.name, force=self.force)
+        return FrameLight.of(self._reduced(intensity)[0], self._coarse)
+
+    def solve(
+        self, frame: StoredFrame, out: Float32Array, light: FrameLight | None = None, sigma: Float32Array | None = None
+    ) -> FrameStatistics:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its statistics.
 
         out : float32 array of shape (H, W)
+        light : of the frame's stretch; None to measure the frame's own
+        sigma : receives the standard uncertainty of the heights, µm, float32 array of shape (H, W); None for none
 
         Raises
         ------
@@ -128,61 +164,124 @@ class FrameSolver:
         SequenceError
             The encoding of its values is unknown.
         """
+        light = light or self.light_of(frame)
         intensity = self._read(frame)
         check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
-        raise_on_warnings(self._frame_warnings(intensity), frame.name, force=self.force)
-        gradients = self._gradients(intensity)
-        height, _ = self._integrator.integrate(gradients, self._calibration.pitch_um, out=out)
-        datum = find_datum(height, gradients)
-        unlit = [] if datum.is_relative else check_datum(intensity, datum.skin)
-        raise_on_warnings(unlit, frame.name, force=self.force)
-        peak_um, known = _shift_to_zero(height.z_um, np.float32(datum.zero_um), out)
+        image, squares = self._reduced(intensity)
+        light.take_out(image, self._coarse_rest)
+        if self._cell > 1:
+            light.take_out(intensity, self._flat_field)
+        raise_on_warnings(self._warnings(image), frame.name, force=self.force)
+        at_rest = self._calibration.skin_at_rest
+        evidence = None if at_rest is None else at_rest.evidence(image, squares)
+        if self._cell == 1 and self._calibration.shrinkage is not None:
+            image = self._calibration.shrinkage.shrunk(image)
+        reading = read_coarse(image, evidence, self._coarse, self.method)
+        gradients = reading.gradients if self._cell == 1 else self._fine_slopes(intensity, reading)
         if self._calibration.viewpoint is not None:
-            seen = seen_elevation(replace(height, z_um=out), self._calibration.viewpoint, out)
+            gradients = seen_slopes(gradients, self._calibration.viewpoint, out=gradients)
+        if not self.weighted:
+            parallel_rows(_zero_invalid, self.shape, gradients.p, gradients.q, gradients.valid)
+            gradients = replace(full_rectangle(gradients.p, gradients.q), valid=self._all_valid)
+        self._integrator.integrate(gradients, self.pitch_um, out=out, tolerance_px=TOLERANCE_PX)
+        coarse = self._coarse_heights(out)
+        datum = self._datum(coarse, reading)
+        unlit = [] if datum.is_relative else check_datum(image, datum.skin)
+        raise_on_warnings(unlit, frame.name, force=self.force)
+        peak_um, known = _shift_to_zero(out, np.float32(datum.zero_um), out)
+        if self._calibration.viewpoint is not None:
+            seen = seen_elevation(HeightMap(out, self.pitch_um), self._calibration.viewpoint, out)
             peak_um = np.nanmax(seen.z_um) if known else peak_um
+        if sigma is not None:
+            self._sigma = self._sigma or FrameSigma(self._coarse, self.method)
+            self._sigma.write(datum.level(coarse), image, reading, datum, out, sigma)
         return FrameStatistics(
-            contact_fraction=shaded_fraction(_subsample(intensity)),
+            contact_fraction=shaded_fraction(_subsample(image)),
             clipped_fraction=float(np.count_nonzero(intensity.clipped) / intensity.clipped.size),
             masked_fraction=float(1.0 - known / out.size),
             peak_um=float(peak_um) if known else None,
+            is_relative=datum.is_relative,
         )
 
-    def _frame_warnings(self, intensity: NormalizedImage) -> list[str]:
-        model, first = self._calibration.frame_model, self._begun % CHECKED_EVERY == 0
-        self._begun += 1
-        refused = refusals(model.check(intensity, self._flat_field)) if first else []
-        return refused or check_frame(
-            intensity, self._flat_field, self._calibration.inverse.map, SAMPLES_ALONG // CHECK_STRIDE_FACTOR
-        )
+    def _warnings(self, image: NormalizedImage) -> list[str]:
+        return check_frame(image, self._coarse_rest, self._coarse.inverse.map, SAMPLES_ALONG // CHECK_STRIDE_FACTOR)
 
     def _read(self, frame: StoredFrame) -> NormalizedImage:
-        if isinstance(frame.pixels, RawFrame):
-            return raw_intensity(frame.pixels, self._flat_field, self._intensity)
+        """Return the intensity of a frame."""
+        pixels = frame.pixels
+        if isinstance(pixels, RawFrame):
+            if pixels.shape != self.shape:
+                return flat_field_correct(_shrunk_to(pixels, self.shape), self._flat_field)
+            return raw_intensity(pixels, self._flat_field, self._intensity)
         if self.encoding is None:
             raise SequenceError(f"{frame.name}: values may be linear light or sRGB: choose with --encoding")
         if self._pixel_shape != 1.0:
-            whole = frame_of_values(frame.pixels, self.encoding, self._full_scale, self._pixel_shape)
+            whole = frame_of_values(pixels, self.encoding, self._full_scale, self._pixel_shape)
             return flat_field_correct(whole, self._calibration.flat_field)
-        dtype = frame.pixels.dtype
-        if dtype not in self._light:
-            self._light[dtype] = light_of_values(dtype, self.encoding, self._full_scale)
-        return stored_intensity(frame.pixels, self._light[dtype], self._flat_field, self._intensity)
+        dtype = pixels.dtype
+        if dtype not in self._tables:
+            self._tables[dtype] = light_of_values(dtype, self.encoding, self._full_scale)
+        return stored_intensity(pixels, self._tables[dtype], self._flat_field, self._intensity)
 
-    def _gradients(self, intensity: NormalizedImage) -> GradientField:
-        if self._slopes is not None:
-            found = self._slopes.evaluate(intensity)
-            if self.weighted:
-                even_confidence(found, intensity.clipped)
-            if self._calibration.elevation is not None:
-                correct_elevation(found, self._calibration.elevation)
-        else:
-            found = estimate(intensity, self._calibration, self.method)
-        if self._calibration.viewpoint is not None:
-            found = seen_slopes(found, self._calibration.viewpoint, out=found)
+    def _reduced(self, intensity: NormalizedImage) -> tuple[NormalizedImage, Float32Array | None]:
+        """Return the coarse image, and means of squared intensity behind its pixels; None where nothing is reduced."""
+        if self._cell == 1:
+            return intensity, None
+        rows, columns = self._coarse_rest.shape[:2]
+        mean, square = np.empty((3, rows, columns), np.float32), np.empty((3, rows, columns), np.float32)
+        planes = np.moveaxis(intensity.values, -1, 0)
+        parallel_rows(block_moments, (rows, columns * self._cell**2), planes, self._cell, mean, square)
+        valid, clipped = (
+            cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).view(np.bool_)
+            for mask in (intensity.valid, intensity.clipped)
+        )
+        return NormalizedImage(np.moveaxis(mean, 0, -1), valid, clipped), np.moveaxis(square, 0, -1)
+
+    def _fine_slopes(self, intensity: NormalizedImage, reading: CoarseReading) -> GradientField:
+        """Return the slopes of every pixel with what the coarse frame corrects."""
+        if self._slopes is None:
+            return estimate_gradients(self._calibration.paper_model, intensity)
+        found = self._slopes.evaluate(intensity)
         if self.weighted:
-            return found
-        parallel_rows(_zero_invalid, self.shape, found.p, found.q, found.valid)
-        return replace(full_rectangle(found.p, found.q), valid=self._all_valid)
+            even_confidence(found, intensity.clipped)
+        FineCorrection(reading, self._cell).apply(found)
+        return found
+
+    def _coarse_heights(self, z_um: Float32Array) -> HeightMap:
+        """Return heights at the middles of coarse pixels."""
+        if self._cell == 1:
+            return HeightMap(z_um, self.pitch_um)
+        middle = self._cell // 2
+        rows, columns = self._coarse_rest.shape[:2]
+        some = z_um[middle :: self._cell, middle :: self._cell]
+        whole = np.pad(some, ((0, rows - some.shape[0]), (0, columns - some.shape[1])), mode="edge")
+        return HeightMap(np.ascontiguousarray(whole), self._coarse.pitch_um)
+
+    def _datum(self, height: HeightMap, reading: CoarseReading) -> Datum:
+        gradients = reading.gradients
+        if not reading.has_rest:
+            return no_datum(height, gradients)
+        at_rest = None if reading.prior is None else reading.prior.at_rest(height.z_um.shape)
+        return find_datum(height, gradients, at_rest=at_rest).at_rest(height, gradients)
+
+
+def _coarse_calibration(calibration: Calibration, cell: int) -> Calibration:
+    """Return the calibration for frames of which a pixel is `cell` x `cell` pixels: their noise needs no shrinking."""
+    rows, columns = (-(-side // cell) for side in calibration.flat_field.shape[:2])
+    rest = in_planes(np.asarray(cv2.resize(calibration.flat_field, (columns, rows), interpolation=cv2.INTER_AREA)))
+    reference = LinearFrame(rest, np.zeros((rows, columns), np.bool_))
+    return replace(at_size(calibration, reference, rest), shrinkage=None, null_colour=None)
+
+
+def _shrunk_to(frame: RawFrame, shape: tuple[int, int]) -> LinearFrame:
+    """Return a raw frame of another size as a calibration's frames are, where its field has the same shape."""
+    (rows, columns), (high, wide) = frame.shape, shape
+    if rows < 2 * high or abs(rows * wide - columns * high) > columns:
+        return demosaic(frame)  # of a size that is refused
+    whole = demosaic(frame)
+    rgb = cv2.resize(whole.rgb, (wide, high), interpolation=cv2.INTER_AREA)
+    clipped = cv2.resize(whole.clipped.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA) > 0.0
+    return LinearFrame(np.asarray(rgb, np.float32), np.asarray(clipped, np.bool_), whole.demosaiced)
 
 
 def _subsample(image: NormalizedImage) -> NormalizedImage:

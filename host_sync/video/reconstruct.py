@@ -1,7 +1,7 @@
 """Reconstructs a sequence: heights of every frame, then the movie of the relief.
 
-Three things run at the same time: a thread decodes frames ahead, a pool solves several (`pool`), a thread writes
-earlier ones. Height arrays are allocated once, so memory does not grow with the sequence.
+Three things run at the same time: a thread decodes frames ahead, others solve several (`stream`), a thread writes
+earlier ones. Few frames wait for each of them, so memory does not grow with the sequence.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from device.io.atomic import atomic_directory
-from device.surface.fields import Float32Array, HeightMap
+from device.surface.fields import HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
@@ -26,14 +26,28 @@ from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
 from host_sync.results.record import ResultRecord, SequenceFrame, SequenceRecord, encode_record
-from host_sync.video.frame_solver import FrameSolver
+from host_sync.video.contact import ContactRow, SlipTracker, draw_contact_chart, write_contact_table
+from host_sync.video.frame_solver import FrameSolver, FrameStatistics
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.movie import MovieFiles, Progress, RenderedRelief, write_movie
-from host_sync.video.pool import FrameOutcome, SolverPool
+from host_sync.video.stream import FrameStream, SolvedFrame
 
 QUEUE_LENGTH: Final = 3
 """Frames decoded before they are solved, and heights solved before they are written."""
 DEFAULT_RATE_HZ: Final = 25.0
+
+
+CONTACT_FILE: Final = "contact.csv"
+CONTACT_CHART: Final = "contact.png"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameOutcome:
+    """One frame of the sequence: its statistics, or the reason why it has none."""
+
+    name: str
+    statistics: FrameStatistics | None
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +77,8 @@ class SequenceOptions:
     name : for titles and the record
     rate_hz : frames per second; None for the rate of the source, else `DEFAULT_RATE_HZ`
     mp4, gif : which movies to write
+    sigma : also find the uncertainty of every frame, for the contact's ±
+    slip : follow the skin's texture inside the contact
     sequence, calibration : names of what was reconstructed and with what, for the record
     """
 
@@ -70,6 +86,8 @@ class SequenceOptions:
     rate_hz: float | None = None
     mp4: bool = True
     gif: bool = True
+    sigma: bool = False
+    slip: bool = False
     sequence: str = ""
     calibration: str = ""
 
@@ -111,10 +129,12 @@ def reconstruct_sequence(
         doubts = sequence_doubts(calibration, solver)
         began = time.perf_counter()
         with HeightStack(folder / HEIGHTS_FILE, solver.shape, sequence.count, calibration.pitch_um, rate_hz) as stack:
-            outcomes = _solve_all(sequence, solver, stack, relief, calibration.pitch_um, progress)
+            outcomes, contacts = _solve_all(sequence, solver, stack, relief, rate_hz, options, progress)
         solved = time.perf_counter()
         if all(outcome.statistics is None for outcome in outcomes):
             raise SequenceError(f"none of {len(outcomes)} frames could be reconstructed: {outcomes[0].reason}")
+        write_contact_table(folder / CONTACT_FILE, contacts)
+        draw_contact_chart(folder / CONTACT_CHART, contacts, options.name)
         mp4 = folder / "relief.mp4" if options.mp4 else None
         webp = folder / "relief.webp" if options.mp4 and not plays_in_browser() else None
         movies = MovieFiles(mp4, folder / "relief.gif" if options.gif else None, webp)
@@ -131,31 +151,35 @@ def reconstruct_sequence(
 
 
 def _solve_all(
-    sequence: FrameSequence, solver: FrameSolver, stack: HeightStack, relief: RenderedRelief, pitch_um: float,
-    progress: Progress,
-) -> list[FrameOutcome]:  # fmt: skip
-    """Solve every frame and write its heights to the stack; returns their outcomes."""
+    sequence: FrameSequence, solver: FrameSolver, stack: HeightStack, relief: RenderedRelief,
+    rate_hz: float, options: SequenceOptions, progress: Progress,
+) -> tuple[list[FrameOutcome], list[ContactRow]]:  # fmt: skip
+    """Solve every frame and write its heights to the stack; returns their outcomes and contacts."""
     outcomes: list[FrameOutcome] = []
+    contacts: list[ContactRow] = []
     writing: deque[Future[None]] = deque()
+    slip = SlipTracker() if options.slip else None
 
-    def write(z_um: Float32Array, solved: bool) -> None:
-        try:
-            stack.append(z_um)
-            if solved:
-                relief.add(HeightMap(z_um, pitch_um))
-        finally:
-            pool.release(z_um)
+    def write(solved: SolvedFrame) -> None:
+        stack.append(solved.height_um)
+        if solved.statistics is not None:
+            relief.add(HeightMap(solved.height_um, solver.pitch_um))
+        contacts.append(ContactRow.of(solved, solved.number / rate_hz, solver.pitch_um, slip))
 
-    with SolverPool(solver, QUEUE_LENGTH) as pool, ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as disk:
-        for outcome, z_um in pool.map(_decode_ahead(sequence, reading)):
+    with (
+        FrameStream(solver, sigma=options.sigma) as stream,
+        ThreadPoolExecutor(1) as reading,
+        ThreadPoolExecutor(1) as disk,
+    ):
+        for solved in stream.solve(_decode_ahead(sequence, reading)):
             if len(writing) == QUEUE_LENGTH:
                 writing.popleft().result()
-            outcomes.append(outcome)
-            writing.append(disk.submit(write, z_um, outcome.statistics is not None))
+            outcomes.append(FrameOutcome(solved.name, solved.statistics, solved.reason))
+            writing.append(disk.submit(write, solved))
             progress("heights", len(outcomes), sequence.count)
         for job in writing:
             job.result()
-    return outcomes
+    return outcomes, contacts
 
 
 def _decode_ahead(sequence: FrameSequence, reading: ThreadPoolExecutor) -> Iterator[StoredFrame | BadFrame]:

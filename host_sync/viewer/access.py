@@ -27,6 +27,7 @@ from urllib.parse import parse_qs
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
 from host_sync.errors import ViewError
 
@@ -110,16 +111,28 @@ class AccessCheck:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        if scope["type"] != "http":
-            return  # the viewer has no web sockets
+        if scope["type"] == "websocket":
+            # Refused without a word: a page cannot read the reason.
+            allowed = self._is_own_page(scope) and self._own_answer(scope) is None
+            await (self._app if allowed else WebSocketClose(1008))(scope, receive, send)
+            return
+
+        own_socket = self._access.origin.replace("http", "ws", 1)
+        policy = HEADERS["Content-Security-Policy"].replace("connect-src 'self'", f"connect-src 'self' {own_socket}")
+        headers = HEADERS | {"Content-Security-Policy": policy}
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                MutableHeaders(scope=message).update(headers)
             await send(message)
 
         answer = self._own_answer(scope)
         await (answer or self._app)(scope, receive, send_with_headers)
+
+    def _is_own_page(self, scope: Scope) -> bool:
+        """Return whether a web socket is asked for by a page of this server, as browsers say."""
+        scheme, _, host = Headers(scope=scope).get("origin", "").partition("://")
+        return scheme in ("http", "https") and self._access.knows_host(host)
 
     def _own_answer(self, scope: Scope) -> Response | None:
         """A refusal or the exchange of a link; None when the request may pass."""
@@ -129,7 +142,7 @@ class AccessCheck:
         opened = scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate"
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and not opened:
             return refused("Another page requested this: only the viewer's own page may.", 403)
-        if scope["path"] == "/" and scope["method"] == "GET" and "prefetch" not in headers.get("sec-purpose", ""):
+        if scope["path"] == "/" and scope.get("method") == "GET" and "prefetch" not in headers.get("sec-purpose", ""):
             code = parse_qs(scope["query_string"].decode("latin-1")).get("code", [""])[0]
             if secrets.compare_digest(code.encode(), self._access.code.encode()):
                 return self._session(headers)

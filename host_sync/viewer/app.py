@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from datetime import date
 from importlib.resources import files
-from typing import Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
 from starlette.applications import Starlette
@@ -16,7 +16,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Route
 
 from device.errors import DeviceError
 from host_sync.errors import HostError, RegistrationRefused, ViewError
@@ -37,6 +37,9 @@ from host_sync.viewer.responses import (
     readable,
 )
 from host_sync.viewer.service import NearPose, ViewerService
+
+if TYPE_CHECKING:
+    from host_sync.viewer.live import LiveView
 
 NO_LIBRARY: Final = "only scans of a library have a label: pull them into one"
 
@@ -86,25 +89,7 @@ NumberT = TypeVar("NumberT", int, float, date)
 
 def make_app(service: ViewerService, access: Access) -> Starlette:
     """The application, open to requests with access."""
-    pages = _page_files()
-
-    async def file(request: Request) -> Response:
-        name = request.path_params.get("name", "index.html")
-        if name not in pages:
-            return refused("No such page: go back to the list.", 404)
-        data, media, tag = pages[name]
-        kept = request.headers.get("if-none-match") == tag
-        headers = {"Cache-Control": "no-cache", "ETag": tag}
-        return Response(status_code=304, headers=headers) if kept else Response(data, media_type=media, headers=headers)
-
-    def mark(_: Request) -> Response:
-        """A browser asks for it on the way in, before the page names its own."""
-        return RedirectResponse("/page/mark.svg", 301)
-
     routes = [
-        Route("/", file),
-        Route("/favicon.ico", mark),
-        Route("/page/{name:path}", file),
         Route("/api/list", _answering(lambda request: _list(service, request))),
         Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
@@ -123,12 +108,44 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route("/api/trend", _posted(lambda _, body: _trend(body)), methods=["POST"]),
         Route("/api/compare", _answering(lambda request: _compare(service, request)), methods=["POST"]),
     ]
+    return _application(routes, access)
+
+
+def make_live_app(view: LiveView, access: Access) -> Starlette:
+    """The application of a live view."""
+    routes = [
+        Route("/api/list", _answering(lambda _: json_answer({"only": None, "live": True}))),
+        Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
+        *view.routes(),
+    ]
+    return _application(routes, access)
+
+
+def _application(routes: Sequence[BaseRoute], access: Access) -> Starlette:
+    """The page's files, and these routes, for requests with access."""
+    pages = _page_files()
+
+    async def file(request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name not in pages:
+            return refused("No such page: go back to the list.", 404)
+        data, media, tag = pages[name]
+        kept = request.headers.get("if-none-match") == tag
+        headers = {"Cache-Control": "no-cache", "ETag": tag}
+        return Response(status_code=304, headers=headers) if kept else Response(data, media_type=media, headers=headers)
+
+    def mark(_: Request) -> Response:
+        """A browser asks for it on the way in, before the page names its own."""
+        return RedirectResponse("/page/mark.svg", 301)
 
     async def not_found(_request: Request, _error: Exception) -> Response:
         return refused("No such page: go back to the list.", 404)
 
+    page = [Route("/", file), Route("/favicon.ico", mark), Route("/page/{name:path}", file)]
     return Starlette(
-        routes=routes, middleware=[Middleware(AccessCheck, access=access)], exception_handlers={404: not_found}
+        routes=[*page, *routes],
+        middleware=[Middleware(AccessCheck, access=access)],
+        exception_handlers={404: not_found},
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
+import h11
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
@@ -19,6 +20,8 @@ from host_sync.errors import ViewError
 from host_sync.viewer.access import LOOPBACK
 
 MAX_PORT_TRIALS: Final = 50
+MAX_MESSAGE: Final = 4096
+"""Bytes of a page's message to the server, at most."""
 _NO_SUCH_FAMILY: Final = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT})
 
 
@@ -59,6 +62,12 @@ class LimitedConnection(H11Protocol):
         for name in tuple(self._timers):
             self._stop(name)
         super().connection_lost(exc)
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Leave the connection to a web socket, which has pings of its own."""
+        self._limits.waiting.pop(self, None)
+        self._stop("request")
+        super().handle_websocket_upgrade(event)
 
     def handle_events(self) -> None:
         """Take what came; a complete request ends the wait."""
@@ -178,7 +187,9 @@ def make_server(app: ASGIApp, limits: ConnectionLimits | None = None) -> uvicorn
         access_log=False,
         server_header=False,
         lifespan="off",
-        ws="none",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=1,
     )
     return uvicorn.Server(config)

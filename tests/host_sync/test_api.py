@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import inspect
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -34,6 +35,7 @@ from host_sync.errors import (
 )
 from host_sync.kernels.cache import USER_CACHE
 from host_sync.mosaic.motion import Motion
+from host_sync.video import frame_solver
 
 PUBLIC = {
     name: item
@@ -102,6 +104,46 @@ def test_arrays_and_files_give_the_same_bits(folder: Path) -> None:
     light = (stored / 65535.0).astype(np.float32)
     np.testing.assert_allclose(api.reconstruct(light, kept).height_um, from_file, atol=0.01)
     np.testing.assert_array_equal(api.load_result("results/ball").height_um, from_file)
+
+
+@pytest.mark.parametrize("widest_px", [384, 192])
+def test_a_streamed_frame_is_the_frame_reconstructed_alone(
+    folder: Path, widest_px: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Heights agree within 0.3 of their uncertainty; with 192 columns slow changes are found on a coarse frame."""
+    monkeypatch.setattr(frame_solver, "WIDEST_PX", widest_px)
+    kept = api.load_calibration("gel.calibration")
+    names = ["ball-6.png", "ball-1.png", "ball-6.png"]
+    alone = {name: api.reconstruct(name, kept) for name in names}
+    with api.stream(names, kept, sigma=True) as stream:
+        assert stream.shape == (288, 384)
+        for name, frame in zip(names, stream, strict=True):
+            assert (frame.name, frame.problem) == (name, None)
+            off = np.abs(frame.height_um - alone[name].height_um) / alone[name].sigma_um
+            assert np.nanmax(off) < 0.3
+            assert 0.7 < np.nanmedian(frame.sigma_um / alone[name].sigma_um) < 1.4
+            assert frame.contact.depth_um == pytest.approx(float(np.nanmax(frame.height_um)), rel=0.1)
+    assert stream.dropped == 0
+
+
+def test_many_images_come_in_order_and_a_bad_one_keeps_its_place(folder: Path) -> None:
+    kept = api.load_calibration("gel.calibration")
+    first, absent, last = api.reconstruct_many(["ball-6.png", "nothing.png", "ball-1.png"], kept, workers=2)
+    assert isinstance(absent, FrameSetError)
+    np.testing.assert_array_equal(first.height_um, api.reconstruct("ball-6.png", kept).height_um)
+    assert not np.array_equal(first.height_um, last.height_um)
+
+
+def test_the_example_of_the_document_tracks_a_contact(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = (Path(__file__).parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(# Track.*?)```", document, re.DOTALL)
+    assert len(example.splitlines()) <= 10
+    (folder / "press").mkdir()
+    for number in (0, 1, 2):
+        shutil.copy(f"ball-{number}.png", folder / "press")
+    exec(compile(example, "docs/api.md", "exec"), {})  # noqa: S102
+    columns = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()]
+    assert columns == pytest.approx([0.2 * 384, 0.5 * 384, 0.8 * 384], abs=6.0)
 
 
 NO_FRAMES: dict[str, Callable[[], object]] = {

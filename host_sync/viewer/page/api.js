@@ -30,6 +30,7 @@ export async function list(filters) {
 
 export const link = async () => (await json("/api/link")).link + location.hash;
 export const facts = (key) => json(`/api/scan/${key}`);
+export const live = () => json("/api/live");
 export const palettes = () => json("/api/palettes");
 export const thumbnail = (entry) => `/api/scan/${entry.key}/thumbnail?${entry.stamp}`;
 export const height = (key, page, row, column) =>

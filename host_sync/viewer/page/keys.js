@@ -15,6 +15,7 @@ const KEYS = [
   ["1", "a screen pixel for each pixel"],
   ["3", "map or space"],
   ["M  L  P", "drag to move, to light, to draw a profile"],
+  ["R", "record, in a live view"],
   ["Ctrl + Z", "undo a change of what is measured (with Shift: redo)"],
   ["right button", "drag the light (map) or the view (space)"],
   ["?", "this list"],

@@ -6,6 +6,7 @@ import { comparePage } from "./compare.js";
 import { copy, h } from "./dom.js";
 import { setUpKeys } from "./keys.js";
 import { libraryPage } from "./library.js";
+import { livePage } from "./live.js";
 import { scanPage } from "./scan.js";
 import { setUpTheme } from "./theme.js";
 
@@ -20,6 +21,7 @@ async function open(address) {
   const [, place, first, second] = address.split("/");
   if (place === "scan" && first) return scanPage(first, palettes);
   if (place === "compare" && first && second) return comparePage(first, second, palettes);
+  if (place === "live") return livePage(palettes);
   if (place === "batch") return batchPage();
   return libraryPage();
 }
@@ -69,8 +71,9 @@ async function begin() {
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", drop);
   if (!location.hash) {
-    const { only } = await api.list({}).catch(() => ({ only: null }));
-    if (only) history.replaceState(null, "", `#/scan/${only}`);
+    const { only, live } = await api.list({}).catch(() => ({ only: null }));
+    if (live) history.replaceState(null, "", "#/live");
+    else if (only) history.replaceState(null, "", `#/scan/${only}`);
   }
   await show();
 }

@@ -19,8 +19,10 @@ export class Stage {
    * ontool: called with the tool that was chosen
    * onview: called when one of several linked views moves
    * first: whether keys are for this relief when none has the focus
+   * height: gives { z_um } of a row and a column; by default as the server knows it
    */
-  constructor(facts, look, palettes, { onlight, online = null, ontool = () => {}, onview = () => {}, label, first = true }) {
+  constructor(facts, look, palettes, { onlight, online = null, ontool = () => {}, onview = () => {}, label, first = true,
+    height = (row, column) => askHeight(facts.key, this.relief.page, row, column) }) {
     this.facts = facts;
     this.look = look;
     this.onlight = onlight;
@@ -31,6 +33,7 @@ export class Stage {
     this.line = null;
     this.shapes = null;
     this.first = first;
+    this.height = height;
     this.keys = (event) => this.key(event);
     this.canvas = h("canvas", { tabindex: 0, role: "application", "aria-roledescription": "relief", "aria-label":
       `${label}: arrow keys move, plus and minus zoom, Shift with arrow keys moves the light, question mark lists all keys` });
@@ -252,7 +255,7 @@ export class Stage {
     if (this.asking) return undefined;
     this.asking = true;
     try {
-      const found = await askHeight(this.facts.key, this.relief.page, at.row, at.column);
+      const found = await this.height(at.row, at.column);
       const { pitch_um } = this.facts;
       this.say(`row ${at.row}, column ${at.column} · ${length(at.row * pitch_um)} down, ` +
         `${length(at.column * pitch_um)} right · ${withSigma(found.z_um, this.sigmaAt(at))}`);

@@ -86,6 +86,7 @@ export class SurfaceTexture {
 
   /** Request levels down to this one; missing ones are loaded from coarse to fine. */
   want(level, page = 0) {
+    if (this.facts.kind === "live") return Promise.resolve();
     this.wanted = Math.max(this.skipped, Math.min(this.count - 1, level));
     if (page !== this.page) {
       this.stop();
@@ -134,6 +135,21 @@ export class SurfaceTexture {
     for (const [level, part] of parts) this.put(level, 0, ...this.levelSize(level), part);
     this.fresh = false;
     this.show(this.wanted);
+  }
+
+  /** Show another surface, whose levels lie in a buffer from an offset on, fine to coarse; returns the finest. */
+  receive(buffer, offset) {
+    let at = offset;
+    const parts = [];
+    for (let level = 0; level < this.count; level += 1) {
+      const [rows, columns] = this.levelSize(level);
+      const pixels = rows * columns;
+      parts.push({ surface: new Uint16Array(buffer, at, 4 * pixels), valid: new Uint8Array(buffer, at + 8 * pixels, pixels) });
+      at += 8 * pixels + 8 * Math.ceil(pixels / 8);
+    }
+    for (let level = this.count - 1; level >= this.skipped; level -= 1) this.put(level, 0, ...this.levelSize(level), parts[level]);
+    this.show(this.skipped);
+    return parts[0];
   }
 
   /** Upload some rows of a level. */

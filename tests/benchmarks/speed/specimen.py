@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -23,14 +22,10 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import calibration_of
-from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.lights.known_lamps import KnownLamps
-from host_sync.lights.lamp_model import FittedLamps
-from host_sync.lights.normal_quadric import FittedQuadric
+from host_sync.video.coarse import at_size as calibration_at_size
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0
-Fitted = TypeVar("Fitted", FittedLamps, FittedQuadric)
 
 
 def field_calibration(shape: Shape, presses: int, folder: Path) -> Calibration:
@@ -75,41 +70,8 @@ def twin_of(shape: Shape) -> BoardProfile:
 
 
 def resampled(calibration: Calibration, reference: LinearFrame) -> Calibration:
-    """The calibration of the same field for frames of the reference's size: positions are fractions of the field."""
-    finer = reference.shape[1] / calibration.flat_field.shape[1]
-    inverse = replace(calibration.inverse, map=at_size(calibration.inverse.map, reference.shape))
-    error, flat_field = calibration.slope_error, make_flat_field(reference)
-    elevation, lamps = calibration.elevation, calibration.lamps
-    if elevation is not None:
-        per_px = np.float32(1.0 / finer)
-        elevation = replace(
-            elevation,
-            brightening=per_px * elevation.brightening,
-            slanting=per_px * elevation.slanting,
-            misread=None if elevation.misread is None else per_px * elevation.misread,
-        )
-    return replace(
-        calibration,
-        flat_field=flat_field,
-        frame_model=FrameModel.of(reference, flat_field, []),
-        pitch_um=calibration.pitch_um / finer,
-        inverse=inverse,
-        slope_error=msgspec.structs.replace(
-            error, patch_px=error.patch_px * finer, elevation=error.elevation.enlarged(finer)
-        ),
-        elevation=elevation,
-        lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
-        fitted_lamps=_for_shape(calibration.fitted_lamps, reference.shape),
-        quadric=_for_shape(calibration.quadric, reference.shape),
-    )
-
-
-def _for_shape(fitted: Fitted | None, shape: Shape) -> Fitted | None:
-    """What was fitted to balls for the same field at (H, W) pixels: its lengths are in widths of the field."""
-    if fitted is None:
-        return None
-    folds = tuple(replace(fold, shape=shape) for fold in fitted.folds)
-    return replace(fitted, model=replace(fitted.model, shape=shape), folds=folds)
+    """The calibration of the same field for frames of the reference's size."""
+    return calibration_at_size(calibration, reference, make_flat_field(reference))
 
 
 def at_size(inverse_map: InverseMap, shape: Shape) -> InverseMap:

@@ -69,7 +69,7 @@ def test_what_a_pull_brings_is_reconstructed_and_measured_once(
     written = held.newest_result(held.find(first)) / "result.json"
     before = written.read_bytes(), written.stat().st_mtime_ns
     (measurements / f"{first}.json").unlink()
-    assert main(["watch", str(held.root), "--once"]) == 1
+    assert main(["reconstruct", "--watch", "--library", str(held.root), "--once"]) == 1
     said = capsys.readouterr()
     assert str(written.parent) in said.out.splitlines()
     assert second not in said.out
@@ -80,15 +80,15 @@ def test_what_a_pull_brings_is_reconstructed_and_measured_once(
 
 
 def test_a_library_that_is_missing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", str(tmp_path / "absent"), "--once"]) == 2
+    assert main(["reconstruct", "--watch", "--library", str(tmp_path / "absent"), "--once"]) == 2
     assert "there is no library" in capsys.readouterr().err
 
 
 def test_one_watch_works_on_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with only_watch(Library(tmp_path)):
-        assert main(["watch", str(tmp_path), "--once"]) == 2
+        assert main(["reconstruct", "--watch", "--library", str(tmp_path), "--once"]) == 2
         assert "another watch works on this library: end that first" in capsys.readouterr().err
-    assert main(["watch", str(tmp_path), "--once"]) == 0
+    assert main(["reconstruct", "--watch", "--library", str(tmp_path), "--once"]) == 0
 
 
 def test_another_recipe_or_newer_results_are_measured_again(
@@ -130,5 +130,5 @@ def test_another_recipe_or_newer_results_are_measured_again(
 def test_a_time_between_looks_that_makes_no_sense_is_refused(
     every_s: str, library: Library, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["watch", str(library.root), "--once", "--every-s", every_s]) == 2
+    assert main(["reconstruct", "--watch", "--library", str(library.root), "--once", "--every-s", every_s]) == 2
     assert "every-s" in capsys.readouterr().err

@@ -54,6 +54,13 @@ def calibration() -> SimpleNamespace:
         elevation=None,
         shrinkage=None,
         viewpoint=None,
+        null_colour=None,
+        fitted_lamps=None,
+        shading=None,
+        lamps=None,
+        quadric=None,
+        press_levels=None,
+        skin_at_rest=None,
         pitch_um=PITCH_UM,
         inverse=SimpleNamespace(map=inverse),
         calibration_id="c0ffee",
@@ -188,7 +195,8 @@ def test_frames_of_another_size_or_order_are_named_and_the_others_go_on(tmp_path
     )
     (failure,) = report.failures
     assert failure.reason.startswith("small.png: the frame is 160x119 pixels")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"heights_um.tif", "result.json"}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"heights_um.tif", "result.json", "contact.csv", "contact.png"}
 
 
 def test_without_weights_a_clean_surface_is_the_same(tmp_path: Path) -> None:

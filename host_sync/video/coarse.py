@@ -1,0 +1,228 @@
+"""Frames at reduced size, on which what changes slowly over the field is found: elevation, hidden lights, skin at rest.
+
+All of these are long waves, so that their cost need not grow with the pixels of a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeVar
+
+import cv2
+import msgspec
+import numpy as np
+
+from device.imaging.flat_field import DARK_FLOOR, LinearFrame, NormalizedImage
+from device.inverse_map.skin_at_rest import RestEvidence
+from device.surface.fields import Float32Array, GradientField
+from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.calibration.lamp_drift import take_drift_out
+from host_sync.calibration.stray_light import take_stray_light_out
+from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.kernels.cell_rows import bordered, expanded_at
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.lights.known_lamps import KnownLamps
+from host_sync.lights.lamp_model import FittedLamps
+from host_sync.lights.normal_quadric import FittedQuadric
+from host_sync.reconstruction.cell_correction import CellCorrection
+from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.reconstruction.perspective import seen_slopes
+from host_sync.reconstruction.rest_prior import RestPrior
+from host_sync.reconstruction.slope_reading import cell_correction, uncorrected
+
+WIDEST_PX: Final = 384
+"""Columns of a coarse frame, at most."""
+
+Fitted = TypeVar("Fitted", FittedLamps, FittedQuadric)
+
+
+def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float32Array) -> Calibration:
+    """Return the calibration of the same field at the reference's size: positions are fractions of the field.
+
+    reference, flat_field : untouched skin at that size, and what frames are divided by
+    """
+    finer = reference.shape[1] / calibration.flat_field.shape[1]
+    error, elevation, lamps = calibration.slope_error, calibration.elevation, calibration.lamps
+    if elevation is not None:
+        per_px = np.float32(1.0 / finer)
+        elevation = replace(
+            elevation,
+            brightening=per_px * elevation.brightening,
+            slanting=per_px * elevation.slanting,
+            misread=None if elevation.misread is None else per_px * elevation.misread,
+        )
+    return replace(
+        calibration,
+        flat_field=flat_field,
+        frame_model=FrameModel.of(reference, flat_field, []),
+        pitch_um=calibration.pitch_um / finer,
+        inverse=replace(calibration.inverse, map=replace(calibration.inverse.map, shape=reference.shape)),
+        slope_error=msgspec.structs.replace(
+            error, patch_px=error.patch_px * finer, elevation=error.elevation.enlarged(finer)
+        ),
+        elevation=elevation,
+        lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
+        viewpoint=None if calibration.viewpoint is None else calibration.viewpoint.enlarged(finer),
+        fitted_lamps=_for_shape(calibration.fitted_lamps, reference.shape),
+        quadric=_for_shape(calibration.quadric, reference.shape),
+    )
+
+
+def _for_shape(fitted: Fitted | None, shape: tuple[int, int]) -> Fitted | None:
+    """Return what was fitted to balls for the same field at (H, W) pixels: its lengths are in widths of the field."""
+    if fitted is None:
+        return None
+    folds = tuple(replace(fold, shape=shape) for fold in fitted.folds)
+    return replace(fitted, model=replace(fitted.model, shape=shape), folds=folds)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameLight:
+    """Light of a stretch of frames over the calibration's: float32 arrays of shape (3,).
+
+    gain : of each channel
+    stray : light of the surroundings, fraction of full scale
+    """
+
+    gain: Float32Array
+    stray: Float32Array
+
+    @property
+    def is_calibrations(self) -> bool:
+        """True where nothing has changed since the calibration."""
+        return not self.stray.any() and bool((self.gain == 1.0).all())
+
+    @classmethod
+    def of(cls, image: NormalizedImage, calibration: Calibration) -> FrameLight:
+        """Return the light of a coarse image."""
+        told = calibration.inverse.map, calibration.press_levels, calibration.frame_model.levels.response
+        own = replace(image, values=image.values.copy())
+        stray = take_stray_light_out(own, calibration.flat_field, *told)
+        drift = take_drift_out(own, *told)
+        if not stray and not drift:
+            return cls(np.ones(3, np.float32), np.zeros(3, np.float32))
+        lit = image.valid & ~image.clipped
+        dark = 1.0 / np.maximum(calibration.flat_field[lit], DARK_FLOOR)
+        lines = [
+            np.linalg.lstsq(np.stack([image.values[lit, c], dark[:, c]], axis=-1), own.values[lit, c], rcond=None)[0]
+            for c in range(3)
+        ]
+        gain, offset = np.array(lines, np.float64).T
+        return cls(gain.astype(np.float32), (-offset / gain).astype(np.float32) * (stray > 0.0))
+
+    def take_out(self, image: NormalizedImage, flat_field: Float32Array) -> None:
+        """Write the intensity under the calibration's light over an image's own."""
+        if self.stray.any():
+            image.values[...] -= self.stray / np.maximum(flat_field, np.float32(DARK_FLOOR))
+        if (self.gain != 1.0).any():
+            image.values[...] *= self.gain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseReading:
+    """Slopes of a coarse frame and what they gained: arrays of shape (h, w).
+
+    gradients : corrected slopes and their weights, skin at rest included
+    gain_p, gain_q, weight : what slopes gained, and by which factor their weight changed; None where nothing did
+    prior : of skin at rest; None without
+    correction : of hidden or known lights, or a quadric; None without
+    """
+
+    gradients: GradientField
+    gain_p: Float32Array
+    gain_q: Float32Array
+    weight: Float32Array
+    prior: RestPrior | None
+    correction: CellCorrection | None
+
+    @property
+    def has_rest(self) -> bool:
+        """True unless the light shows that no skin is untouched."""
+        return self.correction is None or self.correction.has_rest
+
+
+def read_coarse(
+    image: NormalizedImage, evidence: RestEvidence | None, calibration: Calibration, method: Method
+) -> CoarseReading:
+    """Return the slopes of a coarse image, corrected as those of a single frame are.
+
+    evidence : of skin at rest; None without a reference
+    """
+    gradients = uncorrected(image, calibration, method)
+    read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
+    correction = None
+    if method == "direct":
+        if calibration.elevation is not None:
+            correct_elevation(gradients, calibration.elevation)
+        correction = cell_correction(gradients, image, calibration, method, None)
+        if correction is not None:
+            correction.apply(gradients)
+    gain_p, gain_q = gradients.p - read_p, gradients.q - read_q
+    weight = np.asarray(gradients.weight / np.maximum(sure, np.float32(1e-12)), np.float32)
+    prior = None
+    if evidence is not None and method == "direct" and (correction is None or correction.has_rest):
+        viewpoint = calibration.viewpoint
+        prior = RestPrior.of(gradients if viewpoint is None else seen_slopes(gradients, viewpoint), [evidence])
+        if prior is not None:
+            prior.apply(gradients)
+    return CoarseReading(gradients, gain_p, gain_q, weight, prior, correction)
+
+
+class FineCorrection:
+    """Change that a coarse reading brings to slopes of a frame of full size, as planes over cells."""
+
+    def __init__(self, reading: CoarseReading, cell: int) -> None:
+        size = reading.gain_p.shape[::-1]
+        kept, factor = np.ones_like(reading.gain_p), reading.weight
+        if reading.prior is not None:
+            kept, more = (
+                np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_LINEAR), np.float32)
+                for part in (reading.prior.kept, reading.prior.weight)
+            )
+            factor = factor * more
+        self._planes = bordered(np.stack([reading.gain_p, reading.gain_q, kept, factor]))
+        self._cell = cell
+
+    def apply(self, gradients: GradientField) -> None:
+        """Write corrected slopes and weights over those of a gradient field (H, W)."""
+        parallel_rows(_apply, gradients.p.shape, self._planes, self._cell, gradients.p, gradients.q, gradients.weight)
+
+
+@njit(cache=True, nogil=True)
+def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
+    """Correct the rows `first` to `last` - 1."""
+    upper, step = np.empty((4, p.shape[1]), np.float32), np.empty((4, p.shape[1]), np.float32)
+    expanded = -1
+    for r in range(first, last):
+        expanded, share = expanded_at(planes, r, cell, expanded, upper, step)
+        _apply_row(upper, step, share, p[r], q[r], weight[r])
+
+
+@njit(cache=True)
+def _apply_row(upper: Any, step: Any, share: Any, p: Any, q: Any, weight: Any) -> None:
+    for c in range(p.size):
+        kept = upper[2, c] + share * step[2, c]
+        p[c] = kept * (p[c] + upper[0, c] + share * step[0, c])
+        q[c] = kept * (q[c] + upper[1, c] + share * step[1, c])
+        weight[c] *= upper[3, c] + share * step[3, c]
+
+
+@njit(cache=True, nogil=True)
+def block_moments(values: Any, cell: int, mean: Any, square: Any, first: int, last: int) -> None:
+    """Write means of planes (3, H, W), and of their squares, over rows `first` to `last` - 1 of cells, (3, h, w)."""
+    rows, columns = values.shape[1:]
+    for i in range(first, last):
+        bottom = min((i + 1) * cell, rows)
+        for channel in range(3):
+            for j in range(mean.shape[2]):
+                right = min((j + 1) * cell, columns)
+                total, squares = np.float32(0.0), np.float32(0.0)
+                for r in range(i * cell, bottom):
+                    for c in range(j * cell, right):
+                        value = values[channel, r, c]
+                        total += value
+                        squares += value * value
+                count = np.float32((bottom - i * cell) * (right - j * cell))
+                mean[channel, i, j] = total / count
+                square[channel, i, j] = squares / count

@@ -1,0 +1,260 @@
+"""Frames of a sensor that is plugged in, of the twin, or of a recording played in real time.
+
+A sensor that was unplugged is said so and looked for again. This is the one module of the workstation that opens
+hardware, and only that of a board profile.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol
+
+import cv2
+import numpy as np
+
+from hal.board_profile import BoardProfile, load_board_profile
+from hal.clock import SystemClock
+from hal.errors import HalError
+from hal.frame import RawFrame
+from hal.interfaces import Clock, LiftOff, PressObject
+from hal.profile_files import profile_names
+from host_sync.errors import SourceError
+from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame, open_sequence
+
+if TYPE_CHECKING:
+    from hal.hardware import Hardware
+
+RETRY_S: Final = 1.0
+"""Time between two looks for a sensor that was unplugged."""
+
+TIMEOUT_S: Final = 2.0
+DEFAULT_RATE_HZ: Final = 25.0
+TWIN_OBJECT: Final = "coin"
+TWIN_STEPS: Final = 16
+TWIN_STEP_MM: Final = 0.25
+TWIN_STEP_DEG: Final = 6.0
+TWIN_RATE_HZ: Final = 30.0
+
+_CAMERA: Final = re.compile(r"(?:/dev/video)?(\d+)")
+Shape = tuple[int, int]
+Tell = Callable[[str | None], None]
+
+
+class Capture(Protocol):
+    """An open sensor."""
+
+    def read(self) -> tuple[StoredFrame | BadFrame, int] | None:
+        """Return the next frame and the monotonic time (ns) at which it was taken; None at the end of a recording."""
+
+    def close(self) -> None:
+        """Release it."""
+
+
+class Sensor:
+    """Frames of a source in real time, without end where it is a sensor.
+
+    opened : opens the source
+    tell : is given a sentence when the sensor is lost, and None when it is found again
+    """
+
+    def __init__(
+        self, name: str, opened: Callable[[], Capture], clock: Clock | None = None, tell: Tell = lambda _: None
+    ) -> None:
+        self.name = name
+        self.tell = tell
+        self._open, self._clock = opened, clock or SystemClock()
+        self._capture: Capture | None = opened()
+        self._closed = False
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Yield frames, numbered as they come, until the source ends or is closed."""
+        number = 0
+        try:
+            while not self._closed:
+                try:
+                    if self._capture is None:
+                        self._capture = self._open()
+                        self.tell(None)
+                    found = self._capture.read()
+                except (HalError, SourceError) as error:
+                    self._release()
+                    self.tell(f"{error}")
+                    self._clock.sleep(RETRY_S)
+                    continue
+                if found is None:
+                    return
+                frame, taken_ns = found
+                if isinstance(frame, StoredFrame):
+                    yield StoredFrame(frame.name, frame.pixels, number, taken_ns)
+                else:
+                    yield BadFrame(frame.name, frame.reason, number, taken_ns)
+                number += 1
+        finally:
+            self._release()
+
+    def close(self) -> None:
+        """End with the next frame."""
+        self._closed = True
+
+    def _release(self) -> None:
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            capture.close()
+
+
+def is_sensor(source: int | str | Path) -> bool:
+    """Return whether a source is named as a sensor, and not as a recording."""
+    words = str(source)
+    return bool(_CAMERA.fullmatch(words)) or words in profile_names() or words.endswith(".toml")
+
+
+def open_sensor(source: int | str | Path, shape: Shape, tell: Callable[[str], None] = lambda _: None) -> Sensor:
+    """Open a board profile's sensor by the profile's name or file, a camera by its number or /dev/video file, or a
+    recording, which is played in real time.
+
+    shape : (H, W) of the calibration's frames, which a camera is asked for
+    tell : is given a few words while the source is prepared
+
+    Raises
+    ------
+    HalError, SourceError, SequenceError
+        There is no such source, or it cannot be opened.
+    """
+    words = str(source)
+    camera = _CAMERA.fullmatch(words)
+    if camera:
+        return Sensor(f"camera {camera[1]}", lambda: CameraCapture(int(camera[1]), shape))
+    if is_sensor(source):
+        profile = load_board_profile(words)
+        if profile.driver.startswith("twin"):
+            tell("the twin renders a coin that slides")
+            recording = _TwinSlide(words, shape)
+            return Sensor(words, lambda: PlayedCapture(recording, endless=True))
+        return Sensor(words, lambda: ProfileCapture(words))
+    sequence = open_sequence(Path(words))
+    return Sensor(Path(words).name, lambda: PlayedCapture(sequence))
+
+
+def _hardware(profile: BoardProfile, clock: Clock | None = None) -> Hardware:
+    """Return the hardware of a profile; its drivers are imported only now."""
+    from hal.factory import open_hardware
+
+    return open_hardware(profile, clock)
+
+
+class CameraCapture:
+    """A camera that OpenCV opens: its pictures must have the size of the calibration's frames."""
+
+    def __init__(self, index: int, shape: Shape) -> None:
+        self._name, self._clock = f"camera {index}", SystemClock()
+        self._camera = cv2.VideoCapture(index)
+        rows, columns = shape
+        for setting, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, columns), (cv2.CAP_PROP_FRAME_HEIGHT, rows), (cv2.CAP_PROP_BUFFERSIZE, 1),
+        ):  # fmt: skip
+            self._camera.set(setting, value)
+        if not self._camera.isOpened():
+            self._camera.release()
+            raise SourceError(f"{self._name} cannot be opened: plug it in, or name another number or /dev/video file")
+
+    def read(self) -> tuple[StoredFrame | BadFrame, int]:
+        """Return the next picture."""
+        found, picture = self._camera.read()
+        if not found:
+            raise SourceError(f"{self._name} gives no picture any more: plug it in again")
+        rgb = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+        return StoredFrame(self._name, rgb), self._clock.monotonic_ns()
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._camera.release()
+
+
+class ProfileCapture:
+    """The camera of a board profile, its lights on."""
+
+    def __init__(self, name: str) -> None:
+        profile = load_board_profile(name)
+        hardware = _hardware(profile, SystemClock())
+        with ExitStack() as stack:
+            stack.enter_context(hardware.lights)
+            stack.enter_context(hardware.camera)
+            hardware.camera.apply(profile.camera.settings)
+            hardware.lights.switch_on({light.name: light.current_ma for light in profile.lights})
+            self._held = stack.pop_all()
+        self._camera, self._name = hardware.camera, name
+
+    def read(self) -> tuple[StoredFrame | BadFrame, int]:
+        """Return the next frame that the sensor completes."""
+        frame = self._camera.next_frame(TIMEOUT_S)
+        return StoredFrame(self._name, frame), frame.sensor_timestamp_ns
+
+    def close(self) -> None:
+        """Switch the lights off and release the camera."""
+        self._held.close()
+
+
+class PlayedCapture:
+    """A recording in real time; without end where it begins again.
+
+    clock : the time that it is played in
+    """
+
+    def __init__(self, sequence: FrameSequence, *, endless: bool = False, clock: Clock | None = None) -> None:
+        self._sequence, self._endless, self._clock = sequence, endless, clock or SystemClock()
+        self._period_ns = round(1e9 / (sequence.rate_hz or DEFAULT_RATE_HZ))
+        self._frames = sequence.frames()
+        self._due_ns = self._clock.monotonic_ns()
+
+    def read(self) -> tuple[StoredFrame | BadFrame, int] | None:
+        """Return the next frame when its time has come."""
+        frame = next(self._frames, None)
+        if frame is None and self._endless:
+            self._frames = self._sequence.frames()
+            frame = next(self._frames, None)
+        if frame is None:
+            return None
+        self._due_ns += self._period_ns
+        self._clock.sleep((self._due_ns - self._clock.monotonic_ns()) * 1e-9)
+        return frame, self._due_ns
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _TwinSlide:
+    """Frames of a coin that slides over the twin's skin and back; the first shows untouched skin."""
+
+    rate_hz = TWIN_RATE_HZ
+
+    def __init__(self, name: str, shape: Shape) -> None:
+        hardware = _hardware(load_board_profile(name))
+        self._frames: list[RawFrame] = []
+        with hardware.lights, hardware.camera:
+            hardware.camera.apply(hardware.profile.camera.settings)
+            hardware.lights.switch_on({light.name: light.current_ma for light in hardware.profile.lights})
+            hardware.operator.ask(LiftOff())
+            self._frames.append(hardware.camera.next_frame(TIMEOUT_S))
+            for step in range(TWIN_STEPS):
+                way = None if step == 0 else (TWIN_STEP_MM, 0.5 * TWIN_STEP_MM, TWIN_STEP_DEG)
+                hardware.operator.ask(PressObject(TWIN_OBJECT, way, pushes=False))
+                self._frames.append(hardware.camera.next_frame(TIMEOUT_S))
+        first = self._frames[0]
+        if first.shape != shape and first.shape[0] < 2 * shape[0]:
+            raise SourceError(
+                f"the twin's frames have {first.shape[1]}x{first.shape[0]} pixels and the calibration's "
+                f"{shape[1]}x{shape[0]}: use a calibration of this twin (retroscan --board {name} calibrate)"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of frames, there and back."""
+        return len(self._frames) + TWIN_STEPS - 1
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Yield every frame."""
+        for number, frame in enumerate([*self._frames, *self._frames[-2:0:-1]]):
+            yield StoredFrame(f"twin {number}", frame)

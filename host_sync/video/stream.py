@@ -1,0 +1,181 @@
+"""Frames in, heights out: every frame in order, several at once, or the newest one only.
+
+Parallel over whole frames, not over stages of one: threads need not synchronize at every level of the solver, and a
+frame's heights cannot depend on how many are solved at once. Frames of a stretch share the light of its first one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from queue import SimpleQueue
+from threading import Condition, Thread
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from device.errors import DeviceError
+from device.surface.fields import Float32Array
+from hal.errors import HalError
+from host_sync.errors import HostError
+from host_sync.frames.sequence import BadFrame, StoredFrame
+from host_sync.kernels.jit import get_num_threads, set_num_threads
+from host_sync.text import printable
+from host_sync.video.coarse import FrameLight
+from host_sync.video.frame_solver import STRETCH, FrameSolver, FrameStatistics
+
+MAX_AT_ONCE: Final = 4
+"""Maximum number of frames at once; with more threads, each frame gets several."""
+
+MAX_PX_AT_ONCE: Final = 1 << 25
+"""Maximum number of pixels at once, each with 50 to 60 bytes of working arrays; a single frame may be larger."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedFrame:
+    """One frame of a source: its heights and statistics, or the reason why it has none.
+
+    number : of the source's frames, from 0; frames that were dropped count
+    height_um : float32 array of shape (H, W), zero at untouched skin, NaN where invalid and in a frame without heights
+    sigma_um : standard uncertainty of the heights; None where it was not asked for
+    frame : what was solved
+    """
+
+    number: int
+    name: str
+    height_um: Float32Array
+    sigma_um: Float32Array | None
+    statistics: FrameStatistics | None
+    frame: StoredFrame | BadFrame
+    reason: str | None = None
+
+
+class FrameStream:
+    """Solves the frames of a source in order; a context manager.
+
+    Parameters
+    ----------
+    solver : the first solver; the others are its clones
+    at_once : number of frames at once; None for as many as threads and memory allow
+    sigma : also find the uncertainty of heights
+    """
+
+    def __init__(self, solver: FrameSolver, at_once: int | None = None, *, sigma: bool = False) -> None:
+        threads, pixels = get_num_threads(), solver.shape[0] * solver.shape[1]
+        self.at_once = at_once or max(1, min(threads, MAX_AT_ONCE, MAX_PX_AT_ONCE // pixels))
+        self._shape, self._sigma = solver.shape, sigma
+        self._solvers: SimpleQueue[FrameSolver] = SimpleQueue()
+        self._solvers.put(solver)
+        for _ in range(self.at_once - 1):
+            self._solvers.put(solver.clone())
+        self._executor = ThreadPoolExecutor(self.at_once, "frames", set_num_threads, (-(-threads // self.at_once),))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown(cancel_futures=True)
+
+    def solve(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[SolvedFrame]:
+        """Yield each frame's heights in order; as many as `at_once` are solved ahead, none where that is 1."""
+        pending: deque[Future[SolvedFrame]] = deque()
+        light: Future[FrameLight | None] = Future()
+        for count, frame in enumerate(frames):
+            first = count % STRETCH == 0
+            light = Future() if first else light
+            pending.append(self._executor.submit(self._solved, count, frame, light, first))
+            if len(pending) > self.at_once or self.at_once == 1:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+
+    def _solved(
+        self, count: int, frame: StoredFrame | BadFrame, light: Future[FrameLight | None], first: bool
+    ) -> SolvedFrame:
+        z_um = np.empty(self._shape, np.float32)
+        sigma_um = np.full(self._shape, np.nan, np.float32) if self._sigma else None
+        number, reason = count if frame.number is None else frame.number, ""
+        if isinstance(frame, StoredFrame):
+            solver = self._solvers.get()
+            try:
+                if first:
+                    light.set_result(solver.light_of(frame))
+                figures = solver.solve(frame, z_um, light.result(), sigma_um)
+                name = printable(frame.name)
+                return SolvedFrame(number, name, z_um, sigma_um, figures, frame)
+            except (DeviceError, HostError) as error:
+                reason = str(error)
+            finally:
+                self._solvers.put(solver)
+                if first and not light.done():
+                    light.set_result(None)
+        else:
+            reason = frame.reason
+            if first:
+                light.set_result(None)
+        z_um.fill(np.nan)
+        message = printable(reason if frame.name in reason else f"{frame.name}: {reason}")
+        return SolvedFrame(number, printable(frame.name), z_um, sigma_um, None, frame, message)
+
+
+class NewestFrames:
+    """The newest frame of a source that does not wait; older ones are dropped and counted.
+
+    A thread reads the source, so that its frames are never late. Closing ends the thread.
+
+    frames : the source
+    tap : is given every frame as it comes
+    """
+
+    def __init__(
+        self, frames: Iterator[StoredFrame | BadFrame], tap: Callable[[StoredFrame | BadFrame], None] = lambda _: None
+    ) -> None:
+        self.dropped = self.read = 0
+        self._frames, self._tap = frames, tap
+        self._newest: StoredFrame | BadFrame | None = None
+        self._error: BaseException | None = None
+        self._ended = False
+        self._changed = Condition()
+        self._thread = Thread(target=self._read_all, name="newest frame", daemon=True)
+        self._thread.start()
+
+    def __iter__(self) -> Iterator[StoredFrame | BadFrame]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._newest is not None or self._ended)
+                frame, self._newest = self._newest, None
+                if frame is None:
+                    if self._error is not None:
+                        raise self._error
+                    return
+            yield frame
+
+    def close(self) -> None:
+        """End the thread with the frame that it waits for."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _read_all(self) -> None:
+        error = None
+        try:
+            for frame in self._frames:
+                self._tap(frame)
+                with self._changed:
+                    if self._ended:
+                        return
+                    self.dropped += self._newest is not None
+                    self.read += 1
+                    self._newest = frame
+                    self._changed.notify_all()
+        except (HostError, DeviceError, HalError, OSError) as raised:
+            error = raised
+        with self._changed:
+            self._error, self._ended = error, True
+            self._changed.notify_all()
