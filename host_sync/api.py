@@ -256,7 +256,7 @@ def stream(
 
     Raises
     ------
-    SourceError, SequenceError, HalError
+    SourceError, SequenceError
         The source cannot be opened. A sensor that is unplugged later is said in `problem` and looked for again.
     CalibrationFileError
         `calibration` is none.

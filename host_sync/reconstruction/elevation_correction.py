@@ -35,16 +35,20 @@ RUN: Final = 256
 
 
 def correct_elevation(
-    gradients: GradientField, response: ElevationResponse, z_px: Float32Array | None = None
+    gradients: GradientField,
+    response: ElevationResponse,
+    z_px: Float32Array | None = None,
+    widest_cells: int = WIDEST_CELLS,
 ) -> Float32Array:
     """Write corrected slopes over those of a gradient field, float32 arrays of shape (H, W).
 
     Returns the elevation of cells over untouched skin, pixels, float32 array of shape (h, w).
 
     z_px : what this returned for other slopes of the same skin; None where they are the first
+    widest_cells : cells along the reduced field's columns, at most
     """
     rows, columns = gradients.p.shape
-    cell = -(-columns // WIDEST_CELLS)
+    cell = -(-columns // widest_cells)
     factors = at_cells(response.as_slopes, (-(-rows // cell), -(-columns // cell)))
     if z_px is None:
         p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)

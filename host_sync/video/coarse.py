@@ -34,6 +34,9 @@ from host_sync.reconstruction.slope_reading import cell_correction, uncorrected
 WIDEST_PX: Final = 384
 """Columns of a coarse frame, at most."""
 
+ELEVATION_CELLS: Final = 128
+"""Cells along a coarse frame's columns on which elevation is found, at most: it is a longer wave still."""
+
 Fitted = TypeVar("Fitted", FittedLamps, FittedQuadric)
 
 
@@ -154,7 +157,7 @@ def read_coarse(
     correction = None
     if method == "direct":
         if calibration.elevation is not None:
-            correct_elevation(gradients, calibration.elevation)
+            correct_elevation(gradients, calibration.elevation, widest_cells=ELEVATION_CELLS)
         correction = cell_correction(gradients, image, calibration, method, None)
         if correction is not None:
             correction.apply(gradients)

@@ -102,7 +102,7 @@ def open_live(
 
     Raises
     ------
-    HalError, HostError
+    HostError
         It cannot be opened.
     """
     if isinstance(source, int | str | Path):

@@ -120,14 +120,20 @@ def open_sensor(source: int | str | Path, shape: Shape, tell: Callable[[str], No
 
     Raises
     ------
-    HalError, SourceError, SequenceError
+    SourceError, SequenceError
         There is no such source, or it cannot be opened.
     """
-    words = str(source)
+    try:
+        return _opened_sensor(str(source), shape, tell)
+    except HalError as error:
+        raise SourceError(str(error)) from error
+
+
+def _opened_sensor(words: str, shape: Shape, tell: Callable[[str], None]) -> Sensor:
     camera = _CAMERA.fullmatch(words)
     if camera:
         return Sensor(f"camera {camera[1]}", lambda: CameraCapture(int(camera[1]), shape))
-    if is_sensor(source):
+    if is_sensor(words):
         profile = load_board_profile(words)
         if profile.driver.startswith("twin"):
             tell("the twin renders a coin that slides")

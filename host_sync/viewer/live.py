@@ -12,6 +12,7 @@ import asyncio
 import struct
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Condition, Thread
 from typing import Any, Final
@@ -163,14 +164,17 @@ class LiveView:
 
     async def _pictures(self, socket: WebSocket) -> None:
         await socket.accept()
-        drawn = asyncio.Queue[int]()
+        room = asyncio.Event()
         taken: dict[int, int] = {}
-        reader = asyncio.create_task(self._listen(socket, taken, drawn))
+        reader = asyncio.create_task(self._listen(socket, taken, room))
         last = -1
         try:
             while not reader.done():
-                while len(taken) >= AHEAD and not reader.done():
-                    await asyncio.wait([reader, asyncio.create_task(drawn.get())], return_when=asyncio.FIRST_COMPLETED)
+                if len(taken) >= AHEAD:
+                    room.clear()
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(room.wait(), timeout=1.0)
+                    continue
                 picture = await asyncio.to_thread(self._next, last)
                 if picture is not None and picture.number != last:
                     last = picture.number
@@ -193,7 +197,7 @@ class LiveView:
             )
             return self._picture
 
-    async def _listen(self, socket: WebSocket, taken: dict[int, int], drawn: asyncio.Queue[int]) -> None:
+    async def _listen(self, socket: WebSocket, taken: dict[int, int], room: asyncio.Event) -> None:
         """Take what the page says: pictures that it has drawn, and when to record."""
         try:
             while True:
@@ -204,7 +208,7 @@ class LiveView:
                     now = time.monotonic_ns()
                     self._age_ms = (now - taken_ns) * 1e-6
                     _counted(self._shown, now * 1e-9)
-                    drawn.put_nowait(words.drawn)
+                    room.set()
         except (WebSocketDisconnect, RuntimeError, msgspec.DecodeError):
             return
 

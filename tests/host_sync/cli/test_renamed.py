@@ -26,6 +26,7 @@ ABSENT = ["--library", "absent"]
         (["reprocess", "rg-1"], ["verify", "--reproduce", "rg-1"]),
         (["same-spot", "a", "b"], ["compare", "a", "b"]),
         (["sync", "absent"], ["pull", "absent"]),
+        (["watch", "--once"], ["reconstruct", "--watch", "--once"]),
     ],
     ids=lambda words: " ".join(words),
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hal.clock import VirtualClock
-from hal.errors import BoardProfileError, CameraError
+from hal.errors import CameraError
 from hal.profile_files import profile_folder
 from host_sync.errors import SequenceError, SourceError
 from host_sync.frames.sequence import BadFrame, StoredFrame, open_sequence
@@ -94,8 +94,10 @@ def test_what_names_a_sensor_and_what_a_recording(tmp_path: Path) -> None:
     assert not is_sensor(tmp_path)
     with pytest.raises(SequenceError, match="cannot be read"):
         open_sensor(str(tmp_path / "absent.mp4"), SHAPE)
-    with pytest.raises(BoardProfileError):
+    with pytest.raises(SourceError, match=r"absent\.toml"):
         open_sensor("absent.toml", SHAPE)
+    with pytest.raises(SourceError, match="DIGIT"):
+        open_sensor("digit", SHAPE)
     with pytest.raises(SourceError, match="camera 97 cannot be opened"):
         open_sensor("/dev/video97", SHAPE)
 
