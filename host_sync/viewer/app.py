@@ -114,7 +114,8 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
 def make_live_app(view: LiveView, access: Access) -> Starlette:
     """The application of a live view."""
     routes = [
-        Route("/api/list", _answering(lambda _: json_answer({"only": None, "live": True}))),
+        Route("/api/list", _answering(lambda _: json_answer({"only": None, "live": True, "entries": []}))),
+        Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
         *view.routes(),
     ]
