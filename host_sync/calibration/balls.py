@@ -157,7 +157,7 @@ def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPres
     """The press with the balls of a search as its own."""
     fault = ""
     if not seen.found:
-        reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "nothing presses the skin"
+        reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "no place is shaded as it would be"
         fault = f"shows no ball of radius {radius_px:.0f} px ({reasons})"
     return replace(press, balls=seen.found, rejected=seen.rejected, error=fault, seen=seen)
 

@@ -38,6 +38,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
         frame_set.lights,
         lamps_mm=frame_set.lamps_mm,
         pupil_height_mm=frame_set.pupil_height_mm,
+        states_pixel_shape=frame_set.states_pixel_shape,
         pitch_tolerance=frame_set.pitch_tolerance,
         marks=mark_pattern(frame_set.reference) if frame_set.reference else None,
     )
@@ -106,6 +107,7 @@ def key_of_set(frame_set: FrameSet) -> str:
     settings = (*settings, "stored", stored) if stored != (1.0, None) else settings
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
     settings = (*settings, "light places", frame_set.lamps_mm) if frame_set.lamps_mm else settings
+    settings = (*settings, "two pitches") if frame_set.states_pixel_shape else settings
     settings = (*settings, "± pitch", frame_set.pitch_tolerance) if frame_set.pitch_tolerance is not None else settings
     settings = (*settings, "pupil", frame_set.pupil_height_mm) if frame_set.pupil_height_mm else settings
     try:

@@ -78,6 +78,7 @@ class FrameSet:
     pixel_shape : height of a stored pixel over its width
     full_scale : count at which a pixel of 16 bit is saturated; None where no frame has 16 bit
     states_full_scale : it stands in the file, or in an image's header
+    states_pixel_shape : two pitches stand in the file
     pitch_tolerance : fraction by which the pixel pitch may be off; None where the file does not say
     lights : their names with their colours, empty where the file does not say
     lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
@@ -98,6 +99,7 @@ class FrameSet:
     full_scale: int | None = None
     states_full_scale: bool = False
     pitch_tolerance: float | None = None
+    states_pixel_shape: bool = False
 
     def scaled_as(self, full_scale: int | None) -> FrameSet:
         """Return the same with scans of a full scale that another set's frames show, where this one states none.
@@ -177,6 +179,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         full_scale,
         is_stated,
         _pitch_tolerance(file, pitch_um, path),
+        isinstance(file.pixel_pitch_um, tuple),
     )
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import pytest
 
+from device.calibration.acceptance import Check
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
-from host_sync.calibration.assessment import diameter_note
+from host_sync.calibration.assessment import Assessment, diameter_note
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
 from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks
+from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
+from host_sync.calibration.scale import ScaleUncertainty
 from host_sync.frames.square_pixels import square_frame
 
 SHAPE = (210, 280)
@@ -76,6 +81,20 @@ def test_the_stated_shape_is_not_contradicted() -> None:
     shape = shape_of(0.85, stated=1.0 / 0.85)
     assert shape is not None
     assert shape.ratio == pytest.approx(1.0, abs=0.015)
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_two_stated_pitches_confirm_the_shape(stated: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    @dataclass(frozen=True)
+    class Made:
+        assessment: Assessment
+
+    failed = (Check(PIXEL_SHAPE, 0.25, 0.05, "at most"), Check("balls used", 5.0, 4.0, "at least"))
+    scale = ScaleUncertainty(None, None, None, None, ())
+    made = Made(Assessment(None, scale, None, failed, ("a note",)))  # type: ignore[arg-type]
+    monkeypatch.setattr("host_sync.calibration.frames.calibrate_lights", lambda *_, **__: made)
+    found = calibrate_frames(CalibrationFrames((), None, 20.0, states_pixel_shape=stated)).assessment
+    assert (found.passed, found.notes) == (stated, ("a note",))
 
 
 @pytest.mark.parametrize(("stated", "asks"), [(RADIUS_PX, False), (2.0 * RADIUS_PX, True)])
