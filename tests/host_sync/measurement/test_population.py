@@ -29,8 +29,9 @@ high = 1.5
 
 @pytest.fixture
 def places(write_result: Write, wave: np.ndarray) -> list[str]:
-    """Fourteen alike results and, in ninth place, one of twice the height."""
-    sizes = [*ORDINARY[:8], 2.0, *ORDINARY[8:]]
+    """Fourteen alike results, no two of them equal, and, in ninth place, one of twice the height."""
+    alike = [size + 1e-5 * at for at, size in enumerate(ORDINARY)]
+    sizes = [*alike[:8], 2.0, *alike[8:]]
     return [str(write_result(size * wave, f"part {at:02}", seed=at)) for at, size in enumerate(sizes)]
 
 
@@ -98,7 +99,7 @@ def test_an_outlier_that_cannot_be_read_again_is_named(
 
 
 def test_two_kinds_of_parts_are_doubted(write_result: Write, wave: np.ndarray, tmp_path: Path) -> None:
-    sizes = [1.0, 1.01, 0.99, 1.0, 3.0, 3.01, 2.99, 3.0]
+    sizes = [1.0, 1.01, 0.99, 1.001, 3.0, 3.01, 2.99, 3.001]
     places = [str(write_result(size * wave, f"part {at:02}", seed=at)) for at, size in enumerate(sizes)]
     for given, doubted in ((places, True), (places[:4], False)):
         out = tmp_path / f"report-{len(given)}"

@@ -177,7 +177,7 @@ def test_the_command_prints_verdicts_and_fails_with_them(
         assert main(["measure", str(folder), "--recipe", str(recipe), "--csv", str(table)]) == code
         assert f"{verdict}: 400 to {high:g}" in capsys.readouterr().out
         (row,) = [one for one in csv.DictReader(table.read_text().splitlines()) if one["name"] == "diameter"]
-        assert (row["low"], row["high"], row["verdict"]) == ("400.0", repr(high), verdict)
+        assert (row["low"], row["high"], row["verdict"]) == ("400", f"{high:g}", verdict)
     recipe.write_text(
         recipe_text(Recipe(circle=(RIM,), tolerance=(ToleranceTable(of="rim", number="width", low=1.0),)))
     )
