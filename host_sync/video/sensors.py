@@ -18,8 +18,8 @@ import numpy as np
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
 from hal.errors import HalError
-from hal.frame import RawFrame
-from hal.interfaces import Clock, LiftOff, PressObject
+from hal.frame import CameraSettings, RawFrame
+from hal.interfaces import Camera, Clock, LiftOff, PressObject
 from hal.profile_files import profile_names
 from host_sync.errors import SourceError
 from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame, open_sequence
@@ -31,6 +31,10 @@ RETRY_S: Final = 1.0
 """Time between two looks for a sensor that was unplugged."""
 
 TIMEOUT_S: Final = 2.0
+MAX_DROPPED: Final = 12
+SETTINGS_TOLERANCE: Final = 0.05
+"""Frames until a camera grants its settings, at most, and by how much these may differ, relative."""
+
 DEFAULT_RATE_HZ: Final = 25.0
 TWIN_OBJECT: Final = "coin"
 TWIN_STEPS: Final = 16
@@ -151,6 +155,16 @@ def _hardware(profile: BoardProfile, clock: Clock | None = None) -> Hardware:
     return open_hardware(profile, clock)
 
 
+def _await_settings(camera: Camera, settings: CameraSettings) -> None:
+    """Drop frames that a camera exposed before it had these settings, which sensors quantize."""
+    for _ in range(MAX_DROPPED):
+        granted = camera.next_frame(TIMEOUT_S).granted
+        ratios = granted.exposure_us / settings.exposure_us, granted.analogue_gain / settings.analogue_gain
+        if all(abs(ratio - 1.0) < SETTINGS_TOLERANCE for ratio in ratios):
+            return
+    raise SourceError(f"camera {camera.camera_id} does not grant exposure and gain of its profile: check these")
+
+
 class CameraCapture:
     """A camera that OpenCV opens: its pictures must have the size of the calibration's frames."""
 
@@ -190,6 +204,7 @@ class ProfileCapture:
             stack.enter_context(hardware.camera)
             hardware.camera.apply(profile.camera.settings)
             hardware.lights.switch_on({light.name: light.current_ma for light in profile.lights})
+            _await_settings(hardware.camera, profile.camera.settings)
             self._held = stack.pop_all()
         self._camera, self._name = hardware.camera, name
 
@@ -243,6 +258,7 @@ class _TwinSlide:
             hardware.camera.apply(hardware.profile.camera.settings)
             hardware.lights.switch_on({light.name: light.current_ma for light in hardware.profile.lights})
             hardware.operator.ask(LiftOff())
+            _await_settings(hardware.camera, hardware.profile.camera.settings)
             self._frames.append(hardware.camera.next_frame(TIMEOUT_S))
             for step in range(TWIN_STEPS):
                 way = None if step == 0 else (TWIN_STEP_MM, 0.5 * TWIN_STEP_MM, TWIN_STEP_DEG)

@@ -259,8 +259,7 @@ def _counted(times: deque[float], now: float) -> None:
 
 
 def _rate(times: deque[float]) -> float | None:
-    """Return events per second; None of too few."""
-    stamps = tuple(times)
-    if len(stamps) < 2 or stamps[-1] < time.monotonic() - RATE_OVER_S:
-        return None
-    return (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-9)
+    """Return events per second over the last `RATE_OVER_S`; None of too few."""
+    begin_s = time.monotonic() - RATE_OVER_S
+    count = sum(stamp > begin_s for stamp in tuple(times))
+    return count / RATE_OVER_S if count > 1 else None

@@ -96,8 +96,8 @@ CHECK_ANSWERS: Final = ("Repeat with the right ball", "It is the standard: FAILE
 STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped."""
 
-NOTICE_NS: Final = {"info": 20_000_000_000, "success": 20_000_000_000, "error": 60_000_000_000}
-"""How long a notice stays."""
+NOTICE_NS: Final = 20_000_000_000
+"""How long a notice stays; a failure stays until another notice, or a press."""
 
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16
@@ -184,11 +184,11 @@ class RetroscanApp(App[str]):
             screen.show_state(self.instrument.state, self._too_small() or self.notice)
 
     def _drop_stale_notice(self) -> None:
-        """Drop a notice that was shown long enough, unless it says that something goes on."""
+        """Drop a notice that was shown long enough, unless it says that something goes on or failed."""
         notice, since_ns = self._noticed
         if notice is not self.notice:
             self._noticed = self.notice, self.now_ns()
-        elif notice and not notice.lasts and self.now_ns() - since_ns > NOTICE_NS[notice.severity]:
+        elif notice and not notice.lasts and self.now_ns() - since_ns > NOTICE_NS:
             self.notice = None
 
     def _too_small(self) -> Notice | None:
@@ -300,7 +300,7 @@ class RetroscanApp(App[str]):
         await self.go(place)
 
     async def go(self, place: Place) -> None:
-        """Open a screen; the button scans on the first one and navigates on the others. What was said stays behind."""
+        """Open a screen; the button scans on the first one and navigates on the others. Failures go along."""
         if place != self.current_mode and self.notice and not self.notice.lasts:
             self.notice = None
         await self.switch_mode(place)

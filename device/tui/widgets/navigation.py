@@ -145,8 +145,8 @@ class Notice:
 
     @property
     def lasts(self) -> bool:
-        """Return whether it names work that goes on: its outcome replaces it."""
-        return self.sentence.endswith("...")
+        """Return whether it names a failure, or work that goes on: its outcome replaces it."""
+        return self.severity == "error" or self.sentence.endswith("...")
 
 
 class NoticeLine(Words):

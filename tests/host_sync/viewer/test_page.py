@@ -383,13 +383,15 @@ def test_numbers_pictures_and_links_are_taken_along(served: Any, visit: Callable
         page.evaluate("() => navigator.clipboard.writeText('')")
         page.get_by_role("button", name=button, exact=True).click()
         # A predicate of `wait_for_function` that returns a promise holds at once.
-        return str(page.evaluate("""async () => {
+        return str(
+            page.evaluate("""async () => {
             for (;;) {
                 const text = await navigator.clipboard.readText();
                 if (text !== '') return text;
                 await new Promise(requestAnimationFrame);
             }
-        }"""))
+        }""")
+        )
 
     assert copied("Copy link") == f"{served.access.link}{page.evaluate('location.hash')}"
     page.get_by_role("button", name="Through the middle").click()
