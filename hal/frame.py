@@ -14,6 +14,12 @@ StatedOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG", "as granted"]
 """What a board profile says of its sensor: an order, or that the order which libcamera grants is taken."""
 BAYER_ORDERS: Final[tuple[BayerOrder, ...]] = ("RGGB", "BGGR", "GRBG", "GBRG")
 
+RELATIVE_TOLERANCE: Final = 0.02
+"""Relative tolerance between requested and granted exposure and gain, which the sensor quantizes."""
+
+WHOLE_US: Final = 1.0
+"""Exposures are granted in the whole µs that libcamera reports."""
+
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
@@ -21,6 +27,17 @@ class CameraSettings:
 
     exposure_us: float
     analogue_gain: float
+
+    def is_granted(self, granted: CameraSettings, step_us: float) -> bool:
+        """Return whether a frame's settings are these requested ones, which sensors quantize.
+
+        step_us : exposures come in steps of so many µs
+        """
+        near_us = max(RELATIVE_TOLERANCE * self.exposure_us, step_us + WHOLE_US)
+        return (
+            abs(granted.exposure_us - self.exposure_us) <= near_us
+            and abs(granted.analogue_gain - self.analogue_gain) <= RELATIVE_TOLERANCE * self.analogue_gain
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from device.errors import DeviceError
@@ -16,7 +15,7 @@ from host_sync.integration.zero_level import NO_ZERO
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.live import LiveHeights, open_live
-from host_sync.video.stream import SolvedFrame
+from host_sync.video.stream import SolvedFrame, in_order
 
 if TYPE_CHECKING:
     from host_sync.api_types import Encoding, Image, Method, Result
@@ -36,13 +35,7 @@ def reconstructed_in_order(
     workers = check_workers(workers)
     threads = -(-get_num_threads() // workers)
     with ThreadPoolExecutor(workers, "images", set_num_threads, (threads,)) as executor:
-        pending: deque[Future[Result | HostError | DeviceError]] = deque()
-        for image in images:
-            pending.append(executor.submit(guarded, image))
-            if len(pending) > workers:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+        yield from in_order((executor.submit(guarded, image) for image in images), workers)
 
 
 def open_stream(
@@ -50,15 +43,7 @@ def open_stream(
     full_scale: int | None, method: Method | None, force: bool,
 ) -> HeightStream:  # fmt: skip
     """The stream of a source; arguments as of `host_sync.api.stream`, checked."""
-    facts, known = calibration.facts, calibration.calibration
-    solver = FrameSolver(
-        known,
-        method or known.preferred,
-        encoding or facts.encoding,
-        full_scale=facts.full_scale if full_scale is None else full_scale,
-        pixel_shape=facts.pixel_shape,
-        force=force,
-    )
+    solver = FrameSolver.of(calibration, method, encoding, full_scale=full_scale, force=force)
     live = open_live(source, solver, newest=None if kept is None else kept == "newest", sigma=sigma)
     return HeightStream(
         (_height_frame(one, live, solver.pitch_um) for one in live),

@@ -32,7 +32,7 @@ ENDED_BY_CTRL_C = {"retroscan --board twin run"}
 
 
 def steps(page: str) -> Iterator[tuple[str, str]]:
-    """What a reader types: commands, programs, and files with their names."""
+    """Commands, programs, and files with their names, as a reader types them."""
     text = (DOCS / page).read_text(encoding="utf-8")
     for found in re.finditer(BLOCK, text):
         kind, block, line = found.groups()

@@ -11,7 +11,7 @@ from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.errors import FrameError, FrameNotConfirmed
 from hal.board_profile import SensorConfig
 from hal.errors import FrameTimeout, LightError
-from hal.frame import AS_GRANTED, BayerOrder, CameraSettings, RawFrame
+from hal.frame import AS_GRANTED, WHOLE_US, BayerOrder, CameraSettings, RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import Camera, LightFault, Lights
 
@@ -25,12 +25,8 @@ MAX_FRAMES: Final = 16
 MAX_RESTARTS: Final = 2
 """How often a camera that delivers nothing is reopened before the capture fails."""
 
-RELATIVE_TOLERANCE: Final = 0.02
-"""Relative tolerance between requested and granted exposure and gain, which the sensor quantizes."""
-
 SAME_GAIN: Final = 1e-3
-MIN_TOLERANCE_US: Final = 1.0
-"""Tolerances when the same settings are granted again: relative gain, and the whole µs that libcamera reports."""
+"""Relative tolerance of the gain when the same settings are granted again."""
 
 GAIN_MARGIN: Final = 1e-5
 """Relative margin of a gain that is requested again: less than any sensor's code, more than single precision loses."""
@@ -76,15 +72,11 @@ class CaptureSettings:
 
     def matches(self, granted: CameraSettings, step_us: float) -> bool:
         """Return whether settings that a frame shows are these; exposures come in steps of `step_us`."""
-        if self.granted is not None:
-            near_us = max(0.5 * step_us, MIN_TOLERANCE_US)
-            wanted, near_gain = self.granted, SAME_GAIN * self.granted.analogue_gain
-        else:
-            near_us = max(RELATIVE_TOLERANCE * self.settings.exposure_us, step_us + MIN_TOLERANCE_US)
-            wanted, near_gain = self.settings, RELATIVE_TOLERANCE * self.settings.analogue_gain
+        if self.granted is None:
+            return self.settings.is_granted(granted, step_us)
         return (
-            abs(granted.exposure_us - wanted.exposure_us) <= near_us
-            and abs(granted.analogue_gain - wanted.analogue_gain) <= near_gain
+            abs(granted.exposure_us - self.granted.exposure_us) <= max(0.5 * step_us, WHOLE_US)
+            and abs(granted.analogue_gain - self.granted.analogue_gain) <= SAME_GAIN * self.granted.analogue_gain
         )
 
 

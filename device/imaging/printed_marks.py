@@ -33,7 +33,7 @@ MOST: Final = 0.7
 """A pattern has so many marks, and this fraction of them the same area and distance from the next, up to factors."""
 
 REACH: Final = 2.0
-"""Width of what counts as a mark of a known pattern, over the pattern's: shadows beside a ball are wider."""
+"""Width of what counts as a mark of a known pattern, over the pattern's: shadows next to a ball are wider."""
 
 MARGIN: Final = 0.15
 """Border around a mark that is taken out with it, fraction of its width; at least two pixels."""

@@ -262,7 +262,7 @@ def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
 
 
 def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
-    """The same by the inverse of the covariance."""
+    """Return `_distance` by the inverse of the covariance."""
     return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
 
 

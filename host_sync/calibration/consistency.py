@@ -78,7 +78,7 @@ def check_untouched(reference: LinearFrame, presses: Sequence[LinearFrame]) -> N
 
 
 def _local(blocks: Float64Array) -> Float64Array:
-    """What blocks have beside their surroundings."""
+    """Return the difference of blocks from their surroundings."""
     around = cv2.GaussianBlur(blocks, (0, 0), SURROUNDINGS, borderType=cv2.BORDER_REFLECT)
     return blocks - np.asarray(around).reshape(blocks.shape)
 

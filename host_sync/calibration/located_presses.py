@@ -77,7 +77,7 @@ def check_count(presses: Sequence[UsedPress], pitch_um: float, radius_px: float 
 
 
 def _grouped(presses: Sequence[UsedPress]) -> list[str]:
-    """Why presses cannot be used, each reason once with the presses that share it; figures are those of the first."""
+    """Return the reasons why presses cannot be used, each once with its presses; figures are those of the first."""
     groups: dict[str, tuple[str, list[str]]] = {}
     for press in presses:
         reasons = [press.error] if press.error else [f"shows a ball that {ball.reason}" for ball in press.rejected]
@@ -95,7 +95,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float | None) -> str:
-    """What explains that presses show no ball, as far as they show it."""
+    """Return the mend that the presses themselves suggest where they show no ball."""
     if images and float(np.median([colour_over_brightness(image) for image in images])) < ONE_LIGHT:
         return (
             "all channels show the same light (a grey image, or white lamps): balls are found by lights of three "

@@ -78,7 +78,9 @@ def without_contradiction(
         ends = np.cumsum([len(press.balls) for press in presses])[:-1]
         presses = [
             without_balls(
-                press, gone, f"is {_mean(own[gone]):.2f} times as large by its shading as is stated, beside others"
+                press,
+                gone,
+                f"is {_mean(own[gone]):.2f} times as large by its shading as is stated, compared with the others",
             )
             for press, gone, own in zip(presses, np.split(out, ends), np.split(read, ends), strict=True)
         ]

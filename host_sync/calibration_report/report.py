@@ -15,7 +15,6 @@ from host_sync.render.figure_png import figure_png
 SCHEMA = "retrograph.calibration-report/1"
 REPORT_FILE = "report.json"
 BALL_PICTURES = ("balls.png", "residuals.png")
-OVERVIEW_FILE = "overview.png"
 """One picture of all; `retrosync calibrate` adds it."""
 
 DPI: Final = 120

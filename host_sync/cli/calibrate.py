@@ -57,8 +57,8 @@ def calibrate_command(
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
     check_output(out)
     tell_of_compiling()
-    from host_sync.calibration_report.report import OVERVIEW_FILE
     from host_sync.reconstruction.calibration_overview import with_overview
+    from host_sync.results.files import OVERVIEW_FILE
 
     with status_spinner() as tell:
         tell("loading compiled code")

@@ -76,18 +76,10 @@ def live_command(
         from host_sync.viewer.serving import listening
 
         kept = obtain_calibration(calibration, library, tell, paper=method == "paper")
-        known, facts = kept.calibration, kept.facts
-        solver = FrameSolver(
-            known,
-            method or known.preferred,
-            encoding or facts.encoding,
-            full_scale=facts.full_scale,
-            pixel_shape=facts.pixel_shape,
-            force=force,
-        )
+        solver = FrameSolver.of(kept, method, encoding, force=force)
         recorder = Recorder(record, printable(calibration))
         live = open_live(source, solver, newest=True, sigma=sigma, tap=recorder.take, tell=tell)
-        doubts = tuple(doubt.sentence for doubt in sequence_doubts(known, solver))
+        doubts = tuple(doubt.sentence for doubt in sequence_doubts(kept.calibration, solver))
         view = LiveView(printable(source), live, recorder, solver, doubts)
     try:
         view.start()

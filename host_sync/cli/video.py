@@ -90,19 +90,10 @@ def video(
 
         check_replaceable(out, RECORD_FILE)  # before minutes of work
         kept = obtain_calibration(calibration, library, tell, paper=method == "paper")
-        known, stated = kept.calibration, encoding or kept.facts.encoding
-        solver = FrameSolver(
-            known,
-            method or known.preferred,
-            stated,
-            full_scale=kept.facts.full_scale,
-            pixel_shape=kept.facts.pixel_shape,
-            weighted=weighted,
-            force=force,
-        )
+        solver = FrameSolver.of(kept, method, encoding, weighted=weighted, force=force)
         names = printable(sequence.name), printable(calibration)
         order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, sigma, slip, *names)
-        report = reconstruct_sequence(frames, known, solver, out, order, tell)
+        report = reconstruct_sequence(frames, kept.calibration, solver, out, order, tell)
     return _tell_report(report, out)
 
 

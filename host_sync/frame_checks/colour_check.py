@@ -29,7 +29,7 @@ MAX_DRIFT: Final = 0.15
 """Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
 
 LARGEST_GAIN: Final = 4.0
-"""The same in standard deviations of the presses' own gains, where these differ more."""
+"""Largest gain in standard deviations of the presses' own gains, where these differ more than that."""
 
 MIN_REST: Final = 0.1
 """Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat tell nothing."""

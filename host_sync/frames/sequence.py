@@ -25,8 +25,11 @@ from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
 from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_image
 
+DEFAULT_RATE_HZ: Final = 25.0
+"""Frames a second of a recording that states no rate."""
+
 TIMES_FILE: Final = "times.json"
-"""Beside recorded frames: when each of them was taken."""
+"""File in a folder of recorded frames: the times at which they were taken."""
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

@@ -263,13 +263,6 @@ def cell_correction(
     return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).with_shadow(shadow)
 
 
-def estimate(intensity: NormalizedImage, calibration: Calibration, method: Method) -> GradientField:
-    """Slopes per pixel by the method, corrected for the skin's elevation."""
-    gradients = uncorrected(intensity, calibration, method)
-    _correct_elevation(gradients, calibration, method)
-    return gradients
-
-
 def uncorrected(
     intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
 ) -> GradientField:

@@ -13,10 +13,10 @@ from device.bundles.record import describe_file
 from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import DeviceError
 from host_sync.errors import MeasurementError
+from host_sync.results.files import OVERVIEW_FILE
 from host_sync.results.record import ResultRecord
 
 CALIBRATION_REPORT: Final = "report.json"
-OVERVIEW_FILE: Final = "overview.png"
 MAX_BYTES: Final = 64 << 20
 
 _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"

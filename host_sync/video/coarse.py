@@ -99,10 +99,10 @@ class FrameLight:
     @classmethod
     def of(cls, image: NormalizedImage, calibration: Calibration) -> FrameLight:
         """Return the light of a coarse image."""
-        told = calibration.inverse.map, calibration.press_levels, calibration.frame_model.levels.response
+        models = calibration.inverse.map, calibration.press_levels, calibration.frame_model.levels.response
         own = replace(image, values=image.values.copy())
-        stray = take_stray_light_out(own, calibration.flat_field, *told)
-        drift = take_drift_out(own, *told)
+        stray = take_stray_light_out(own, calibration.flat_field, *models)
+        drift = take_drift_out(own, *models)
         if not stray and not drift:
             return cls(np.ones(3, np.float32), np.zeros(3, np.float32))
         lit = image.valid & ~image.clipped

@@ -6,7 +6,6 @@ its largest brightness.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, MaskArray
 from hal.frame import RawFrame
+from host_sync.csv_table import table_text
 from host_sync.frames.sequence import BadFrame, StoredFrame
 
 if TYPE_CHECKING:
@@ -169,15 +169,13 @@ def _grey(frame: StoredFrame) -> NDArray[np.uint8]:
 
 def write_contact_table(path: Path, rows: Iterable[ContactRow]) -> None:
     """Write lines of contact as CSV; ± are standard uncertainties."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for row in rows:
-            table.writerow(["" if (value := getattr(row, name)) is None else _word(value) for name in COLUMNS])
+    table = ([_six(getattr(row, name)) for name in COLUMNS] for row in rows)
+    path.write_text(table_text([COLUMNS, *table]), encoding="utf-8", newline="")
 
 
-def _word(value: object) -> object:
-    return f"{value:.6g}" if isinstance(value, float) else value
+def _six(value: object) -> object:
+    """Return the value, a number to six digits."""
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def draw_contact_chart(path: Path, rows: list[ContactRow], title: str) -> None:

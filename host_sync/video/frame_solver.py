@@ -17,6 +17,7 @@ from device.imaging.frame_measures import shaded_fraction
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
 from host_sync.frames.frame_set_file import Encoding
@@ -126,6 +127,29 @@ class FrameSolver:
         self._sigma: FrameSigma | None = None
         # A full array, not a broadcast scalar: the search for untouched skin reads every pixel.
         self._all_valid = np.ones((0, 0) if weighted else self.shape, np.bool_)
+
+    @classmethod
+    def of(
+        cls,
+        kept: KeptCalibration,
+        method: Method | None = None,
+        encoding: Encoding | None = None,
+        *,
+        full_scale: int | None = None,
+        weighted: bool = True,
+        force: bool = False,
+    ) -> FrameSolver:
+        """Return a solver of frames like those of a calibration; what is not given is taken from it."""
+        known, facts = kept.calibration, kept.facts
+        return cls(
+            known,
+            method or known.preferred,
+            encoding or facts.encoding,
+            full_scale=facts.full_scale if full_scale is None else full_scale,
+            pixel_shape=facts.pixel_shape,
+            weighted=weighted,
+            force=force,
+        )
 
     def clone(self) -> FrameSolver:
         """Return a solver of the same frames with its own working arrays, for another thread."""

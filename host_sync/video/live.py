@@ -10,9 +10,9 @@ import numpy as np
 
 from host_sync.errors import ArgumentError
 from host_sync.frames.image_file import read_image
-from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame, open_sequence
+from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame, open_sequence
 from host_sync.video.frame_solver import FrameSolver
-from host_sync.video.sensors import DEFAULT_RATE_HZ, Sensor, is_sensor, open_sensor
+from host_sync.video.sensors import Sensor, is_sensor, open_sensor
 from host_sync.video.stream import FrameStream, NewestFrames, SolvedFrame
 
 NS: Final = 1e-9
@@ -79,7 +79,7 @@ class LiveHeights:
             self._sensor.close()
         if self._newest is not None:
             self._newest.close()
-        self._stream.__exit__(None, None, None)
+        self._stream.close()
 
     def _set_problem(self, problem: str | None) -> None:
         self.problem = problem

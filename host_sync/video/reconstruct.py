@@ -19,7 +19,7 @@ from device.io.atomic import atomic_directory
 from device.surface.fields import HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
-from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame
+from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame
 from host_sync.reconstruction.result_writer import calibration_facts
 from host_sync.render.relief_movie import plays_in_browser
 from host_sync.results.doubt import Doubt, doubtful
@@ -34,8 +34,6 @@ from host_sync.video.stream import FrameStream, SolvedFrame
 
 QUEUE_LENGTH: Final = 3
 """Frames decoded before they are solved, and heights solved before they are written."""
-DEFAULT_RATE_HZ: Final = 25.0
-
 
 CONTACT_FILE: Final = "contact.csv"
 CONTACT_CHART: Final = "contact.png"

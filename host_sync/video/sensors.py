@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -18,11 +19,11 @@ import numpy as np
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
 from hal.errors import HalError
-from hal.frame import CameraSettings, RawFrame
-from hal.interfaces import Camera, Clock, LiftOff, PressObject
+from hal.frame import RawFrame
+from hal.interfaces import Clock, LiftOff, PressObject
 from hal.profile_files import profile_names
 from host_sync.errors import SourceError
-from host_sync.frames.sequence import BadFrame, FrameSequence, StoredFrame, open_sequence
+from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame, open_sequence
 
 if TYPE_CHECKING:
     from hal.hardware import Hardware
@@ -32,10 +33,8 @@ RETRY_S: Final = 1.0
 
 TIMEOUT_S: Final = 2.0
 MAX_DROPPED: Final = 12
-SETTINGS_TOLERANCE: Final = 0.05
-"""Frames until a camera grants its settings, at most, and by how much these may differ, relative."""
+"""Frames until a camera grants its settings, at most."""
 
-DEFAULT_RATE_HZ: Final = 25.0
 TWIN_OBJECT: Final = "coin"
 TWIN_STEPS: Final = 16
 TWIN_STEP_MM: Final = 0.25
@@ -91,10 +90,7 @@ class Sensor:
                 if found is None:
                     return
                 frame, taken_ns = found
-                if isinstance(frame, StoredFrame):
-                    yield StoredFrame(frame.name, frame.pixels, number, taken_ns)
-                else:
-                    yield BadFrame(frame.name, frame.reason, number, taken_ns)
+                yield replace(frame, number=number, taken_ns=taken_ns)
                 number += 1
         finally:
             self._release()
@@ -155,14 +151,17 @@ def _hardware(profile: BoardProfile, clock: Clock | None = None) -> Hardware:
     return open_hardware(profile, clock)
 
 
-def _await_settings(camera: Camera, settings: CameraSettings) -> None:
-    """Drop frames that a camera exposed before it had these settings, which sensors quantize."""
+def _begin_lit(hardware: Hardware) -> None:
+    """Switch the lights of a profile on, and drop frames until the camera has the profile's settings."""
+    profile = hardware.profile
+    settings, step_us = profile.camera.settings, profile.sensor.exposure_step_us
+    hardware.camera.apply(settings)
+    hardware.lights.switch_on(profile.currents_ma)
     for _ in range(MAX_DROPPED):
-        granted = camera.next_frame(TIMEOUT_S).granted
-        ratios = granted.exposure_us / settings.exposure_us, granted.analogue_gain / settings.analogue_gain
-        if all(abs(ratio - 1.0) < SETTINGS_TOLERANCE for ratio in ratios):
+        if settings.is_granted(hardware.camera.next_frame(TIMEOUT_S).granted, step_us):
             return
-    raise SourceError(f"camera {camera.camera_id} does not grant exposure and gain of its profile: check these")
+    camera = hardware.camera.camera_id
+    raise SourceError(f"camera {camera} does not grant exposure and gain of its profile: check these")
 
 
 class CameraCapture:
@@ -202,9 +201,7 @@ class ProfileCapture:
         with ExitStack() as stack:
             stack.enter_context(hardware.lights)
             stack.enter_context(hardware.camera)
-            hardware.camera.apply(profile.camera.settings)
-            hardware.lights.switch_on({light.name: light.current_ma for light in profile.lights})
-            _await_settings(hardware.camera, profile.camera.settings)
+            _begin_lit(hardware)
             self._held = stack.pop_all()
         self._camera, self._name = hardware.camera, name
 
@@ -255,10 +252,8 @@ class _TwinSlide:
         hardware = _hardware(load_board_profile(name))
         self._frames: list[RawFrame] = []
         with hardware.lights, hardware.camera:
-            hardware.camera.apply(hardware.profile.camera.settings)
-            hardware.lights.switch_on({light.name: light.current_ma for light in hardware.profile.lights})
             hardware.operator.ask(LiftOff())
-            _await_settings(hardware.camera, hardware.profile.camera.settings)
+            _begin_lit(hardware)
             self._frames.append(hardware.camera.next_frame(TIMEOUT_S))
             for step in range(TWIN_STEPS):
                 way = None if step == 0 else (TWIN_STEP_MM, 0.5 * TWIN_STEP_MM, TWIN_STEP_DEG)

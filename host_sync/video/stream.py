@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from threading import Condition, Thread
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Self, TypeVar
 
 import numpy as np
 
@@ -53,6 +53,20 @@ class SolvedFrame:
     reason: str | None = None
 
 
+Outcome = TypeVar("Outcome")
+
+
+def in_order(jobs: Iterable[Future[Outcome]], ahead: int) -> Iterator[Outcome]:
+    """Yield the results of jobs in their order; `ahead` further ones are begun before a result is waited for."""
+    pending: deque[Future[Outcome]] = deque()
+    for job in jobs:
+        pending.append(job)
+        if len(pending) > ahead:
+            yield pending.popleft().result()
+    while pending:
+        yield pending.popleft().result()
+
+
 class FrameStream:
     """Solves the frames of a source in order; a context manager.
 
@@ -79,20 +93,22 @@ class FrameStream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads; frames that wait are not solved."""
         self._executor.shutdown(cancel_futures=True)
 
     def solve(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[SolvedFrame]:
         """Yield each frame's heights in order; as many as `at_once` are solved ahead, none where that is 1."""
-        pending: deque[Future[SolvedFrame]] = deque()
+        return in_order(self._submitted(frames), 0 if self.at_once == 1 else self.at_once)
+
+    def _submitted(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[Future[SolvedFrame]]:
         light: Future[FrameLight | None] = Future()
         for count, frame in enumerate(frames):
             first = count % STRETCH == 0
             light = Future() if first else light
-            pending.append(self._executor.submit(self._solved, count, frame, light, first))
-            if len(pending) > self.at_once or self.at_once == 1:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+            yield self._executor.submit(self._solved, count, frame, light, first)
 
     def _solved(
         self, count: int, frame: StoredFrame | BadFrame, light: Future[FrameLight | None], first: bool

@@ -50,7 +50,7 @@ RATE_OVER_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Picture:
-    """A message and what its page is asked for."""
+    """A message to a page, and the frame that it shows."""
 
     number: int
     taken_ns: int

@@ -97,7 +97,7 @@ STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped."""
 
 NOTICE_NS: Final = 20_000_000_000
-"""How long a notice stays; a failure stays until another notice, or a press."""
+"""Time that a notice stays; a failure stays until another notice, or a press."""
 
 MIN_COLUMNS: Final = 40
 MIN_ROWS: Final = 16

@@ -26,10 +26,10 @@ from hal.interfaces import PressObject
 from hal.simulator.bench import SimulatedScene
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
-from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.render.relief_movie import plays_in_browser
 from host_sync.viewer.entry import result_entry
 from tests.apparatus.deepening_press import press_deeper
+from tests.apparatus.plain_calibration import plain_calibration
 
 
 @pytest.fixture
@@ -49,28 +49,7 @@ def as_the_device_fitted_it(bundle: CalibrationBundle) -> SimpleNamespace:
     """A calibration in a moment: the workstation's own, from the same frames, takes half a minute and its own tests."""
     model = read_model(bundle.path(MODEL_FILE))
     flat_field = make_flat_field(demosaic(bundle.reference()))
-    calibration = SimpleNamespace(
-        flat_field=flat_field,
-        frame_model=FrameModel.of(None, flat_field, []),
-        elevation=None,
-        shrinkage=None,
-        viewpoint=None,
-        null_colour=None,
-        fitted_lamps=None,
-        shading=None,
-        lamps=None,
-        quadric=None,
-        press_levels=None,
-        skin_at_rest=None,
-        pitch_um=bundle.record.pixel_pitch_um,
-        inverse=SimpleNamespace(map=model),
-        calibration_id="c0ffee",
-        preferred="direct",
-        assessment=SimpleNamespace(
-            passed=True, notes=(), checks=(), coverage=SimpleNamespace(sectors={"middle of the frame": False})
-        ),
-        lights=None,
-    )
+    calibration = plain_calibration(flat_field, model, bundle.record.pixel_pitch_um)
     return SimpleNamespace(
         calibration=calibration, facts=SimpleNamespace(encoding=None, full_scale=None, pixel_shape=1.0)
     )

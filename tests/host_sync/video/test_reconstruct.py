@@ -24,13 +24,13 @@ from device.surface.fields import GradientField, HeightMap
 from device.surface.poisson_dct import integrate_dct
 from device.surface.stereographic import stereographic_from_slope
 from host_sync.errors import SequenceError
-from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
+from tests.apparatus.plain_calibration import plain_calibration
 
 SHAPE = (120, 160)
 PITCH_UM = 10.0
@@ -48,28 +48,7 @@ def calibration() -> SimpleNamespace:
     curve = FeatureRegressor(FeatureScaler(centre, one, -wide, wide), 1, 0, coefficients)
     inverse = InverseMap(SHAPE, every_colour, curve, 2.0)
     flat_field = np.full((*SHAPE, 3), REST, np.float32)
-    return SimpleNamespace(
-        flat_field=flat_field,
-        frame_model=FrameModel.of(None, flat_field, []),
-        elevation=None,
-        shrinkage=None,
-        viewpoint=None,
-        null_colour=None,
-        fitted_lamps=None,
-        shading=None,
-        lamps=None,
-        quadric=None,
-        press_levels=None,
-        skin_at_rest=None,
-        pitch_um=PITCH_UM,
-        inverse=SimpleNamespace(map=inverse),
-        calibration_id="c0ffee",
-        preferred="direct",
-        assessment=SimpleNamespace(
-            passed=True, notes=(), checks=(), coverage=SimpleNamespace(sectors={"middle of the frame": False})
-        ),
-        lights=None,
-    )
+    return plain_calibration(flat_field, inverse, PITCH_UM)
 
 
 def bump_um(peak_um: float) -> np.ndarray:

@@ -339,7 +339,7 @@ def test_on_a_telephone_nothing_is_cut_off(served: Any, visit: Callable[..., Any
 
 
 def overlap(page: Any, first: str, second: str) -> bool:
-    """Whether two elements share a pixel of the screen."""
+    """Return whether two elements share a pixel of the screen."""
     one, other = (page.locator(selector).first.bounding_box() for selector in (first, second))
     return all(
         one[at] < other[at] + other[size] and other[at] < one[at] + one[size]
