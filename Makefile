@@ -46,22 +46,25 @@ accuracy: set-up ## every mark of accuracy, on the twin and on real frames when 
 methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
 	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.methods $(ARGS)
 
+# Of tests that may take longer than the limit in pyproject.toml.
+UNLIMITED := -o faulthandler_timeout=0
+
 TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder --durations=25
 
 test: set-up ## the gate: lint, types, import contracts, and the tests of every promise
 	@$(TESTS)
 
 test-all: set-up ## the gate, and every test that takes long (see tests/tiers.toml; hours)
-	@$(TESTS) -m "not board and not system"
+	@$(TESTS) $(UNLIMITED) -m "not board and not system"
 
 test-changed: set-up ## the long tests of what changed since BASE=COMMIT (the main branch, or the commit before)
 	@"$(VENV)/bin/python" -m tests.tiers $(BASE)
 
 powercut: set-up ## a thousand power cuts on a recorded ext4, and every call into the system failing once (wants root, qemu-storage-daemon, gcc)
-	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/device/store/test_power_cut.py tests/host_sync/offload/test_io_faults.py
+	@"$(VENV)/bin/python" -m pytest $(UNLIMITED) -m "slow or not slow" -rs tests/device/store/test_power_cut.py tests/host_sync/offload/test_io_faults.py
 
 fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by coverage, where atheris is installed
-	@"$(VENV)/bin/python" -m pytest -m "slow or not slow" -rs tests/host_sync/test_mutations.py
+	@"$(VENV)/bin/python" -m pytest $(UNLIMITED) -m "slow or not slow" -rs tests/host_sync/test_mutations.py
 	if "$(VENV)/bin/python" -c 'import atheris' 2>/dev/null; then
 	    "$(VENV)/bin/python" -m tests.fuzz.records 120
 	else
@@ -69,13 +72,13 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 	fi
 
 system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
-	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest $(UNLIMITED) -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
 
 system-test: system-cache system-image ## the whole handheld on a virtual board, and the card's image: install, scan, pull, update, power cuts (QEMU)
-	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
+	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest $(UNLIMITED) -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system
 
 image-test: system-image ## the card's image alone, in QEMU's arm64 board: boot, scan with the twin, pull, update of the system
-	@RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest -m system -rs --basetemp "$(SYSTEM_CACHE)/run-image" tests/system/test_image.py
+	@RETROGRAPH_IMAGE="$(SYSTEM_CACHE)/image" "$(VENV)/bin/python" -m pytest $(UNLIMITED) -m system -rs --basetemp "$(SYSTEM_CACHE)/run-image" tests/system/test_image.py
 
 # The image that is tested is the twin's, with a key that only the tests have.
 system-image: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1735689600)
