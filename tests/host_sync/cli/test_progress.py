@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
+from queue import SimpleQueue
 
 import pytest
 
 from host_sync.cli import console
 
 
-def test_a_pipe_gets_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+class Pipe(io.StringIO):
+    """A standard error of which a test takes one writing after the other: `capsys` may lose one of another thread."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written = SimpleQueue[str]()
+
+    def write(self, text: str) -> int:
+        self.written.put(text)
+        return len(text)
+
+
+def test_a_pipe_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = Pipe()
     monkeypatch.setattr(console, "LINES_EVERY_S", 1e-3)
-    written = ""
+    monkeypatch.setattr(sys, "stderr", pipe)
     with console.progress("bytes") as show:
-        for step, done in (("card: rg-1", 25.0), ("card: rg-1", 50.0), ("\x1b[2Jcard", None)):
+        for step, done, line in (
+            ("card: rg-1", 25.0, "card: rg-1, 25%"),
+            ("card: rg-1", 50.0, "card: rg-1, 50%"),
+            ("\x1b[2Jcard", None, "\\x1b[2Jcard"),
+        ):
             show(step, done, done and 100.0, "card")
-            while not written.endswith("\n") or len(written.splitlines()) < (done or 75.0) / 25.0:
-                written += capsys.readouterr().err
-    assert written.splitlines() == [
-        "retrosync: card: rg-1, 25%",
-        "retrosync: card: rg-1, 50%",
-        "retrosync: \\x1b[2Jcard",
-    ]
+            assert pipe.written.get(timeout=60.0) == f"retrosync: {line}\n"
+    assert pipe.written.empty()
 
 
 def test_a_line_leaves_the_program_at_once() -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import asyncssh
@@ -51,12 +52,20 @@ def window(card: DeviceCard, keys: Path, clock: VirtualClock | None = None) -> I
         yield listening.getsockname()[1], opened
 
 
+def until(found: Callable[[], Any]) -> Any:
+    """Return what another thread brings about; a minute is enough for it."""
+    for _ in range(12_000):
+        if what := found():
+            return what
+        Event().wait(0.005)
+    pytest.fail("the window's thread did nothing")
+
+
 def compare(opened: PairingWindow) -> Callable[[str], bool]:
     """A person who confirms the code on the device and on the workstation when both show the same."""
 
     def same_code(code: str) -> bool:
-        while opened.shown is None and opened.outcome is None:
-            pass
+        until(lambda: opened.shown or opened.outcome)
         if opened.shown is None or opened.shown.code != code:
             return False
         opened._clock.sleep(READING_S)
@@ -91,9 +100,7 @@ def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: 
 
 
 def opened_code(opened: PairingWindow) -> str:
-    while opened.shown is None:
-        pass
-    return opened.shown.code
+    return until(lambda: opened.shown).code
 
 
 def test_after_pairing_and_not_before_scans_can_be_fetched(
@@ -158,8 +165,7 @@ def test_three_codes_that_nobody_confirms_close_the_window(
 
             with pytest.raises(PairingError, match="if the codes differ, something else answers"):
                 pairing.pair_over_network("127.0.0.1", port, own, differs)
-            while opened.shown is not None:
-                pass
+            until(lambda: opened.shown is None)
             assert (opened.outcome is None) == (number < 2)
         with pytest.raises(PairingRefused, match="3 codes were shown and not confirmed"):
             opened.wait()
