@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import gc
 import os
 import signal
 import sys
@@ -20,15 +18,6 @@ AGAIN_S: Final = 0.05
 """An interrupt that cannot be raised now is tried again after this."""
 
 _IMPORT: Final = "<frozen importlib._bootstrap>"
-
-
-def keep_types_at_exit() -> None:
-    """Let the interpreter's last garbage collection leave alone what exists when the program ends.
-
-    It frees record types that refer to each other in any order, in which one process of ten ended with a segmentation
-    fault after its work was done (msgspec, issue 717).
-    """
-    atexit.register(gc.freeze)
 
 
 @contextmanager

@@ -5,12 +5,19 @@ The libraries' own messages on bytes that are not text name codecs and bytes; th
 
 from __future__ import annotations
 
+import atexit
+import gc
 import re
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable
 from typing import Final, TypeVar
 
 import msgspec
+
+# msgspec 0.22 may crash when the interpreter's last garbage collection frees record types that refer to each other,
+# after all work is done (msgspec issue 717). Readers of records import this module; what is frozen is left to the
+# system.
+atexit.register(gc.freeze)
 
 T = TypeVar("T")
 

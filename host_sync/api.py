@@ -19,7 +19,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from device.shutdown import keep_types_at_exit
 from host_sync.api_types import Detail, Encoding, HeightStream, Kept, Method, Press
 from host_sync.api_types import HeightFrame as HeightFrame
 from host_sync.api_types import Result as Result
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
     from host_sync.errors import HostError
     from host_sync.library.library import Library
     from host_sync.measurement.quantity import Quantity
-
-keep_types_at_exit()
 
 
 def calibrate(

@@ -13,7 +13,6 @@ import numpy as np
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
-from device.interpreter_exit import leave_cycles_to_the_system
 from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -34,8 +33,6 @@ from host_sync.results.reader import ResultSurface, read_result
 
 if TYPE_CHECKING:
     from host_sync.api_types import Encoding, Image, Press
-
-leave_cycles_to_the_system()
 
 
 def check_choice(name: str, value: object, choices: object) -> None:

@@ -18,7 +18,6 @@ from device.bundles.calibration import BallRecord, CalibrationBundle, Calibratio
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
 from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictRecord
-from device.shutdown import keep_types_at_exit
 from device.store.store import BundleStore
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
@@ -26,8 +25,6 @@ from hal.frame import CameraSettings, RawFrame
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.hardware import twin_hardware
-
-keep_types_at_exit()
 
 SHAPE = (32, 48)
 ROOT = Path(__file__).parent

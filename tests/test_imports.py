@@ -23,7 +23,6 @@ PORTABLE_ROOMS = (
     "device.errors",
     "device.shutdown",
     "device.early_stop",
-    "device.interpreter_exit",
     "device.command_line",
 )
 PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs", "cyclopts", "filelock"}

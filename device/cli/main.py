@@ -28,7 +28,7 @@ from device.command_line import (
     write_any_sign,
 )
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
-from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
+from device.shutdown import signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.profile_files import profile_names
 
@@ -104,7 +104,6 @@ def launch(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    keep_types_at_exit()
     write_any_sign()
     try:
         with signals_as_keyboard_interrupt(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):

@@ -6,14 +6,12 @@ import sys
 from collections.abc import Sequence
 
 from device.early_stop import STOPPED, ends_at_once
-from device.interpreter_exit import leave_cycles_to_the_system
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `retroscan` in the main thread; returns the exit code."""
     with ends_at_once("retroscan"):
         from device.cli.main import main as run
-    leave_cycles_to_the_system()
     try:
         return run(arguments)
     except KeyboardInterrupt:

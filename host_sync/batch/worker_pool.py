@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from typing import Final, Generic, TypeVar
 
-from device.shutdown import keep_types_at_exit
 from host_sync.kernels.kept_memory import kept_memory
 
 ATTEMPTS: Final = 3
@@ -140,7 +139,6 @@ def outcomes_of(
 def _serve(pipe: connection.Connection, setup: Callable[[], Callable[[Task], Outcome]]) -> None:
     """Work until the caller closes the pipe or is gone; an interrupt from the terminal is the caller's affair."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    keep_types_at_exit()
     work = setup()
     with kept_memory():
         while True:

@@ -16,7 +16,7 @@ from cyclopts import CycloptsError
 
 from device.command_line import add_commands, in_new_words, make_app, sentence, write_any_sign
 from device.errors import DeviceError
-from device.shutdown import keep_types_at_exit, signals_as_keyboard_interrupt
+from device.shutdown import signals_as_keyboard_interrupt
 from host_sync.cli.commands import COMMANDS, OLD_COMMANDS
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
 from host_sync.errors import HostError, SourceError
@@ -44,7 +44,6 @@ add_commands(app, COMMANDS)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
-    keep_types_at_exit()
     write_any_sign()
     search_seldom()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.

@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from device.shutdown import keep_types_at_exit
 from tests.benchmarks.accuracy.built_boards import built_figures
 from tests.benchmarks.accuracy.check_standard import certificate_figures
 from tests.benchmarks.accuracy.marks import Figures, all_marks, record
@@ -37,7 +36,6 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="leave the other parts unmeasured")
     parser.add_argument("--out", type=Path, default=Path("accuracy.json"), help="file for the record")
     arguments = parser.parse_args()
-    keep_types_at_exit()
     console = Console()
     began_s = time.monotonic()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
