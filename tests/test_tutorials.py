@@ -25,6 +25,7 @@ from device.tui.screens.app import RetroscanApp
 from hal import board_profile
 from hal.profile_files import profile_folder
 from host_sync.cli import demo
+from tests.apparatus.printing import needs_browser
 
 DOCS = Path(__file__).parent.parent / "docs"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```|^    ((?:retroscan|retrosync)(?: [^\n]*)?)$", re.MULTILINE | re.DOTALL)
@@ -119,6 +120,7 @@ def test_a_height_map_of_own_frames(newcomer: Path) -> None:
     assert height_um.max() == pytest.approx(50.0 * APEX_PX, rel=0.05)
 
 
+@needs_browser
 @pytest.mark.slow
 def test_a_day_with_the_handheld(newcomer: Path) -> None:
     commands = follow("tutorial-field.md")

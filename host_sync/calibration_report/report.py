@@ -10,7 +10,7 @@ import numpy as np
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.johnson2009.model import PaperModel
-from host_sync.render.figure_png import figure_png
+from host_sync.render.figures import figure_png
 
 SCHEMA = "retrograph.calibration-report/1"
 REPORT_FILE = "report.json"

@@ -1,4 +1,4 @@
-"""Calibrates, reconstructs and measures every specimen, and writes the certificate as JSON and PDF."""
+"""Calibrates, reconstructs and measures every specimen, and writes the certificate as JSON, HTML and PDF."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ from host_sync.measurement.quantity import Quantity
 from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.report.writing import find_browser, write_report
 from host_sync.results.reader import ResultSurface, read_result
 
 RECORD_FILE = "certificate.json"
-PAGES_FILE = "certificate.pdf"
+PAGES = "certificate"
 Tell = Callable[[str], None]
 
 
@@ -40,8 +41,8 @@ def certificate_of_frame_set(
     out: Path,
     tell: Tell = lambda _: None,
     calibrator: Calibrator | None = None,
-) -> Certificate:
-    """Judge the instrument that a frame set calibrates; everything is written to `out`.
+) -> tuple[Certificate, list[Path]]:
+    """Judge the instrument that a frame set calibrates, and return its certificate's pages; all is written to `out`.
 
     specimens : files as `read_specimen` reads them
     calibrator : gives the calibration; by default it is made now
@@ -66,16 +67,13 @@ def certificate_of_frame_set(
         for number, (path, one) in enumerate(read, start=1)
     ]
     certificate = certify(frame_set.name, calibration, checked, list(_hashed(frame_set.path, read)))
-    write_certificate(certificate, out)
-    return certificate
+    return certificate, write_certificate(certificate, out)
 
 
-def write_certificate(certificate: Certificate, out: Path) -> None:
-    """Write `certificate.json` and `certificate.pdf` to a folder."""
-    from host_sync.report.pdf_pages import pdf_pages  # reportlab takes a while to load
-
+def write_certificate(certificate: Certificate, out: Path) -> list[Path]:
+    """Write `certificate.json`, `.html` and, where there is a browser, `.pdf` to a folder; return the last two."""
     write_output(out / RECORD_FILE, msgspec.json.format(msgspec.json.encode(certificate), indent=2))
-    write_output(out / PAGES_FILE, pdf_pages(pages_of(certificate)))
+    return write_report(pages_of(certificate), out / PAGES, find_browser())
 
 
 def check_specimen(

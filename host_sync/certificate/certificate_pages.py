@@ -24,13 +24,11 @@ def pages_of(certificate: Certificate) -> Report:
         "Agreement with specimens",
         ("specimen", "certified, µm", "measured, µm", "error", "E_n"),
         tuple(_specimen(one) for one in certificate.specimens),
-        widths=(0.34, 0.17, 0.23, 0.15, 0.11),
     )
     characteristics = Table(
         "Metrological characteristics",
         ("symbol", "characteristic", "value", "from"),
         tuple(_characteristic(one) for one in certificate.characteristics),
-        widths=(0.07, 0.34, 0.22, 0.37),
     )
     return Report(
         title=f"Calibration certificate: {certificate.instrument}",

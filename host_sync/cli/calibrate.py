@@ -88,18 +88,22 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
     described = load_frame_set(frame_set)
     tell_of_compiling()
     from host_sync.certificate.certificate import verdict_words
-    from host_sync.certificate.certificate_job import PAGES_FILE, certificate_of_frame_set
+    from host_sync.certificate.certificate_job import certificate_of_frame_set
+    from host_sync.report.writing import NO_BROWSER
 
     with status_spinner() as tell:
-        certificate = certificate_of_frame_set(described, check, out, tell, calibrator_for(None, tell))
+        certificate, pages = certificate_of_frame_set(described, check, out, tell, calibrator_for(None, tell))
     for line in _lines(certificate):
         print_line(line)
     for one in certificate.specimens:
         for words in one.words:
             print_error(f"{one.name}: {words}", PARTLY)
     print_line(verdict_words(certificate))
-    print_line(str(out / PAGES_FILE))
-    return DONE if certificate.agrees else PARTLY
+    for page in pages:
+        print_line(str(page))
+    if len(pages) == 1:
+        print_error(NO_BROWSER, PARTLY)
+    return DONE if certificate.agrees and len(pages) > 1 else PARTLY
 
 
 def _lines(certificate: Certificate) -> list[str]:

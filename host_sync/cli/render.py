@@ -64,8 +64,7 @@ class Look:
 
     def still(self, *, turning: bool = False) -> Still:
         """The settings of the renderer."""
-        from host_sync.render.still import Still
-        from host_sync.render.viewpoint import Viewpoint
+        from host_sync.render.still import Still, Viewpoint
 
         aslant = self.azimuth is not None or self.elevation is not None or turning
         usual = Viewpoint() if aslant else Viewpoint(azimuth_deg=270.0, elevation_deg=90.0)
@@ -162,8 +161,7 @@ def _height(entry: Entry) -> HeightMap:
 
 def _draw_one(entry: Entry, still: Still, path: Path, frames: int | None) -> None:
     from host_sync.render.picture_file import write_any_picture
-    from host_sync.render.still import render
-    from host_sync.render.turntable import write_turntable
+    from host_sync.render.still import render, write_turntable
 
     if frames is None:
         write_any_picture(path, render(_height(entry), still))
@@ -199,8 +197,8 @@ def _draw_all(entries: list[Entry], still: Still, folder: Path, frames: int | No
 def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) -> int:
     from dataclasses import replace
 
-    from host_sync.render.contact_sheet import CELL_PX, contact_sheet
     from host_sync.render.picture_file import write_any_picture
+    from host_sync.render.relief_sheet import CELL_PX, contact_sheet
     from host_sync.render.still import render
     from host_sync.results.doubt import doubtful
 
@@ -229,7 +227,7 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
 
 def _common_range(entries: list[Entry]) -> tuple[float, float]:
     """Lowest and highest height of all that can be read, µm."""
-    from host_sync.render.relief import height_range_um
+    from host_sync.render.shading import height_range_um
 
     ends = []
     for entry in entries:

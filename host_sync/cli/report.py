@@ -1,4 +1,4 @@
-"""`retrosync report`: writes an HTML file and a PDF per result, by a recipe."""
+"""`retrosync report`: writes an HTML file per result, by a recipe, and a browser's PDF of it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from device.command_line import Folder
 from device.errors import DeviceError
@@ -35,8 +37,11 @@ def report_command(
     population: bool = False,
     semicolon: bool = False,
     overwrite: bool = False,
+    pdf: Annotated[bool, Parameter(negative="--no-pdf")] = True,
 ) -> int:
     """Report on results: relief, frame, profiles, numbers with ±, calibration and provenance, as HTML and PDF.
+
+    Chromium, Chrome or Edge prints the PDF.
 
     Parameters
     ----------
@@ -57,14 +62,23 @@ def report_command(
         Write numbers.csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     overwrite
         Replace existing reports.
+    pdf
+        Write a PDF of each report; --no-pdf writes HTML alone, on a machine without such a browser.
     """
     chosen = chosen_recipe(recipe, {})
     style, logo = _template(template)
     folders = result_folders(results, library)
+    from host_sync.report.writing import NO_BROWSER, find_browser
+
+    browser = find_browser() if pdf else None
     with _output_folder(out):
         _check_free([out / NUMBERS_FILE], replace=overwrite)
         report = _report_on_all if population else _report_on_each
-        return report(folders, chosen, style, logo, out, overwrite=overwrite, semicolon=semicolon)
+        code = report(folders, chosen, style, logo, out, browser, overwrite=overwrite, semicolon=semicolon)
+    if pdf and browser is None:
+        print_error(NO_BROWSER, PARTLY)
+        return code or PARTLY
+    return code
 
 
 @contextmanager
@@ -89,6 +103,7 @@ def _report_on_each(
     style: Template | None,
     logo: Picture | None,
     out: Path,
+    browser: str | None,
     *,
     overwrite: bool,
     semicolon: bool,
@@ -106,7 +121,7 @@ def _report_on_each(
 
         name = file_name(found.record.scan_id or found.record.name, taken)
         try:
-            _write(compose(found, style, logo), out / name, replace=overwrite)
+            _write(compose(found, style, logo), out / name, browser, replace=overwrite)
         except (DeviceError, HostError) as error:
             failed = True
             print_error(error, PARTLY)
@@ -128,6 +143,7 @@ def _report_on_all(
     style: Template | None,
     logo: Picture | None,
     out: Path,
+    browser: str | None,
     *,
     overwrite: bool,
     semicolon: bool,
@@ -149,22 +165,18 @@ def _report_on_all(
     from host_sync.measurement.measurement_text import as_csv
     from host_sync.report.population import compose_population
 
-    _write(compose_population(done, style, logo), out / POPULATION, replace=overwrite)
+    _write(compose_population(done, style, logo), out / POPULATION, browser, replace=overwrite)
     write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
     return PARTLY if failed else DONE
 
 
-def _write(report: Report, place: Path, *, replace: bool) -> None:
+def _write(report: Report, place: Path, browser: str | None, *, replace: bool) -> None:
     """Write a report's page and its PDF, and print where."""
-    from host_sync.report.html_page import html_page
-    from host_sync.report.pdf_pages import pdf_pages
+    from host_sync.report.writing import report_files, write_report
 
-    pages = {".html": html_page(report).encode(), ".pdf": pdf_pages(report)}
-    places = {ending: place.with_name(f"{place.name}{ending}") for ending in pages}
-    _check_free(places.values(), replace=replace)
-    for ending, data in pages.items():
-        write_output(places[ending], data)
-        print_line(str(places[ending]))
+    _check_free(report_files(place), replace=replace)
+    for path in write_report(report, place, browser):
+        print_line(str(path))
 
 
 def _template(path: Path | None) -> tuple[Template | None, Picture | None]:

@@ -15,7 +15,7 @@ from host_sync.calibration.training_press import pictures_across
 from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
 from host_sync.importers.ball_survey import SeenPress, look_at, survey_radius
-from host_sync.render.figure_png import figure_png
+from host_sync.render.figures import figure_png
 
 WIDTH_IN: Final = 14.0
 HEAD_IN: Final = 0.45

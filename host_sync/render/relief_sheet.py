@@ -1,10 +1,8 @@
-"""A relief with colour bar in µm, scale bar and title.
-
-Everything but the relief is drawn once, so that a sequence of reliefs shares range, shading and layout.
-"""
+"""Reliefs with colour bar in µm, scale bar and title, and contact sheets of many reliefs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -16,8 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from device.surface.fields import HeightMap, MaskArray
 from host_sync.render.colormap import tint_table
-from host_sync.render.relief import Picture, height_range_um, relief_rgb
-from host_sync.render.shading import exaggeration_for, reduced, steep_slope
+from host_sync.render.shading import Picture, exaggeration_for, height_range_um, reduced, relief_rgb, steep_slope
 
 MAX_COLUMNS: Final = 1600
 MIN_COLUMNS: Final = 320
@@ -218,3 +215,71 @@ def font_file() -> str:
     if package is None or package.origin is None:
         raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
     return str(Path(package.origin).with_name("mpl-data") / "fonts" / "ttf" / "DejaVuSans.ttf")
+
+
+STRIP_ROWS: Final = 56
+_STRIP_LETTER: Final = 15
+_BAR_ROWS: Final = 12
+_MOST_COLUMNS: Final = 640
+_LABEL_COLUMNS: Final = 70
+
+
+def colour_strip(columns: int, range_um: tuple[float, float]) -> Picture:
+    """The strip: uint8 array of shape (STRIP_ROWS, columns, 3).
+
+    range_um : heights of the first and last colour, µm
+    """
+    font = ImageFont.truetype(font_file(), _STRIP_LETTER)
+    edge = min(40, columns // 8)
+    width = max(16, min(columns - 2 * edge - int(font.getlength("  µm")), _MOST_COLUMNS))
+    image = Image.new("RGB", (columns, STRIP_ROWS), "white")
+    colours = tint_table(width).astype(np.uint8)
+    image.paste(Image.fromarray(np.repeat(colours[None], _BAR_ROWS, axis=0)), (edge, 8))
+    draw = ImageDraw.Draw(image)
+    low, high = range_um
+    for value in ticks(low, high, max(2, width // _LABEL_COLUMNS)):
+        place = edge + round((value - low) / max(high - low, 1e-9) * (width - 1))
+        draw.line((place, 8 + _BAR_ROWS, place, 12 + _BAR_ROWS), fill=_INK)
+        draw.text((place, 14 + _BAR_ROWS), f"{value:g}", _INK, font, "ma")
+    draw.text((edge + width + 6, 8 + _BAR_ROWS // 2), "µm", _INK, font, "lm")
+    return np.array(image)
+
+
+def with_strip(picture: Picture, range_um: tuple[float, float]) -> Picture:
+    """A picture of shape (H, W, 3) above its colour bar."""
+    return np.concatenate([picture, colour_strip(picture.shape[1], range_um)])
+
+
+CELL_PX: Final = 420
+_GAP: Final = 20
+_CELL_LETTER: Final = 17
+
+
+def contact_sheet(
+    pictures: Iterable[tuple[str, str, Picture]], across: int, range_um: tuple[float, float] | None = None
+) -> Picture:
+    """Picture of shape (H, W, 3) with `across` reliefs per row, each with its name and a line of facts.
+
+    pictures : name, facts and picture of each, at most `CELL_PX` wide and high
+    range_um : heights of the first and last colour of all, µm, for a colour bar below; None draws none
+    """
+    font = ImageFont.truetype(font_file(), _CELL_LETTER)
+    lines: list[Image.Image] = []
+    cells = list(pictures)
+    below = 3 * _CELL_LETTER + _GAP
+    across = max(1, min(across, len(cells)))
+    width = across * (CELL_PX + _GAP) + _GAP
+    for first in range(0, len(cells), across):
+        some = cells[first : first + across]
+        tallest = max(picture.shape[0] for _, _, picture in some)
+        line = Image.new("RGB", (width, tallest + below + _GAP // 2), "white")
+        draw = ImageDraw.Draw(line)
+        for index, (name, facts, picture) in enumerate(some):
+            left = _GAP + index * (CELL_PX + _GAP)
+            line.paste(Image.fromarray(picture), (left + (CELL_PX - picture.shape[1]) // 2, _GAP // 2))
+            for number, words in enumerate((name, facts)):
+                at = (left, _GAP // 2 + tallest + 6 + number * round(1.35 * _CELL_LETTER))
+                draw.text(at, shortened(words, font, CELL_PX), _INK if number == 0 else (110, 110, 110), font)
+        lines.append(line)
+    sheet = np.concatenate([np.asarray(line) for line in lines])
+    return sheet if range_um is None else with_strip(sheet, range_um)

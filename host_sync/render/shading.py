@@ -1,4 +1,4 @@
-"""Diffuse shading of a height map under one directional light (paper, section 6)."""
+"""Shading of a height map under one light, coloured by height, with cast shadows and ambient occlusion."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.kernels.jit import njit
+from host_sync.render.colormap import HIGHLIGHT, tint_table
 
 LIGHT_AZIMUTH_DEG: Final = 135.0
 LIGHT_ELEVATION_DEG: Final = 40.0
@@ -88,3 +90,126 @@ def _shade(z_um: Any, per_pixel: Any, light: Any, brightness: Any) -> None:
             q = (z_um[below, c] - z_um[above, c]) * down
             cosine = (light[2] - p * light[0] - q * light[1]) / np.sqrt(one + p * p + q * q)
             brightness[r, c] = ambient + (one - ambient) * max(zero, cosine)
+
+
+Picture = NDArray[np.uint8]
+
+INVALID: Final = 255
+
+
+def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: float = 1.0) -> Picture:
+    """Picture of shape (H, W, 3): colour by height, shaded; white where a pixel or a neighbour is invalid.
+
+    low_um, high_um : heights of the first and last colour, µm
+    exaggeration : factor on the slopes for shading
+    """
+    return tinted(height, shade(height, exaggeration=exaggeration), flat_brightness(), low_um, high_um)
+
+
+def tinted(height: HeightMap, brightness: Float32Array, flat: float, low_um: float, high_um: float) -> Picture:
+    """Picture of shape (H, W, 3): colour by height, darker or lighter than on a flat surface by its brightness.
+
+    brightness : float32 array of shape (H, W), 0 to 1; NaN becomes white
+    flat : brightness of a flat surface under the same light
+    """
+    picture = np.empty((*height.z_um.shape, 3), np.uint8)
+    share = np.float32(1.0 / max(high_um - low_um, 1e-9))
+    low = np.float32(low_um)
+    _tint(np.ascontiguousarray(height.z_um), brightness, low, share, np.float32(flat), tint_table(), picture)
+    return picture
+
+
+def height_range_um(height: HeightMap) -> tuple[float, float]:
+    """0.1 and 99.9 percentile of the valid heights, µm; (0, 1) when none is valid."""
+    step = max(1, height.z_um.shape[1] // 300)
+    sample = height.z_um[::step, ::step]
+    finite = sample[np.isfinite(sample)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, [0.1, 99.9])
+    return float(low), float(max(high, low + 1e-3))
+
+
+@njit(cache=True, nogil=True)
+def _tint(z_um: Any, brightness: Any, low: Any, share: Any, flat: Any, table: Any, picture: Any) -> None:
+    """Write the picture, without the interpreter lock."""
+    rows, columns = z_um.shape
+    zero, one, last = np.float32(0.0), np.float32(1.0), np.float32(table.shape[0] - 1)
+    white, highlight = np.float32(255.0), np.float32(HIGHLIGHT)
+    for r in range(rows):
+        for c in range(columns):
+            light = brightness[r, c]
+            at = (z_um[r, c] - low) * share
+            if not (np.isfinite(light) and np.isfinite(at)):
+                picture[r, c, :] = INVALID
+                continue
+            entry = np.int64(min(max(at, zero), one) * last + np.float32(0.5))
+            darker = min(light / flat, one)
+            lighter = highlight * max(light - flat, zero) / (one - flat)
+            for k in range(3):
+                shaded = table[entry, k] * darker
+                picture[r, c, k] = np.uint8(shaded + (white - shaded) * lighter)
+
+
+DIRECTIONS: Final = 16
+REACH_SHARE: Final = 0.15
+"""Reach of ambient occlusion, as a fraction of the height map's diagonal."""
+
+SHADOW_SOFTNESS: Final = 0.06
+"""Width of the penumbra, as a tangent of the elevation."""
+
+
+def ambient_occlusion(height: HeightMap, exaggeration: float) -> Float32Array:
+    """Fraction of a diffuse sky that each pixel sees: float32 array of shape (H, W), NaN where invalid."""
+    total = np.zeros(height.z_um.shape, np.float32)
+    for turn in np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS):
+        tangent = _horizon(height, exaggeration, float(turn), REACH_SHARE)
+        total += 1.0 / (1.0 + np.maximum(tangent, np.float32(0.0)) ** 2)
+    return np.where(np.isfinite(height.z_um), total / np.float32(DIRECTIONS), np.float32(np.nan))
+
+
+def shadow_mask(height: HeightMap, exaggeration: float, azimuth_deg: float, elevation_deg: float) -> Float32Array:
+    """Fraction of the light that reaches each pixel: float32 array of shape (H, W), 0 to 1."""
+    tangent = _horizon(height, exaggeration, float(np.radians(azimuth_deg)), 1.0)
+    free = (np.float32(np.tan(np.radians(elevation_deg))) - tangent) / np.float32(SHADOW_SOFTNESS)
+    return np.asarray(np.clip(free + 0.5, 0.0, 1.0), np.float32)
+
+
+def _horizon(height: HeightMap, exaggeration: float, turn: float, reach_share: float) -> Float32Array:
+    """Tangent of the horizon's elevation in a direction, counter-clockwise from the right."""
+    rows, columns = height.z_um.shape
+    z = np.ascontiguousarray(height.z_um) * np.float32(exaggeration / height.pitch_um)
+    steps = [1.0]
+    # Steps grow with the distance.
+    while steps[-1] < reach_share * np.hypot(rows, columns):
+        steps.append(steps[-1] + max(1.0, 0.06 * steps[-1]))
+    # Rounded, so that a ray along the rows stays on its row.
+    down, right = (np.round(np.multiply(steps, part), 4).astype(np.float32) for part in (-np.sin(turn), np.cos(turn)))
+    tangent = np.empty_like(z)
+    _trace(z, down, right, np.array(steps, np.float32), tangent)
+    return tangent
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _trace(z: Any, down: Any, right: Any, steps: Any, tangent: Any) -> None:
+    """Write the largest tangent along a ray; beyond the border nothing hides the sky.
+
+    Heights are interpolated: with the nearest pixel, a slope along a diagonal would be 1.4 times too steep.
+    """
+    rows, columns = z.shape
+    for r in range(rows):
+        for c in range(columns):
+            steepest = np.float32(-1e6)
+            for i in range(steps.size):
+                y, x = np.float32(r) + down[i], np.float32(c) + right[i]
+                if y < 0 or x < 0 or y > rows - 1 or x > columns - 1:
+                    break
+                top, left = int(y), int(x)
+                low, far = min(top + 1, rows - 1), min(left + 1, columns - 1)
+                v, u = y - np.float32(top), x - np.float32(left)
+                above = z[top, left] + u * (z[top, far] - z[top, left])
+                below = z[low, left] + u * (z[low, far] - z[low, left])
+                rise = (above + v * (below - above) - z[r, c]) / steps[i]
+                if rise > steepest:
+                    steepest = rise
+            tangent[r, c] = steepest

@@ -22,13 +22,12 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts under a header; `remarks` concern all rows; `widths` are fractions of the page width per column."""
+    """Rows of texts under a header; `remarks` concern all rows."""
 
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...] = ()
-    widths: tuple[float, ...] | None = None
 
 
 SIGNED: Final = "SHA-256 of the report's words and numbers and its files' hashes, without pictures and logo"

@@ -1,4 +1,4 @@
-"""A report as one self-contained HTML file without scripts, also for printing.
+"""A report as one self-contained HTML file without scripts, whose print style is that of the PDF.
 
 Every text is escaped, and a content policy forbids scripts and external resources as a second barrier.
 """
@@ -21,6 +21,7 @@ body { font: 10.5pt/1.4 "Noto Sans", "DejaVu Sans", Arial, sans-serif; color: #1
 h1 { font-size: 1.6rem; margin-bottom: 0.2rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 0.4rem; }
 table { border-collapse: collapse; width: 100%; font-size: 9.5pt; }
 th, td { text-align: left; vertical-align: top; padding: 0.15rem 0.6rem 0.15rem 0; border-bottom: 1px solid #ddd; }
+th { overflow-wrap: normal; }
 td:nth-child(2) { font-variant-numeric: tabular-nums; }
 .facts th { font-weight: normal; color: #555; width: 11rem; }
 .hashes td:last-child { font-family: "DejaVu Sans Mono", monospace; font-size: 7.5pt; }
@@ -33,12 +34,23 @@ figcaption { color: #555; font-size: 9pt; }
 .pass { color: #1d5d33; } .fail { color: #8c2f1b; } .undecided { color: #7a4a00; }
 .signature code { font-size: 7.5pt; }
 tr { break-inside: avoid; } h2 { break-after: avoid; }
-@media print { body { margin: 0; max-width: none; } @page { size: A4; margin: 15mm; } }
+@media print {
+  body { margin: 0; padding: 0; max-width: none; font-size: 8.5pt; } h1 { font-size: 15pt; } h2 { font-size: 10pt; }
+  table, .remark, figcaption { font-size: 7.5pt; } img { width: auto; max-height: 120mm; } .footer { display: none; }
+  .hashes td:last-child, .signature code { font-size: 5.6pt; }
+}
+"""
+_PAGE: Final = """@page { size: A4; margin: 14mm 15mm 16mm; color: #555;
+  font: 7pt "Noto Sans", "DejaVu Sans", Arial, sans-serif;
+  @bottom-left { content: "%s"; width: 85%%; }
+  @bottom-right { content: "page " counter(page); }
+}
 """
 
 
 def html_page(report: Report) -> str:
-    """The page."""
+    """The page; at the foot of a printed one stands the template's line, else the beginning of the title."""
+    foot = printable(report.footer or report.title)[:110]
     body = _head(report)
     body += [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
     body += [f'<p class="warning">Warning: {escape(warning)}</p>' for warning in report.warnings]
@@ -53,13 +65,13 @@ def html_page(report: Report) -> str:
     body += [_table(table, "hashes" if len(table.head) == 3 else "") for table in report.appendix]
     body.append(f'<p class="signature">{SIGNED}: <code>{escape(report.signature)}</code></p>')
     if report.footer:
-        body.append(f'<p class="remark">{escape(report.footer)}</p>')
+        body.append(f'<p class="remark footer">{escape(report.footer)}</p>')
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{escape(_POLICY)}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escape(report.title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>",
+            f"<title>{escape(report.title)}</title>\n<style>{_STYLE}{_PAGE % _in_style(foot)}</style>\n</head>\n<body>",
             *body,
             "</body>\n</html>\n",
         ]
@@ -69,6 +81,11 @@ def html_page(report: Report) -> str:
 def escape(text: str) -> str:
     """The text with markup escaped."""
     return escape_markup(printable(text))
+
+
+def _in_style(text: str) -> str:
+    """A text between quotation marks of a style sheet, where every sign but letters and digits is a number."""
+    return "".join(letter if letter.isalnum() else f"\\{ord(letter):x} " for letter in text)
 
 
 def _head(report: Report) -> list[str]:

@@ -15,8 +15,8 @@ from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.measurement_text import operations
 from host_sync.measurement.quantity import Quantity, plain
 from host_sync.measurement.trend import MIN_COUNT, Trend, with_uncertainty
-from host_sync.render.contact_sheet import CELL_PX, contact_sheet
-from host_sync.render.relief import height_range_um
+from host_sync.render.relief_sheet import CELL_PX, contact_sheet
+from host_sync.render.shading import height_range_um
 from host_sync.render.still import Still, render, resize_to_width
 from host_sync.report.composing import place_of, signature, worst
 from host_sync.report.content import Picture, Report, Table
@@ -33,8 +33,6 @@ ACROSS: Final = 3
 """Thumbnails in a row."""
 
 _HEAD: Final = ("number", "mean", "range, s", "control limits, beyond", "Cp, Cpk, Ppk")
-_WIDTHS: Final = (0.16, 0.22, 0.16, 0.22, 0.24)
-_OUTLIERS_WIDTHS: Final = (0.34, 0.66)
 
 _Charted = tuple[Quantity, list[Quantity | None], Trend]
 
@@ -168,7 +166,7 @@ def _numbers(charted: Sequence[_Charted]) -> Table:
         "individuals); Cp and Cpk from the mean moving range, Ppk from the standard deviation s of all",
         *(f"doubt: {words}" for words in doubts),
     )
-    return Table("Numbers of all results", _HEAD, tuple(rows), remarks, _WIDTHS)
+    return Table("Numbers of all results", _HEAD, tuple(rows), remarks)
 
 
 def _outlier_tables(measurements: Sequence[Measurement], found: Sequence[Outlier]) -> Iterator[Table]:
@@ -176,7 +174,7 @@ def _outlier_tables(measurements: Sequence[Measurement], found: Sequence[Outlier
         rows = tuple(
             (measurements[one.at].record.name, "; ".join(": ".join(reason) for reason in one.reasons)) for one in found
         )
-        yield Table("Outliers, the farthest first", ("result", "why"), rows, (), _OUTLIERS_WIDTHS)
+        yield Table("Outliers, the farthest first", ("result", "why"), rows, ())
 
 
 def _chart(example: Quantity, row: list[Quantity | None], trend: Trend, names: list[str]) -> Picture:

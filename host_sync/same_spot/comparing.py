@@ -16,9 +16,9 @@ from host_sync.errors import ViewError
 from host_sync.registration.copies import are_copies
 from host_sync.registration.difference import Difference, difference
 from host_sync.registration.poses import Pose
-from host_sync.render.colour_strip import with_strip
 from host_sync.render.picture_file import write_any_picture
-from host_sync.render.relief import Picture
+from host_sync.render.relief_sheet import with_strip
+from host_sync.render.shading import Picture
 from host_sync.render.still import Still, render
 from host_sync.results.field_file import write_field
 from host_sync.results.reader import ResultSurface

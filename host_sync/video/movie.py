@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap
-from host_sync.render.relief import Picture, height_range_um
-from host_sync.render.relief_movie import MAX_RATE_HZ, ReliefGif, ReliefMovie
+from host_sync.render.picture_file import MAX_RATE_HZ, ReliefGif, ReliefMovie
 from host_sync.render.relief_sheet import ReliefSheet
-from host_sync.render.shading import exaggeration_for, reduced, steep_slope
+from host_sync.render.shading import Picture, exaggeration_for, height_range_um, reduced, steep_slope
 
 MOVIE_WIDTH_PX: Final = 960
 Progress = Callable[[str, int, int], None]

@@ -21,7 +21,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame
 from host_sync.reconstruction.result_writer import calibration_facts
-from host_sync.render.relief_movie import plays_in_browser
+from host_sync.render.picture_file import plays_in_browser
 from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE

@@ -32,7 +32,7 @@ SYSTEM_FILES = ("/proc/", "/sys/", "/etc/")
 OURS = ("hal", "device", "host_sync", "filelock")
 OTHERS = (
     "asyncio", "asyncssh", "cv2", "cyclopts", "matplotlib.figure", "matplotlib.backends.backend_agg", "msgspec",
-    "multiprocessing.connection", "numba", "numpy", "PIL.Image", "platformdirs", "reportlab.pdfgen.canvas",
+    "multiprocessing.connection", "numba", "numpy", "PIL.Image", "platformdirs",
     "rich.progress", "scipy.fft", "scipy.ndimage", "scipy.optimize", "scipy.sparse.linalg", "starlette.applications",
     "subprocess", "threadpoolctl", "tifffile", "uvicorn", "zeroconf.asyncio",
 )  # fmt: skip

@@ -62,7 +62,7 @@ def checked_twin(folder: Path, tell: Callable[[str], None], skin: str = "diffuse
     tell("check standards: frames")
     specimens = list(_make_frames(_profile(skin), folder))
     frame_set = load_frame_set(folder / "frameset.toml")
-    return certificate_of_frame_set(frame_set, specimens, folder / "certificate", lambda w: tell(f"check: {w}"))
+    return certificate_of_frame_set(frame_set, specimens, folder / "certificate", lambda w: tell(f"check: {w}"))[0]
 
 
 def certificate_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[str, float]]:

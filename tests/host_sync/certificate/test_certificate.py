@@ -12,12 +12,13 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.certificate.certificate import Certificate, HashedFile, verdict_of
-from host_sync.certificate.certificate_job import PAGES_FILE, RECORD_FILE, write_certificate
+from host_sync.certificate.certificate_job import RECORD_FILE, write_certificate
 from host_sync.certificate.characteristics import CheckedSpecimen, characteristics
 from host_sync.certificate.specimen_file import MeasureTable, ScanTable, SpecimenFile, read_specimen
 from host_sync.certificate.specimen_measurement import judge, measured_quantity
 from host_sync.errors import MeasurementError
 from host_sync.results.reader import ResultRecord, ResultSurface
+from tests.apparatus.printing import needs_browser
 
 SHAPE, PITCH_UM = (120, 400), 10.0
 LINE: dict[str, Any] = {"from_um": (500.0, 600.0), "to_um": (3500.0, 600.0), "width_um": 200.0}
@@ -201,6 +202,7 @@ def test_a_bad_file_is_refused_with_its_key(tmp_path: Path, now: str, then: str,
     assert str(path) in str(raised.value)
 
 
+@needs_browser
 def test_the_certificate_is_written_as_json_and_pages(tmp_path: Path) -> None:
     good = checked(specimen("step", 100.0), step(101.0), step(102.0, flank_um=200.0))
     certificate = Certificate(
@@ -209,10 +211,13 @@ def test_the_certificate_is_written_as_json_and_pages(tmp_path: Path) -> None:
         columns=SHAPE[1], balls=12, held_out_error_deg=1.0, verdict=verdict_of([good.result]),
         specimens=(good.result,), characteristics=characteristics([good]), files=(HashedFile("a.png", 1, "ab" * 32),),
     )  # fmt: skip
-    write_certificate(certificate, tmp_path)
+    pages, *sheets = write_certificate(certificate, tmp_path)
+    assert pages == tmp_path / "certificate.html"
+    assert "<h1>Calibration certificate: made</h1>" in pages.read_text(encoding="utf-8")
     read = msgspec.json.decode((tmp_path / RECORD_FILE).read_bytes(), type=Certificate)
     assert read == certificate
-    pages = (tmp_path / PAGES_FILE).read_bytes()
-    assert pages.startswith(b"%PDF")
+    assert sheets == [tmp_path / "certificate.pdf"]
+    before = sheets[0].read_bytes()
+    assert before.startswith(b"%PDF")
     write_certificate(certificate, tmp_path)
-    assert (tmp_path / PAGES_FILE).read_bytes() == pages
+    assert sheets[0].read_bytes() == before

@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image
 
 from host_sync.cli.main import main
-from host_sync.render.colour_strip import STRIP_ROWS
+from host_sync.render.relief_sheet import STRIP_ROWS
 from host_sync.results.field_file import write_field
 
 

@@ -26,7 +26,7 @@ from hal.interfaces import PressObject
 from hal.simulator.bench import SimulatedScene
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
-from host_sync.render.relief_movie import plays_in_browser
+from host_sync.render.picture_file import plays_in_browser
 from host_sync.viewer.entry import result_entry
 from tests.apparatus.deepening_press import press_deeper
 from tests.apparatus.plain_calibration import plain_calibration

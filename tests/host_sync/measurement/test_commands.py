@@ -18,9 +18,11 @@ import pytest
 from device.bundles.scan import Annotations, ScanBundle
 from device.store.store import BundleStore
 from host_sync.cli.main import main
-from host_sync.report import composing
+from host_sync.report import composing, writing
+from tests.apparatus.printing import needs_browser
 
 Write = Callable[..., Path]
+
 HOSTILE = "<script>alert('ö')</script> & \"quoted\" ../../etc $x$ =1+1"
 
 
@@ -218,6 +220,7 @@ class Tags(HTMLParser):
         self.attributes += attrs
 
 
+@needs_browser
 def test_a_report_stands_alone_and_hostile_names_do_nothing(
     write_result: Write, wave: np.ndarray, tmp_path: Path
 ) -> None:
@@ -255,6 +258,7 @@ def test_a_report_stands_alone_and_hostile_names_do_nothing(
     assert not list(tmp_path.rglob("*.partial"))
 
 
+@needs_browser
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed (Debian: poppler-utils)")
 def test_the_pdf_says_what_the_page_says(write_result: Write, wave: np.ndarray, tmp_path: Path) -> None:
     folder = write_result(wave, HOSTILE)
@@ -278,3 +282,26 @@ def test_a_result_that_cannot_be_measured_is_named(
     empty = write_result(np.full_like(wave, np.nan), "empty")
     assert main(["measure", str(empty)]) == 2
     assert capsys.readouterr().err.startswith(f"retrosync: {empty}: every pixel")
+
+
+def test_without_a_browser_the_page_is_written_and_a_sentence_names_what_is_missing(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(writing, "find_browser", lambda: None)
+    report = ["report", str(write_result(wave, "one")), str(write_result(wave, "two")), "--out", str(tmp_path / "out")]
+    assert main(report) == 1
+    assert capsys.readouterr().err == f"retrosync: {writing.NO_BROWSER}\n"
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["numbers.csv", "one.html", "two.html"]
+    assert main([*report, "--overwrite", "--no-pdf"]) == 0
+    assert not capsys.readouterr().err
+
+
+def test_a_browser_that_fails_leaves_the_page_and_no_pdf(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(writing, "find_browser", lambda: "/bin/false")
+    assert main(["report", str(write_result(wave, "one")), "--out", str(tmp_path / "out")]) == 2
+    assert "one.html is written, but /bin/false makes no PDF of it" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one.html"]

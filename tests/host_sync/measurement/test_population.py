@@ -11,8 +11,10 @@ import pytest
 
 from host_sync.cli.main import main
 from host_sync.report.trend_chart import without_common_start
+from tests.apparatus.printing import needs_browser
 
 Write = Callable[..., Path]
+
 
 ORDINARY = [1.00, 1.02, 0.99, 1.01, 0.98, 1.00, 1.01, 0.99, 1.02, 1.00, 0.99, 1.01, 1.00, 0.98]
 RECIPE = """
@@ -42,6 +44,7 @@ def chosen(tmp_path: Path) -> str:
     return str(path)
 
 
+@needs_browser
 def test_a_population_has_charts_capability_and_its_outlier_as_a_thumbnail(
     places: list[str], chosen: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,7 +74,7 @@ def test_a_population_has_charts_capability_and_its_outlier_as_a_thumbnail(
 def test_a_population_needs_two_results_and_replaces_none_unasked(
     places: list[str], chosen: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["--recipe", chosen, "--population", "--out", str(tmp_path / "out")]
+    arguments = ["--recipe", chosen, "--population", "--no-pdf", "--out", str(tmp_path / "out")]
     assert main(["report", places[0], *arguments]) == 2
     assert "a population is two results or more" in capsys.readouterr().err
     assert main(["report", *places[:2], *arguments]) == 0
@@ -103,7 +106,7 @@ def test_two_kinds_of_parts_are_doubted(write_result: Write, wave: np.ndarray, t
     places = [str(write_result(size * wave, f"part {at:02}", seed=at)) for at, size in enumerate(sizes)]
     for given, doubted in ((places, True), (places[:4], False)):
         out = tmp_path / f"report-{len(given)}"
-        assert main(["report", *given, "--out", str(out), "--population"]) == 0
+        assert main(["report", *given, "--out", str(out), "--population", "--no-pdf"]) == 0
         assert ("not one population: 8 of 8 results" in (out / "population.html").read_text()) == doubted
 
 

@@ -15,8 +15,10 @@ import pytest
 
 from host_sync.cli.main import main
 from host_sync.report.places import LETTER_MM, placed
+from tests.apparatus.printing import needs_browser
 
 Write = Callable[..., Path]
+
 RECIPE = """
 name = "incoming inspection"
 parameters = ["Sa", "Sq"]
@@ -65,6 +67,7 @@ def files(tmp_path: Path, write_result: Write, wave: np.ndarray) -> list[str]:
     ]
 
 
+@needs_browser
 def test_a_template_has_its_words_logo_and_verdict(files: list[str], tmp_path: Path) -> None:
     assert main([*files, "--template", str(tmp_path / "template.toml")]) == 1  # there is no rim
     page = (tmp_path / "out" / "wave.html").read_text()
@@ -91,7 +94,7 @@ def test_the_signature_changes_with_a_number_and_with_nothing_else(files: list[s
     found = []
     for low in (1, 1, 1.9):
         (tmp_path / "recipe.toml").write_text(RECIPE.format(low=low))
-        assert main([*files, "--overwrite"]) == 1
+        assert main([*files, "--no-pdf", "--overwrite"]) == 1
         found.append(signature(tmp_path / "out" / "wave.html"))
     assert found[0] == found[1] != found[2]
     assert '<p class="verdict fail">' in (tmp_path / "out" / "wave.html").read_text()
@@ -105,7 +108,7 @@ def test_the_signature_covers_footer_calibration_and_hashes_that_are_not_printed
     (tmp_path / "other.toml").write_text('footer = "public"\nparts = ["numbers", "calibration"]\n')
 
     def signed(template: str) -> None:
-        assert main([*files, "--overwrite", "--template", str(tmp_path / template)]) == 1
+        assert main([*files, "--no-pdf", "--overwrite", "--template", str(tmp_path / template)]) == 1
         found.append(signature(tmp_path / "out" / "wave.html"))
 
     signed("short.toml")
@@ -120,7 +123,7 @@ def test_the_signature_covers_footer_calibration_and_hashes_that_are_not_printed
 
 def test_parts_are_left_out(files: list[str], tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text('parts = ["numbers", "calibration"]\n')
-    assert main([*files, "--template", str(tmp_path / "short.toml")]) == 1
+    assert main([*files, "--no-pdf", "--template", str(tmp_path / "short.toml")]) == 1
     page = (tmp_path / "out" / "wave.html").read_text()
     assert "<figure>" not in page
     assert "<h2>Provenance</h2>" not in page

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from host_sync.render.relief_movie import ReliefGif, ReliefMovie, plays_in_browser
+from host_sync.render.picture_file import ReliefGif, ReliefMovie, plays_in_browser
 
 SHAPE = (120, 160)
 

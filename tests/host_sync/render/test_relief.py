@@ -6,9 +6,16 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.render.colormap import tint_table
-from host_sync.render.relief import height_range_um, relief_rgb
 from host_sync.render.relief_sheet import ReliefSheet, round_below, ticks, write_relief
-from host_sync.render.shading import exaggeration_for, flat_brightness, reduced, shade, steep_slope
+from host_sync.render.shading import (
+    exaggeration_for,
+    flat_brightness,
+    height_range_um,
+    reduced,
+    relief_rgb,
+    shade,
+    steep_slope,
+)
 
 
 def tilted(across: float, down: float) -> HeightMap:

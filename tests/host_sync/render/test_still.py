@@ -3,12 +3,9 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.errors import RenderError
-from host_sync.render.contact_sheet import CELL_PX, contact_sheet
-from host_sync.render.occlusion import ambient_occlusion, shadow_mask
-from host_sync.render.shading import shade
-from host_sync.render.still import Still, render
-from host_sync.render.turntable import turning_pictures
-from host_sync.render.viewpoint import Viewpoint, project
+from host_sync.render.relief_sheet import CELL_PX, contact_sheet
+from host_sync.render.shading import ambient_occlusion, shade, shadow_mask
+from host_sync.render.still import Still, Viewpoint, project, render, turning_pictures
 
 WHITE = 255
 
