@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from device.balls.candidates import find_candidates, reduce_intensity
-from device.balls.contact import CONTACT_RINGS, find_contact, find_contact_radius, ramp_profile
+from device.balls.contact import APEX_RINGS, CONTACT_RINGS, find_contact, find_contact_radius, ramp_profile
 from device.balls.refinement import RadialProfiles, find_apex, find_circle, join_centres, sample_radial_profiles
 from device.balls.sphere import Ball
 from device.errors import CalibrationError
@@ -38,6 +38,16 @@ MIN_RADIUS_PX: Final = 4.0
 
 MIN_CONTACT_ALONE: Final = 0.28
 """A press that shows nothing wider may teach from a contact this narrow: up to 16 degrees, at its place."""
+
+SHALLOW: Final = (0.8, 0.64, 0.5, 0.4, 0.32)
+"""Fractions of the radius in which a press is searched again that shows no ball: rings and patches of the size of the
+radius see little of a contact that is much smaller."""
+
+MIN_SHALLOW: Final = 0.2
+"""A contact this narrow shows slopes of 11 degrees; of a narrower one the noise is too large a part."""
+
+PART_OF: Final = 1.5
+"""What lies so few radii from a place that follows no sphere is a part of it: the middle of an oval dent is even."""
 
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
@@ -89,12 +99,18 @@ def fits(radius_px: float, shape: tuple[int, int]) -> bool:
 
 
 def find_balls(
-    image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]] = (), name: str = "the press"
+    image: NormalizedImage,
+    radius_px: float,
+    expected: Sequence[tuple[float, float]] = (),
+    name: str = "the press",
+    shallow: Sequence[float] = (),
 ) -> BallSearch:
     """Balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too.
 
     expected : (column, row) of places to look at, whether a ball is suspected there or not
     name : of the press, for errors
+    shallow : fractions of the radius in which a press that shows no ball, or a contact narrower than the rings of its
+        apex, is searched again
 
     Raises
     ------
@@ -115,7 +131,35 @@ def find_balls(
             rejected.append(RejectedBall(s.column, s.row, reason))
         else:
             found.append(Ball(s.column, s.row, min(s.contact, MAX_CONTACT) * radius_px, radius_px))
+    if not found or (len(found) == 1 and found[0].contact_radius_px < APEX_RINGS * radius_px):
+        found = _find_shallow(image, radius_px, sightings, shallow) or found
     return BallSearch(tuple(found), tuple(rejected))
+
+
+def _find_shallow(
+    image: NormalizedImage, radius_px: float, whole: Sequence[_Sighting], fractions: Sequence[float]
+) -> list[Ball]:
+    """The only ball of a press, if its contact is what a ball of one of these fractions of the radius would have.
+
+    whole : what is seen in rings of the whole radius
+    """
+    uneven = [(sighting, radius_px) for sighting in whole if _is_uneven(sighting)]
+    for fraction in fractions:
+        window_px = fraction * radius_px
+        sightings = _look(image, window_px, ()) if window_px >= MIN_RADIUS_PX else []
+        alone = _alone(sightings, image.shape, window_px)
+        if alone is not None:
+            one = sightings[alone]
+            contact_px = min(one.contact * fraction, MAX_CONTACT) * radius_px
+            part = any(np.hypot(one.column - u.column, one.row - u.row) < PART_OF * size for u, size in uneven)
+            too_small = contact_px < MIN_SHALLOW * radius_px
+            return [] if part or too_small else [Ball(one.column, one.row, contact_px, radius_px)]
+        uneven += [(sighting, window_px) for sighting in sightings if _is_uneven(sighting)]
+    return []
+
+
+def _is_uneven(sighting: _Sighting) -> bool:
+    return _asymmetry(sighting.rings, min(sighting.contact, MAX_CONTACT)) > SYMMETRIC
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +213,8 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
         return "cut by the frame's border"
     if contact < (MIN_CONTACT_ALONE if alone else MIN_CONTACT):
         return f"contact too small ({contact:.2f} of the radius)"
-    if (uneven := _asymmetry(sighting.rings, contact)) > SYMMETRIC:
+    if _is_uneven(sighting):
+        uneven = _asymmetry(sighting.rings, contact)
         return f"does not follow the sphere ({uneven:.0%} of its shading is uneven)"
     if sighting.contact > IMPOSSIBLE_CONTACT:
         return "wider than a ball of this radius can press: check the ball's radius and the pixel pitch"

@@ -16,7 +16,12 @@ from device.calibration.limits import PASSED_RESTING
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.skin_at_rest import SkinAtRest
 from host_sync.calibration.balls import PressFrame, UsedPress
-from host_sync.calibration.calibration_verdict import DIAMETER_CONTACT, checks, widest_contact
+from host_sync.calibration.calibration_verdict import (
+    DIAMETER_CONTACT,
+    DIAMETER_QUESTION,
+    checks,
+    widest_contact,
+)
 from host_sync.calibration.located_presses import check_count
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
@@ -85,13 +90,12 @@ def assess(
     )
 
 
-def diameter_note(presses: Sequence[UsedPress]) -> list[str]:
-    """The question whether a diameter was given as the radius, where no press shows a contact that is half as wide."""
-    widest = widest_contact(presses)
+def diameter_note(widest: float) -> list[str]:
+    """The question whether a diameter was given as the radius, where no contact is wider than this fraction of it."""
     if widest > DIAMETER_CONTACT:
         return []
     return [
-        f"no ball's contact is wider than {widest:.2f} of the stated radius: is ball_radius_mm the diameter? "
+        f"no ball's contact is wider than {widest:.2f} of the stated radius: {DIAMETER_QUESTION} "
         "Heights are then half as high as the surface; else check pixel_pitch_um, or press deeper"
     ]
 
@@ -125,5 +129,5 @@ def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: Pixe
         if press.grid and press.label not in read
     ]
     notes += [f"{press.label} {press.error}: it is not used" for press in used if press.error]
-    notes += diameter_note(used)
+    notes += diameter_note(widest_contact(used))
     return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))

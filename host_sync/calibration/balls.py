@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from device.balls.detector import BallSearch, RejectedBall, find_balls, fits
+from device.balls.detector import SHALLOW, BallSearch, RejectedBall, find_balls, fits
 from device.balls.sphere import Ball, pixels_inside
 from device.calibration.fit import CORE_SHARE, InverseFit, dropped_ball
 from device.calibration.limits import MAX_CLIPPED
@@ -148,7 +148,7 @@ def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
     seen = None
     # A lens that fills the field shows gentle slopes only; its label is believed, for no finder could confirm it.
     if press.balls is None or press.grid or (press.labelled_by_hand and fits(press.radius_px, intensity.shape)):
-        seen = find_balls(intensity, press.radius_px, name=press.label)
+        seen = find_balls(intensity, press.radius_px, name=press.label, shallow=SHALLOW)
     used = UsedPress(press.name, intensity, press.balls or (), (), "", press.source, seen)
     return used if press.balls is not None or seen is None else with_found(used, seen, press.radius_px)
 

@@ -11,7 +11,8 @@ from device.calibration.limits import MAX_RADIUS_SPREAD
 from host_sync.calibration.balls import UsedPress
 from host_sync.calibration.pixel_shape import PixelShape
 
-DIAMETER: Final = "widest contact over the stated radius (is ball_radius_mm the diameter?)"
+DIAMETER_QUESTION: Final = "is ball_radius_mm the diameter?"
+DIAMETER: Final = f"widest contact over the stated radius ({DIAMETER_QUESTION})"
 DIAMETER_CONTACT: Final = 0.45
 """A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
 

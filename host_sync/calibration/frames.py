@@ -10,7 +10,7 @@ from device.imaging.flat_field import LinearFrame
 from device.imaging.printed_marks import MarkPattern
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration.calibration_verdict import PIXEL_SHAPE
+from host_sync.calibration.calibration_verdict import DIAMETER, DIAMETER_QUESTION, PIXEL_SHAPE
 from host_sync.calibration.many_lights import calibrate_lights
 from host_sync.calibration.scale import with_stated_pitch
 from host_sync.lights.known_lamps import Position
@@ -26,6 +26,7 @@ class CalibrationFrames:
     lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
     states_pixel_shape : the shape of pixels was stated, so that a contradiction is a note only
+    states_diameters : balls were given by their diameters, so that no radius can be one
     pitch_tolerance : fraction by which the pixel pitch may be off; None where that is not known
     marks : printed on the skin, and taken out of the frames; None where there are none
     """
@@ -39,6 +40,7 @@ class CalibrationFrames:
     lamps_mm: tuple[Position, ...] = ()
     pupil_height_mm: float | None = None
     states_pixel_shape: bool = False
+    states_diameters: bool = False
     pitch_tolerance: float | None = None
     marks: MarkPattern | None = None
 
@@ -75,6 +77,10 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
     if frames.states_pixel_shape:
         left = tuple(check for check in assessment.checks if check.name != PIXEL_SHAPE)
         assessment = replace(assessment, checks=left)
+    if frames.states_diameters:
+        left = tuple(check for check in assessment.checks if check.name != DIAMETER)
+        notes = tuple(note for note in assessment.notes if DIAMETER_QUESTION not in note)
+        assessment = replace(assessment, checks=left, notes=notes)
     if frames.pitch_tolerance is not None:
         scale = with_stated_pitch(assessment.scale, calibration.pitch_um, frames.pitch_tolerance)
         assessment = replace(assessment, scale=scale)

@@ -39,6 +39,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
         lamps_mm=frame_set.lamps_mm,
         pupil_height_mm=frame_set.pupil_height_mm,
         states_pixel_shape=frame_set.states_pixel_shape,
+        states_diameters=frame_set.states_diameters,
         pitch_tolerance=frame_set.pitch_tolerance,
         marks=mark_pattern(frame_set.reference) if frame_set.reference else None,
     )
@@ -108,6 +109,7 @@ def key_of_set(frame_set: FrameSet) -> str:
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
     settings = (*settings, "light places", frame_set.lamps_mm) if frame_set.lamps_mm else settings
     settings = (*settings, "two pitches") if frame_set.states_pixel_shape else settings
+    settings = (*settings, "diameters") if frame_set.states_diameters else settings
     settings = (*settings, "± pitch", frame_set.pitch_tolerance) if frame_set.pitch_tolerance is not None else settings
     settings = (*settings, "pupil", frame_set.pupil_height_mm) if frame_set.pupil_height_mm else settings
     try:

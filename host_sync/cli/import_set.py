@@ -32,7 +32,9 @@ def import_command(
     kind: Kind | None = None,
     out: Folder | None = None,
     pixel_pitch_um: float | None = None,
+    pixel_pitch_down_um: float | None = None,
     field_mm: float | None = None,
+    ball_diameter_mm: float | None = None,
     ball_radius_mm: float | None = None,
     encoding: Literal["linear", "srgb"] | None = None,
     reference: Path | None = None,
@@ -56,11 +58,15 @@ def import_command(
         lies beside it.
     pixel_pitch_um
         Distance of neighbouring pixels on the skin; goes before what the files say.
+    pixel_pitch_down_um
+        Distance of neighbouring pixels down a column, where pixels are not square; the other is then along a row.
     field_mm
         Width of the field on the skin, by a data sheet or a ruler, where the pixel pitch is not known; the pitch that
         follows from it is stated with ± 5 %, which every height carries.
+    ball_diameter_mm
+        Diameter of the calibration ball; goes before what the files say.
     ball_radius_mm
-        Radius of the calibration ball, half of its diameter; goes before what the files say.
+        The same as half of the diameter.
     encoding
         How pixel values encode light.
     reference
@@ -71,7 +77,15 @@ def import_command(
     folder, kind = _folder_and_kind(source, kind)
     if pixel_pitch_um is not None and field_mm is not None:
         raise FrameSetError("--field-mm and --pixel-pitch-um state the same: give one of them")
-    lengths = {"--pixel-pitch-um": pixel_pitch_um, "--field-mm": field_mm, "--ball-radius-mm": ball_radius_mm}
+    if ball_diameter_mm is not None and ball_radius_mm is not None:
+        raise FrameSetError("--ball-diameter-mm and --ball-radius-mm state the same: give one of them")
+    lengths = {
+        "--pixel-pitch-um": pixel_pitch_um,
+        "--pixel-pitch-down-um": pixel_pitch_down_um,
+        "--field-mm": field_mm,
+        "--ball-diameter-mm": ball_diameter_mm,
+        "--ball-radius-mm": ball_radius_mm,
+    }
     for name, value in lengths.items():
         if value is not None and not 0.0 < value < float("inf"):
             raise FrameSetError(f"{name} {value:g}: is no length: give a positive number")
@@ -80,7 +94,10 @@ def import_command(
     path = out or folder
     path = path if path.suffix == ".toml" else path / SET_FILE
     check_output(path, makes_folders=True)
-    draft = _described(folder, kind, Said(pixel_pitch_um, ball_radius_mm, encoding, reference), field_mm)
+    by_diameter = ball_diameter_mm is not None
+    radius_mm = ball_radius_mm if ball_diameter_mm is None else 0.5 * ball_diameter_mm
+    said = Said(pixel_pitch_um, radius_mm, encoding, reference, pixel_pitch_down_um, by_diameter)
+    draft = _described(folder, kind, said, field_mm)
     draft.write(path)
     _print_draft(draft, path)
     if draft.presses:
@@ -108,23 +125,23 @@ def _described(folder: Path, kind: Kind | None, said: Said, field_mm: float | No
 
     field_mm : width of the field, from which the pixel pitch follows; None where the pitch is known
     """
-    from host_sync.importers.recognition import IMPORTERS, WRITTEN_BY, recognize
+    from host_sync.importers.recognition import WRITTEN_BY, read_folder, recognize
 
     if kind is None:
         kind = recognize(folder)
         print_line(f"{folder}: {WRITTEN_BY[kind]}")
     with status_spinner() as tell:
         tell("looking at the images")
-        draft = IMPORTERS[kind](folder, said)
+        draft = read_folder(folder, kind, said)
         if field_mm is not None:
             said = replace(said, pixel_pitch_um=draft.pitch_of_field_um(field_mm))
-            draft = IMPORTERS[kind](folder, said)
+            draft = read_folder(folder, kind, said)
             draft = replace(draft, pitch_tolerance_um=FIELD_TOLERANCE * (said.pixel_pitch_um or 0.0))
     if not draft.missing() or not sys.stdin.isatty():
         return draft
     _print_draft(draft, folder)
     said = _answers(draft, said)
-    return IMPORTERS[kind](folder, said) if said.ball_radius_mm else _with_answers(draft, said)
+    return read_folder(folder, kind, said) if said.ball_radius_mm else _with_answers(draft, said)
 
 
 def _answers(draft: Draft, said: Said) -> Said:
@@ -132,8 +149,8 @@ def _answers(draft: Draft, said: Said) -> Said:
     for option in draft.missing():
         if option.startswith("--pixel-pitch-um"):
             said = replace(said, pixel_pitch_um=_length("Distance of neighbouring pixels on the skin, µm"))
-        elif option.startswith("--ball-radius-mm"):
-            said = replace(said, ball_radius_mm=_length("Radius of the ball, mm (half of its diameter)"))
+        elif option.startswith("--ball"):
+            said = replace(said, ball_radius_mm=0.5 * _length("Diameter of the ball, mm"), states_diameter=True)
         else:
             answer = _ask("Are pixel values proportional to light (linear), or as screens show them (srgb)?")
             while answer not in ("linear", "srgb"):

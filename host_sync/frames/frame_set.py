@@ -79,6 +79,7 @@ class FrameSet:
     full_scale : count at which a pixel of 16 bit is saturated; None where no frame has 16 bit
     states_full_scale : it stands in the file, or in an image's header
     states_pixel_shape : two pitches stand in the file
+    states_diameters : every ball is given by its diameter
     pitch_tolerance : fraction by which the pixel pitch may be off; None where the file does not say
     lights : their names with their colours, empty where the file does not say
     lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
@@ -100,6 +101,7 @@ class FrameSet:
     states_full_scale: bool = False
     pitch_tolerance: float | None = None
     states_pixel_shape: bool = False
+    states_diameters: bool = False
 
     def scaled_as(self, full_scale: int | None) -> FrameSet:
         """Return the same with scans of a full scale that another set's frames show, where this one states none.
@@ -180,6 +182,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         is_stated,
         _pitch_tolerance(file, pitch_um, path),
         isinstance(file.pixel_pitch_um, tuple),
+        all(press.ball_diameter_mm is not None for press in file.press),
     )
 
 
@@ -305,7 +308,7 @@ def _press(
 
     shape : of the frame as it is stored, in whose pixels the file gives balls
     """
-    radius_px = press.ball_radius_mm * 1000.0 / pixel_pitch_um
+    radius_px = press.radius_mm * 1000.0 / pixel_pitch_um
     balls = None if press.balls is None else tuple(Ball(b.x, b.y, b.r, radius_px) for b in press.balls)
     balls = balls and tuple(square_ball(ball, shape, frame.pixel_shape) for ball in balls)
     for i, ball in enumerate(balls or ()):
@@ -314,7 +317,7 @@ def _press(
     return PressSpec(
         name=f"press-{number:02d}",
         frame=frame,
-        ball_radius_mm=press.ball_radius_mm,
+        ball_radius_mm=press.radius_mm,
         radius_px=radius_px,
         balls=balls,
         grid_pitch_mm=press.grid_pitch_mm,
@@ -326,7 +329,7 @@ def _press(
 def _check_tolerances(press: PressTable, key: str) -> None:
     """Refuse tolerances that are not smaller than their quantity, and a grid tolerance without a grid."""
     tolerance = press.ball_radius_tolerance_mm
-    if tolerance is not None and tolerance >= press.ball_radius_mm:
+    if tolerance is not None and tolerance >= press.radius_mm:
         raise FrameSetError(f"{key}.ball_radius_tolerance_mm: {tolerance:g} is not smaller than the radius")
     tolerance = press.grid_pitch_tolerance_mm
     if tolerance is not None and press.grid_pitch_mm is None:

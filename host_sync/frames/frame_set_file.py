@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -57,17 +58,24 @@ class ReferenceTable(_Table, frozen=True):
 class PressTable(_Table, frozen=True):
     """A calibration press and its balls.
 
+    ball_radius_mm, ball_diameter_mm : of the ball; one of them is stated
     ball_radius_tolerance_mm : tolerance of the radius
     grid_pitch_mm : distance of neighbouring balls when they form a square grid
     grid_pitch_tolerance_mm : its tolerance
     """
 
     image: ImageNames
-    ball_radius_mm: Length
+    ball_radius_mm: Length | None = None
+    ball_diameter_mm: Length | None = None
     ball_radius_tolerance_mm: Tolerance | None = None
     balls: Annotated[tuple[BallTable, ...], msgspec.Meta(min_length=1)] | None = None
     grid_pitch_mm: Length | None = None
     grid_pitch_tolerance_mm: Tolerance | None = None
+
+    @property
+    def radius_mm(self) -> float:
+        """The ball's radius, by whichever of the two lengths is stated."""
+        return self.ball_radius_mm or (self.ball_diameter_mm or math.nan) / 2.0
 
 
 class LightTable(_Table, frozen=True):
@@ -144,6 +152,10 @@ def _decode(path: Path) -> FileTable:
 def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:
     if calibrates and not file.press:
         raise FrameSetError(f"{path}: press: missing: add a [[press]] table for each calibration press")
+    for i, press in enumerate(file.press):
+        if (press.ball_radius_mm is None) == (press.ball_diameter_mm is None):
+            found = "missing" if press.ball_radius_mm is None else "stated beside ball_diameter_mm"
+            raise FrameSetError(f"{path}: press[{i}].ball_radius_mm: {found}: state it, or ball_diameter_mm")
     if not file.scan:
         raise FrameSetError(f"{path}: scan: missing: add a [[scan]] table for each frame to reconstruct")
     seen: set[str] = set()

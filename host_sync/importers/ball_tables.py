@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -37,7 +38,8 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
             presses.append(DraftPress((image,), radius, _label(folder / "label.npz")))
         else:
             missing.append(str(image.relative_to(source)))
-    return _draft(source, said, presses, missing, source / "background.png", said.pixel_pitch_um)
+    draft = _draft(source, said, presses, missing, source / "background.png", said.pixel_pitch_um)
+    return replace(draft, states_diameters=said.ball_radius_mm is None)
 
 
 def import_py3dcal(source: Path, said: Said) -> Draft:

@@ -11,10 +11,12 @@ from matplotlib.figure import Figure
 
 from device.balls.sphere import Ball
 from device.io.atomic import write_output
+from host_sync.calibration.assessment import diameter_note
 from host_sync.calibration.training_press import pictures_across
 from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
 from host_sync.importers.ball_survey import SeenPress, look_at, survey_radius
+from host_sync.importers.draft import short_names
 from host_sync.render.figures import figure_png
 
 WIDTH_IN: Final = 14.0
@@ -41,8 +43,9 @@ def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:
     width_px = int(WIDTH_IN * DPI / pictures_across(len(presses)))
     shown = []
     seen = look_at([press.frame for press in presses], frame_set.reference, [press.radius_px for press in presses])
+    names = short_names([press.frame.images[0] for press in presses])
     for press, found in zip(presses, seen, strict=True):
-        shown.append(_shown(press, found, frame_set.shape, width_px))
+        shown.append(_shown(names[press.frame.images[0]], press, found, frame_set.shape, width_px))
     figure = Figure(figsize=(WIDTH_IN, HEAD_IN + sheet_height_in(shown, WIDTH_IN)))
     draw_sheet(figure, shown, WIDTH_IN, HEAD_IN)
     used = sum(one.is_used for one in shown)
@@ -50,13 +53,12 @@ def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:
     title = f"{of} (white: found, blue: given; circle: contact; x: refused, the title says why)"
     figure.suptitle(title, y=1.0 - 0.1 / figure.get_figheight(), va="top", fontsize=11)
     write_output(path, figure_png(figure, DPI))
-    return (f"{of}: {path}", *_reasons(shown), *_other_radius(frame_set, presses, used))
+    return (f"{of}: {path}", *_reasons(shown), *_other_radius(frame_set, presses, used), *_diameter(frame_set, shown))
 
 
-def _shown(press: PressSpec, seen: SeenPress, shape: tuple[int, int], width_px: int) -> ShownPress:
+def _shown(name: str, press: PressSpec, seen: SeenPress, shape: tuple[int, int], width_px: int) -> ShownPress:
     picture = None if seen.frame is None else reduced_picture(seen.frame.rgb, width_px)
     given: tuple[Ball, ...] = press.balls or ()
-    name = press.frame.images[0].name
     if given:
         apart = [_nearest(ball, seen.search.found) for ball in given]
         words = "given; none is found there" if None in apart else "given, and found there"
@@ -81,6 +83,14 @@ def _reasons(shown: Sequence[ShownPress]) -> tuple[str, ...]:
         names = [one.name for one in refused if one.words == words]
         lines.append(f"{', '.join(names[:3])}{f' and {count - 3} more' if count > 3 else ''}: {words}")
     return tuple(lines)
+
+
+def _diameter(frame_set: FrameSet, shown: Sequence[ShownPress]) -> list[str]:
+    """The question whether the diameter was given as the radius, where every contact is narrow."""
+    balls = [ball for one in shown for ball in (*one.balls, *one.given)]
+    if frame_set.states_diameters or not balls:
+        return []
+    return diameter_note(max(ball.contact_radius_px / ball.radius_px for ball in balls))
 
 
 def _other_radius(frame_set: FrameSet, presses: Sequence[PressSpec], used: int) -> tuple[str, ...]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -26,12 +27,18 @@ Circle = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Values that the user gave, None where nothing: they precede those of files."""
+    """Values that the user gave, None where nothing: they precede those of files.
+
+    pitch_down_um : the pixel pitch down a column, where it is not that along a row
+    states_diameter : the ball was given by its diameter
+    """
 
     pixel_pitch_um: float | None = None
     ball_radius_mm: float | None = None
     encoding: Encoding | None = None
     reference: Path | None = None
+    pitch_down_um: float | None = None
+    states_diameter: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,8 @@ class Draft:
     lights : of each grey image of a frame; empty for RGB images
     notes : what the user should know of the folder, one sentence each
     pitch_tolerance_um : the pixel pitch lies within ± this; None where that is not known
+    pitch_down_um : the pixel pitch down a column, where it is not that along a row
+    states_diameters : balls are given by their diameters
     """
 
     name: str
@@ -72,6 +81,8 @@ class Draft:
     lights: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     pitch_tolerance_um: float | None = None
+    pitch_down_um: float | None = None
+    states_diameters: bool = False
 
     def pitch_of_field_um(self, field_mm: float) -> float:
         """The pixel pitch of images that show a field of this width.
@@ -86,6 +97,30 @@ class Draft:
             raise FrameSetError(f"{self.name}: holds no frames: name another folder")
         return 1e3 * field_mm / read_info(images[0]).shape[1]
 
+    def without_copies(self) -> Draft:
+        """The draft without presses whose files repeat an earlier press's, byte for byte, and a note that names them.
+
+        Raises
+        ------
+        FrameSetError
+            A file cannot be read.
+        """
+        first: dict[tuple[object, ...], DraftPress] = {}
+        kept: list[DraftPress] = []
+        copies: list[tuple[Path, Path]] = []
+        for press in self.presses:
+            original = first.setdefault((*map(_digest, press.images), press.circles), press)
+            if original is press:
+                kept.append(press)
+            else:
+                copies.append((press.images[0], original.images[0]))
+        if not copies:
+            return self
+        names = short_names([press.images[0] for press in self.presses])
+        told = "; ".join(f"{names[copy]} is the same file as {names[original]}" for copy, original in copies[:3])
+        note = f"{told}{f' and {len(copies) - 3} more' if len(copies) > 3 else ''}: left out of the presses"
+        return replace(self, presses=tuple(kept), notes=(*self.notes, note))
+
     def missing(self) -> list[str]:
         """Options that must be given, for what neither the files nor the user said."""
         needs = []
@@ -94,7 +129,7 @@ class Draft:
                 "--pixel-pitch-um (distance of neighbouring pixels on the skin) or --field-mm (the field's width)"
             )
         if any(press.ball_radius_mm is None for press in self.presses):
-            needs.append("--ball-radius-mm (of the calibration ball)")
+            needs.append("--ball-diameter-mm or --ball-radius-mm (of the calibration ball)")
         if self.encoding is None:
             needs.append("--encoding (linear or srgb: how pixel values encode light)")
         return needs
@@ -126,7 +161,9 @@ class Draft:
         write_output(path, text + b"\n")
 
     def _lines(self, folder: Path) -> list[str]:
-        lines = [f"name = {_text(self.name)}", f"pixel_pitch_um = {self.pixel_pitch_um:.6g}"]
+        pitch = f"{self.pixel_pitch_um:.6g}"
+        pitch = pitch if self.pitch_down_um is None else f"[{pitch}, {self.pitch_down_um:.6g}]"
+        lines = [f"name = {_text(self.name)}", f"pixel_pitch_um = {pitch}"]
         if self.pitch_tolerance_um is not None:
             lines.append(f"pixel_pitch_tolerance_um = {self.pitch_tolerance_um:.3g}")
         lines.append(f"encoding = {_text(self.encoding or '')}")
@@ -135,7 +172,13 @@ class Draft:
         if self.reference:
             lines += ["", "[reference]", _image(self.reference, folder)]
         for press in self.presses:
-            lines += ["", "[[press]]", _image(press.images, folder), f"ball_radius_mm = {press.ball_radius_mm:.6g}"]
+            radius_mm = press.ball_radius_mm or 0.0
+            ball = (
+                f"ball_diameter_mm = {2.0 * radius_mm:.6g}"
+                if self.states_diameters
+                else f"ball_radius_mm = {radius_mm:.6g}"
+            )
+            lines += ["", "[[press]]", _image(press.images, folder), ball]
             if press.grid_pitch_mm:
                 lines.append(f"grid_pitch_mm = {press.grid_pitch_mm:.6g}")
             if press.circles:
@@ -163,6 +206,14 @@ def result_names(names: Sequence[str]) -> list[str]:
         taken.add(one.casefold())
         found.append(one)
     return found
+
+
+def short_names(images: Sequence[Path]) -> dict[Path, str]:
+    """Each image's file name, or its path from the folder of all where files of one name lie in several folders."""
+    if len({image.name for image in images}) == len(set(images)):
+        return {image: image.name for image in images}
+    folder = os.path.commonpath([image.parent for image in images])
+    return {image: Path(os.path.relpath(image, folder)).as_posix() for image in images}
 
 
 def left_out(missing: Sequence[str]) -> tuple[str, ...]:
@@ -198,6 +249,14 @@ def _as_spelled(folder: Path, name: str) -> str:
         parts.append(part)
         at = at / part
     return "/".join(parts)
+
+
+def _digest(image: Path) -> bytes:
+    try:
+        with image.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise FrameSetError(f"{image}: cannot be read ({error.strerror}): fetch the folder whole") from error
 
 
 def _image(images: Sequence[Path], folder: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -63,6 +64,22 @@ def recognize(source: Path) -> Kind:
     raise FrameSetError(
         f"{source}: holds no images, and no {SCAN_FILE}, {CATALOGUE}, {ANNOTATIONS}, {PACK} or table of circles: name "
         f"the folder that holds them{hint}"
+    )
+
+
+def read_folder(source: Path, kind: Kind, said: Said) -> Draft:
+    """The draft of a folder of this kind, without copies of presses, and with what the user stated.
+
+    Raises
+    ------
+    FrameSetError
+        As for the kind's importer, or a file cannot be read.
+    """
+    draft = IMPORTERS[kind](source, said).without_copies()
+    return replace(
+        draft,
+        pitch_down_um=said.pitch_down_um,
+        states_diameters=said.states_diameter or draft.states_diameters,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from device.balls.detector import BallSearch, find_balls
+from device.balls.detector import SHALLOW, BallSearch, find_balls
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct, make_flat_field
@@ -200,6 +200,26 @@ def test_a_ball_under_lights_that_graze_the_skin_is_found(contact: float) -> Non
 
 def test_an_oval_dent_under_lights_that_graze_the_skin_is_no_ball() -> None:
     assert find_balls(pressed((262.3, 189.7), stretch=1.7, up_deg=GRAZING), RADIUS_PX).found == ()
+
+
+@pytest.mark.parametrize("contact", [0.26, 0.5])
+def test_a_shallow_press_of_a_large_ball_is_found_where_it_is_asked_for(contact: float) -> None:
+    image = pressed((262.3, 189.7), contact=contact, radius_px=200.0)
+    found = find_balls(image, 200.0, shallow=SHALLOW).found
+    assert len(found) == 1
+    assert np.hypot(found[0].column - 262.3, found[0].row - 189.7) < 2.0
+    assert 0.6 * contact < found[0].contact_radius_px / 200.0 < contact
+
+
+@pytest.mark.parametrize("stretch", [0.6, 1.7])
+def test_the_middle_of_an_oval_dent_is_no_shallow_press(stretch: float) -> None:
+    image = pressed((262.3, 189.7), stretch=stretch)
+    assert find_balls(image, RADIUS_PX, shallow=SHALLOW).found == ()
+    assert find_balls(image, 2.0 * RADIUS_PX, shallow=SHALLOW).found == ()
+
+
+def test_skin_at_rest_shows_no_shallow_press() -> None:
+    assert find_balls(pressed(noise=0.02), RADIUS_PX, shallow=SHALLOW).found == ()
 
 
 def test_a_groove_is_no_ball() -> None:

@@ -14,7 +14,7 @@ from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.assessment import Assessment, diameter_note
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
-from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks
+from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks, widest_contact
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.scale import ScaleUncertainty
@@ -103,7 +103,7 @@ def test_a_diameter_given_as_the_radius_is_asked_for(stated: float, asks: bool) 
     presses = [PressFrame(f"press-{i}", frame(pressed(*place), 1.0, i), stated) for i, place in enumerate(PLACES)]
     located = [locate(press, flat_field) for press in presses]
     assert sum(len(press.balls) for press in located) >= 3
-    assert any("is ball_radius_mm the diameter?" in note for note in diameter_note(located)) == asks
+    assert any("is ball_radius_mm the diameter?" in note for note in diameter_note(widest_contact(located))) == asks
 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,9 +19,9 @@ SHAPE = (60, 80)
 PUBLIC = os.environ.get("RETROGRAPH_PUBLIC", "")
 
 
-def image(path: Path, *, grey: bool = False) -> Path:
+def image(path: Path, *, grey: bool = False, value: int = 90) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    values = np.full(SHAPE if grey else (*SHAPE, 3), 90, np.uint8)
+    values = np.full(SHAPE if grey else (*SHAPE, 3), value, np.uint8)
     assert cv2.imwrite(str(path), values)
     return path
 
@@ -116,8 +116,8 @@ def test_scans_that_call_their_lights_differently_are_not_mixed(
 def test_a_pack_of_taxim_keeps_its_contacts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image(tmp_path / "frame_0.png")
     names = [f"frame_{number}.png" for number in range(1, 8)]
-    for name in names[:-1]:
-        image(tmp_path / name)
+    for number, name in enumerate(names[:-1]):
+        image(tmp_path / name, value=91 + number)
     pack = {"touch_center": [[40, 30]] * 7, "touch_radius": [9] * 7, "names": names, "imgs": np.zeros((7, 2, 2, 3))}
     np.savez(tmp_path / "dataPack.npz", **{key: np.array(value) for key, value in pack.items()})
     assert run("taxim", tmp_path) == 2
@@ -156,7 +156,7 @@ def test_a_folder_of_gs_sdk_keeps_its_labels(tmp_path: Path, capsys: pytest.Capt
     image(tmp_path / "background.png")
     rows = ["experiment_reldir,diameter(mm)"]
     for number in range(6):
-        image(tmp_path / "4.0mm" / str(number) / "gelsight.png")
+        image(tmp_path / "4.0mm" / str(number) / "gelsight.png", value=90 + number)
         np.savez(tmp_path / "4.0mm" / str(number) / "label.npz", center=np.array([30.0, 20.0]), radius=9)
         rows.append(f"4.0mm/{number},4.0")
     (tmp_path / "catalog.csv").write_text("\n".join(rows))
@@ -194,8 +194,8 @@ def test_a_folder_of_py3dcal_says_scale_and_radius(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_images_is_read_by_its_names(tmp_path: Path) -> None:
-    for name in ("background", "ball-1", "ball-2", "key"):
-        image(tmp_path / f"{name}.png")
+    for number, name in enumerate(("background", "ball-1", "ball-2", "key")):
+        image(tmp_path / f"{name}.png", value=90 + number)
     assert run("digit", tmp_path, "--pixel-pitch-um", 30, "--ball-radius-mm", 1, "--encoding", "srgb") == 0
     found = loaded(tmp_path / "frameset.toml")
     assert [press.frame.images[0].name for press in found.presses] == ["ball-1.png", "ball-2.png"]

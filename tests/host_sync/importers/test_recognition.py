@@ -68,6 +68,27 @@ def test_the_width_of_the_field_states_the_pitch_with_its_uncertainty(tmp_path: 
     assert found.pitch_tolerance == pytest.approx(0.05, rel=0.01)
 
 
+def test_two_pitches_and_a_diameter_stand_in_the_set(tmp_path: Path) -> None:
+    put(tmp_path / "flat.png")
+    presses(tmp_path, "ball-{}.png")
+    lengths = ("--pixel-pitch-um", 50, "--pixel-pitch-down-um", 54, "--ball-diameter-mm", 4, "--encoding", "linear")
+    assert run(tmp_path, *lengths, "--ball-radius-mm", 2) == 2
+    assert run(tmp_path, *lengths) == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert (found.pixel_pitch_um, found.pixel_shape) == (54.0, pytest.approx(1.08))
+    assert found.states_diameters
+    assert found.presses[0].ball_radius_mm == 2.0
+
+
+def test_copies_of_a_press_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    (tmp_path / "sample_8.png").write_bytes((tmp_path / "sample_3.png").read_bytes())
+    assert run(tmp_path, *OPTIONS) == 0
+    assert "sample_8.png is the same file as sample_3.png: left out of the presses" in capsys.readouterr().out
+    assert names_of(load_frame_set(tmp_path / "frameset.toml"))[1] == [f"sample_{number}.png" for number in range(1, 8)]
+
+
 def test_a_first_image_that_is_pressed_is_a_press(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     presses(tmp_path, "{:04d}.png", first=0)
     assert run(tmp_path, *OPTIONS) == 0
@@ -121,13 +142,16 @@ def test_drawn_circles_of_fots_are_kept_narrower(tmp_path: Path) -> None:
     assert (ball.column, ball.row, ball.contact_radius_px) == (110.0, 120.0, pytest.approx(25.5))
 
 
-def test_a_radius_that_does_not_fit_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("radius_mm", "shown"), [(8, 7), (12, 0)])
+def test_a_radius_that_does_not_fit_is_said(
+    radius_mm: float, shown: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
-    assert run(tmp_path, "--pixel-pitch-um", 50, "--ball-radius-mm", 8, "--encoding", "linear") == 0
+    assert run(tmp_path, "--pixel-pitch-um", 50, "--ball-radius-mm", radius_mm, "--encoding", "linear") == 0
     said = capsys.readouterr().out
-    assert "0 of 7 presses show a ball" in said
-    assert "is it the diameter?" in said
+    assert f"{shown} of 7 presses show a ball" in said
+    assert ("is ball_radius_mm the diameter?" if shown else "is it the diameter?") in said
 
 
 def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) -> None:
@@ -148,8 +172,8 @@ def test_at_a_terminal_what_is_missing_is_asked(
     presses(tmp_path, "sample_{}.png")
     assert run(tmp_path) == 2
     said = capsys.readouterr().err
-    assert all(option in said for option in ("--pixel-pitch-um", "--ball-radius-mm", "--encoding"))
-    answers = iter(["fifty", "50", "-1", "2,0", "gamma", "linear"])
+    assert all(option in said for option in ("--pixel-pitch-um", "--ball-diameter-mm", "--encoding"))
+    answers = iter(["fifty", "50", "-1", "4,0", "gamma", "linear"])
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr(builtins, "input", lambda _: next(answers))
     assert run(tmp_path) == 0
