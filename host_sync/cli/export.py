@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Final, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, cast, get_args
 
 from cyclopts import Parameter
 
@@ -14,17 +14,17 @@ from device.command_line import Folder
 from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
 from host_sync.errors import ExportError, HostError
-from host_sync.export.choices import ExportChoices
 from host_sync.export.csv_profile import LineUm
+from host_sync.export.formats import FORMATS, ExportChoices
 from host_sync.export.raw_scan import RawFormat, export_raw
 from host_sync.library.library import Library, default_library
 
-ExportFormat = Literal[
-    "dng", "tiff", "gsf", "gwy", "x3p", "sur", "sdf", "al3d", "tmd", "png", "npz", "csv", "ply", "stl", "obj", "glb"
-]
-
-
 RAW: Final = get_args(RawFormat)
+
+if TYPE_CHECKING:
+    ExportFormat = str
+else:
+    ExportFormat = Literal[tuple(dict.fromkeys((*RAW, *FORMATS)))]
 
 
 def export_command(
@@ -129,17 +129,16 @@ def _export_surface(
 ) -> tuple[list[Path], list[str]]:
     # Pillow and the writers are loaded here, so that other commands start without them.
     from host_sync.export.source_surface import read_surface
-    from host_sync.export.surface_export import SurfaceFormat, export_surface, without_refused
+    from host_sync.export.surface_export import export_surface, without_refused
     from host_sync.export.tmd import read_tmd
 
     if "dng" in forms:
         raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")
     surface = read_surface(place) if place.is_dir() else read_tmd(place)
-    wanted = cast(tuple[SurfaceFormat, ...], forms)
     try:
-        return list(export_surface(surface, wanted, out, choices)), []
+        return list(export_surface(surface, forms, out, choices)), []
     except ExportError:
-        possible, refused = without_refused(surface, wanted, choices)
+        possible, refused = without_refused(surface, forms, choices)
         if not possible or not refused:
             raise
     return list(export_surface(surface, possible, out, choices)), refused

@@ -19,8 +19,7 @@ import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from host_sync.export.row_blocks import ROWS
-from host_sync.export.source_surface import SourceSurface, ascii_line
+from host_sync.export.source_surface import ROWS, SourceSurface, ascii_line
 
 
 def write_float_tiff(file: BinaryIO, surface: SourceSurface) -> None:

@@ -15,9 +15,7 @@ LineUm: TypeAlias = tuple[float, float, float, float]
 """Start column, start row, end column, end row, µm from the centre of the first pixel."""
 
 
-def write_csv_profile(
-    file: BinaryIO, surface: SourceSurface, line_um: LineUm | None, *, semicolon: bool = False
-) -> None:
+def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | None, semicolon: bool = False) -> None:
     """Write distance along the line, column, row, height, standard uncertainty and doubts; invalid values are empty.
 
     line_um : None takes the middle row

@@ -13,8 +13,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array
 from host_sync.errors import ExportError
-from host_sync.export.row_blocks import row_blocks
-from host_sync.export.source_surface import SourceSurface
+from host_sync.export.source_surface import SourceSurface, row_blocks
 
 UM: Final = 1e-6
 LARGEST: Final = 2**32 - 1

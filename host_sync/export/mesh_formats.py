@@ -15,8 +15,7 @@ from typing import Any, BinaryIO, Final
 import msgspec
 import numpy as np
 
-from host_sync.export.mesh import Mesh, vertex_colours
-from host_sync.export.solid import blocks, solid
+from host_sync.export.mesh import Mesh, blocks, solid, vertex_colours
 from host_sync.export.source_surface import ascii_line
 from host_sync.render.colormap import linear_light
 

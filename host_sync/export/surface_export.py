@@ -4,62 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, Concatenate, Final, Literal, ParamSpec, cast, get_args
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
 from host_sync.errors import ExportError
-from host_sync.export.array_formats import write_float_tiff, write_npz, write_png16, write_png_scale
-from host_sync.export.choices import ExportChoices
-from host_sync.export.csv_profile import pixels_on_line, write_csv_profile
-from host_sync.export.gwy import write_gwy
-from host_sync.export.mesh import Mesh, grid_mesh
-from host_sync.export.mesh_formats import write_glb, write_obj, write_ply, write_stl
+from host_sync.export.csv_profile import pixels_on_line
+from host_sync.export.formats import FORMATS, ExportChoices, load
+from host_sync.export.mesh import grid_mesh, solid
 from host_sync.export.publishing import Writer, check_free, check_own, publish, withdraw
-from host_sync.export.solid import solid
 from host_sync.export.source_surface import SourceSurface, doubts_path
-from host_sync.export.surface_formats import write_al3d, write_gsf, write_sdf, write_sur
-from host_sync.export.tmd import write_tmd
-from host_sync.export.x3p import write_x3p
-
-FieldFormat = Literal["gsf", "gwy", "x3p", "sur", "sdf", "al3d", "tmd", "tiff", "png", "npz"]
-MeshFormat = Literal["ply", "stl", "obj", "glb"]
-SurfaceFormat = Literal[FieldFormat, MeshFormat, "csv"]
-Rest = ParamSpec("Rest")
 
 MAX_NAME: Final = 120
 """Longest file name without suffix, bytes."""
-LITTLE_ROOM: Final = frozenset({"tmd", "stl", "al3d"})
-"""Formats that hold no text of any length: doubts are marked there, and stand in a text file beside."""
-ONE_LAYER: Final = frozenset({"gsf", "x3p", "sur", "sdf", "al3d", "tmd"})
-"""Formats of one surface a file: an uncertainty goes into a second file."""
-
 PERMITTED: Final = "-_.+ "
 DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
 
-_FIELDS: Final[dict[str, Callable[[BinaryIO, SourceSurface], None]]] = {
-    "gsf": write_gsf,
-    "gwy": write_gwy,
-    "x3p": write_x3p,
-    "sur": write_sur,
-    "sdf": write_sdf,
-    "al3d": write_al3d,
-    "tmd": write_tmd,
-    "tiff": write_float_tiff,
-    "png": write_png16,
-    "npz": write_npz,
-}
-_MESHES: Final[dict[str, Callable[[BinaryIO, Mesh, str], None]]] = {
-    "ply": write_ply,
-    "stl": write_stl,
-    "obj": write_obj,
-    "glb": write_glb,
-}
-
 
 def export_surface(
-    surface: SourceSurface, forms: Sequence[SurfaceFormat], folder: Path, choices: ExportChoices
+    surface: SourceSurface, forms: Sequence[str], folder: Path, choices: ExportChoices
 ) -> tuple[Path, ...]:
     """Write files named after the surface into `folder`; returns their paths.
 
@@ -83,8 +48,8 @@ def export_surface(
 
 
 def without_refused(
-    surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: ExportChoices
-) -> tuple[tuple[SurfaceFormat, ...], list[str]]:
+    surface: SourceSurface, forms: Sequence[str], choices: ExportChoices
+) -> tuple[tuple[str, ...], list[str]]:
     """The formats that can hold the surface, and a sentence for each other reason to refuse one.
 
     Raises
@@ -92,7 +57,7 @@ def without_refused(
     ExportError
         The line of the profile is not on the surface: that is for the user to correct.
     """
-    possible: list[SurfaceFormat] = []
+    possible: list[str] = []
     refused: dict[str, list[str]] = {}
     for form in dict.fromkeys(forms):
         try:
@@ -113,30 +78,36 @@ def file_stem(name: str) -> str:
     return f"_{kept}" if kept.partition(".")[0].lower() in DEVICE_NAMES or kept.startswith("-") else kept
 
 
-def _writers(surface: SourceSurface, forms: Sequence[SurfaceFormat], choices: ExportChoices) -> dict[str, Writer]:
+def _writers(surface: SourceSurface, forms: Sequence[str], choices: ExportChoices) -> dict[str, Writer]:
     """Suffix and writer of each file, once options and sizes are checked."""
     writers: dict[str, Writer] = {}
-    mesh = grid_mesh(surface, choices.mesh_step) if set(forms) & set(get_args(MeshFormat)) else None
-    for form in dict.fromkeys(forms):
-        if form in _FIELDS:
-            writers[".tif" if form == "tiff" else f".{form}"] = _bound(_FIELDS[form], surface)
-        elif form == "csv":
+    mesh = grid_mesh(surface, choices.mesh_step) if any(FORMATS[form].is_mesh for form in forms) else None
+    if mesh and "stl" in forms and choices.base_mm is not None:
+        solid(mesh, choices.base_mm)  # refused before anything is written
+    for name in dict.fromkeys(forms):
+        form = FORMATS[name]
+        suffix = f".{form.suffix or name}"
+        options: tuple[Any, ...] = ()
+        if name == "csv":
             pixels_on_line(surface, choices.line_um)
-            writers[".csv"] = _bound(write_csv_profile, surface, choices.line_um, semicolon=choices.semicolon)
-        elif form == "stl" and choices.base_mm is not None:
-            solid(cast(Mesh, mesh), choices.base_mm)  # refused before anything is written
-            writers[".stl"] = _bound(write_stl, cast(Mesh, mesh), surface.name, choices.base_mm)
-        else:
-            writers[f".{form}"] = _bound(_MESHES[form], cast(Mesh, mesh), surface.name)
-        if choices.sigma and form in ONE_LAYER:
-            writers[f".sigma.{form}"] = _bound(_FIELDS[form], _sigma_of(surface))
-            if form in LITTLE_ROOM and surface.doubts:
-                writers[doubts_path(Path(f".sigma.{form}")).name] = _bound(_write_doubts, surface)
-        if form == "png":
-            writers[".png.json"] = _bound(write_png_scale, surface)
-        if form in LITTLE_ROOM and surface.doubts:
-            writers[doubts_path(Path(f".{form}")).name] = _bound(_write_doubts, surface)
+            options = (choices.line_um, choices.semicolon)
+        elif mesh and form.is_mesh:
+            options = (surface.name, choices.base_mm) if name == "stl" else (surface.name,)
+        written = {suffix: (form.writer, mesh if form.is_mesh else surface, options)}
+        if choices.sigma and form.one_layer:
+            written[f".sigma{suffix}"] = (form.writer, _sigma_of(surface), ())
+        for of, (writer, subject, rest) in written.items():
+            writers[of] = partial(_call, load(writer), subject, rest)
+            if form.little_room and surface.doubts:
+                writers[doubts_path(Path(of)).name] = partial(_write_doubts, surface)
+        if form.side_writer:
+            writers[f".{form.side_suffix}"] = partial(_call, load(form.side_writer), surface, ())
     return writers
+
+
+def _call(write: Callable[..., None], subject: object, rest: tuple[Any, ...], file: BinaryIO) -> None:
+    """Call a format's function."""
+    write(file, subject, *rest)
 
 
 def _sigma_of(surface: SourceSurface) -> SourceSurface:
@@ -159,11 +130,6 @@ def _sigma_of(surface: SourceSurface) -> SourceSurface:
     )
 
 
-def _write_doubts(file: BinaryIO, surface: SourceSurface) -> None:
+def _write_doubts(surface: SourceSurface, file: BinaryIO) -> None:
     """Write the doubts, one a line."""
     file.write("\n".join((surface.name, *surface.doubts, "")).encode())
-
-
-def _bound(write: Callable[Concatenate[BinaryIO, Rest], None], *rest: Rest.args, **named: Rest.kwargs) -> Writer:
-    """The writer with all arguments but the file."""
-    return lambda file: write(file, *rest, **named)

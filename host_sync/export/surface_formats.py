@@ -20,8 +20,7 @@ from typing import BinaryIO, Final
 import numpy as np
 
 from host_sync.errors import ExportError
-from host_sync.export.row_blocks import integer_quantum, row_blocks
-from host_sync.export.source_surface import SourceSurface, ascii_line
+from host_sync.export.source_surface import SourceSurface, ascii_line, integer_quantum, row_blocks
 
 UM: Final = 1e-6
 UM_TO_MM: Final = 1e-3

@@ -14,8 +14,14 @@ import numpy as np
 
 from device.io.os_errors import explain_os_error
 from host_sync.errors import ExportError
-from host_sync.export.row_blocks import row_blocks
-from host_sync.export.source_surface import SourceSurface, ascii_line, checked_surface, doubts_path, one_line
+from host_sync.export.source_surface import (
+    SourceSurface,
+    ascii_line,
+    checked_surface,
+    doubts_path,
+    one_line,
+    row_blocks,
+)
 
 MAGIC: Final = b"Binary TrueMap Data File v2.0\r\n\0"
 ANY_VERSION: Final = b"Binary TrueMap Data File"

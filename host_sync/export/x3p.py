@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from typing import BinaryIO, Final
 from xml.sax.saxutils import escape
 
-from host_sync.export.row_blocks import row_blocks
-from host_sync.export.source_surface import SourceSurface
+from host_sync.export.source_surface import SourceSurface, row_blocks
 
 UM: Final = 1e-6
 NAMESPACE: Final = "http://www.opengps.eu/2008/ISO5436_2"

@@ -16,7 +16,7 @@ import pytest
 
 from device.surface.fields import Float32Array
 from host_sync.cli.main import main
-from host_sync.export.choices import ExportChoices
+from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.surface_export import export_surface
 

@@ -13,7 +13,7 @@ import pytest
 from device.surface.fields import Float32Array
 from host_sync.cli.main import main
 from host_sync.errors import ExportError
-from host_sync.export.choices import ExportChoices
+from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.surface_export import export_surface
 from host_sync.export.tmd import read_tmd, write_tmd

@@ -9,8 +9,9 @@ import pytest
 
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
+from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.surface_export import ExportChoices, SurfaceFormat, export_surface
+from host_sync.export.surface_export import export_surface
 from host_sync.measurement.foreign_file import read_foreign
 
 
@@ -23,13 +24,13 @@ def surface() -> np.ndarray:
     return z_um
 
 
-def written(form: SurfaceFormat, folder: Path) -> Path:
+def written(form: str, folder: Path) -> Path:
     (path,) = export_surface(SourceSurface("part", surface(), 12.0), (form,), folder, ExportChoices())
     return path
 
 
 @pytest.mark.parametrize("form", ["tmd", "x3p", "sur", "sdf", "al3d", "gwy"])
-def test_a_file_is_read_as_it_was_written(form: SurfaceFormat, tmp_path: Path) -> None:
+def test_a_file_is_read_as_it_was_written(form: str, tmp_path: Path) -> None:
     if form != "tmd":
         pytest.importorskip("SurfaceTopography", reason="the extra `formats` is not installed")
     found = read_foreign(written(form, tmp_path))

@@ -19,7 +19,7 @@ from device.calibration.coverage import SECTORS
 from host_sync import api
 from host_sync.cli.export import ExportFormat
 from host_sync.cli.main import main
-from host_sync.export.surface_export import LITTLE_ROOM
+from host_sync.export.formats import FORMATS
 from host_sync.results.doubt import DoubtKind
 from host_sync.results.doubts import doubts_at, record_doubts
 from host_sync.results.field_file import write_field, write_mask
@@ -220,7 +220,7 @@ def test_every_export_carries_it(doubtful: Doubtful, form: str, tmp_path: Path) 
     assert main(["export", str(folder), "--to", form, "--out", str(out)]) == 0
     path = out / f"part.{'tif' if form == 'tiff' else form}"
     text = FULL_TEXT[form](path) if form in FULL_TEXT else path.read_bytes().decode("latin-1")
-    if form in LITTLE_ROOM:
+    if FORMATS[form].little_room:
         assert "DOUBTFUL" in text
         text = path.with_name(f"{path.name}.doubts.txt").read_text()
     assert f"{kind}: " in text
