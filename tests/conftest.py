@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
+from limits import limited_waits, pytest_runtest_makereport  # noqa: F401
 from lost_workers import pytest_configure, pytest_handlecrashitem, pytest_unconfigure  # noqa: F401 (hooks of every test)
 
 from device.acquisition.calibrate import calibrate

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import limits
 import pytest
 
 HANGS = """
@@ -49,3 +50,14 @@ def test_a_test_that_hangs_is_named_once_and_the_rest_runs_and_nothing_is_left(t
     assert "Timeout (0:00:01)!" in ran.stderr
     assert "in test_that_hangs" in ran.stderr
     assert ran.stderr.count("outlived its test, and is ended: sleep 3600") == 2
+
+
+def test_programs_that_do_not_end_fail_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "WAIT_S", 0.05)
+    with pytest.raises(subprocess.TimeoutExpired, match="sleep"):
+        subprocess.run(["sleep", "3600"], check=False)
+    with (
+        pytest.raises(pytest.fail.Exception, match=r"killed after 0\.05 s: \['sleep'"),
+        limits.running(["sleep", "3600"], stdout=subprocess.PIPE) as program,
+    ):
+        program.stdout.readline()

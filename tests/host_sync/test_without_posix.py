@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from ball_folder import OPTIONS, PLACES, presses, put
+from limits import running
 
 from device.command_line import long_path
 from device.io import atomic, folder, lock
@@ -156,7 +157,7 @@ def test_the_lock_ends_with_its_process(tmp_path: Path, monkeypatch: pytest.Monk
         "with l.locked_directory(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read(1); os._exit(0)"
     )
     program = [sys.executable, "-c", words, str(tmp_path)]
-    with subprocess.Popen(program, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+    with running(program, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
         with pytest.raises(FolderLocked), locked_directory(tmp_path, wait=False):

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from limits import running
 
 from device.acquisition.instrument_lock import exclusive_instrument, instrument_lock, lock_path
 from device.errors import InstrumentBusy
@@ -24,7 +25,7 @@ with instrument_lock(Path(sys.argv[1])):
 def test_a_second_one_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
     lock = tmp_path / "instrument.lock"
     command = [sys.executable, "-c", HOLD, str(lock)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as owner:
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as owner:
         assert owner.stdout is not None
         assert owner.stdout.readline() == "held\n"
         with pytest.raises(InstrumentBusy, match=f"in use by process {owner.pid}"), instrument_lock(lock):

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from limits import running
 
 import device.cli.demo
 import device.cli.instrument_commands
@@ -187,15 +188,14 @@ SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT]
 @pytest.mark.parametrize(("number", "again"), [*((number, False) for number in SIGNALS), (signal.SIGTERM, True)])
 def test_a_program_that_is_ended_while_it_is_lit_ends_dark(number: signal.Signals, again: bool, tmp_path: Path) -> None:
     arguments = ["--board", "twin", "--store", str(tmp_path / "store"), "calibrate", "--auto-exposure"]
-    program = subprocess.Popen(
+    with running(
         [sys.executable, Path(__file__).parent / "lit_program.py", *arguments],
         cwd=Path(__file__).parents[3],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)} | ({"SLOW_BUS": "1"} if again else {}),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    with program:
+    ) as program:
         assert program.stdout is not None
         assert program.stderr is not None
         said = []

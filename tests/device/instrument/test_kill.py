@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from limits import running
 
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
@@ -21,7 +22,7 @@ REPOSITORY = Path(__file__).parents[3]
 def killed_after(root: Path, scans: int, more_s: float) -> list[str]:
     """Ids that the program reported before it was killed, `more_s` after it reported that many scans."""
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    with subprocess.Popen([sys.executable, PROGRAM, root], stdout=subprocess.PIPE, text=True, env=environment) as ran:
+    with running([sys.executable, PROGRAM, root], stdout=subprocess.PIPE, text=True, env=environment) as ran:
         assert ran.stdout is not None
         reported = [ran.stdout.readline().strip() for _ in range(scans)]
         with suppress(subprocess.TimeoutExpired):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 from emulated_board import EmulatedBoard, emulated_hardware
+from limits import join
 
 from device.cli.headless import run_headless
 from device.instrument.instrument import Instrument
@@ -41,7 +42,7 @@ def test_a_camera_that_lets_go_late_is_opened_again(wired: EmulatedBoard) -> Non
         camera.__exit__(None, None, None)
     wired.cameras.let_go.set()
     for thread in camera._pipeline._closing:  # type: ignore[attr-defined]
-        thread.join()
+        join(thread)
     with camera:
         camera.next_frame(1.0)
 

@@ -7,12 +7,12 @@ import fcntl
 import json
 import os
 import socket
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from limits import running
 
 from device.bundles.scan import ScanBundle
 from device.io.lock import LEASE_S, FolderLocked, locked_directory
@@ -70,8 +70,8 @@ def test_who_waits_gets_the_lease_when_it_is_given_back(tmp_path: Path, no_locks
 
 
 def test_a_lease_without_its_program_is_taken_over(tmp_path: Path, no_locks: None) -> None:
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
+    with running([sys.executable, "-c", ""]) as ended:
+        pass
     for content, age_s in (
         ({"host": socket.gethostname(), "pid": ended.pid}, 0.0),
         ({"host": "elsewhere", "pid": 1}, LEASE_S + 60.0),

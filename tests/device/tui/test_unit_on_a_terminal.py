@@ -50,9 +50,11 @@ class Panel:
 
     def message(self, wanted: str) -> str:
         """The next message to the service manager that contains this."""
-        while wanted not in (said := self.manager.recv(4096).decode()):
+        for _ in range(MAX_LOOKS):
+            if wanted in (said := self.manager.recv(4096).decode()):
+                return said
             self.read()
-        return said
+        pytest.fail(f"the program never sent {wanted!r}")
 
     def wait_for(self, text: str) -> str:
         """Everything that was written to the terminal, once the text is in it."""
@@ -80,7 +82,7 @@ class Panel:
 
     def close(self) -> None:
         self.program.kill()
-        self.program.wait()
+        self.program.wait(60.0)
         os.close(self._master)
         self.manager.close()
 

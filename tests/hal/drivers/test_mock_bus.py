@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from limits import running
 
 HERE = Path(__file__).parent / "mock_bus"
 ROOT = Path(__file__).parents[3]
@@ -61,14 +62,13 @@ class MockBus:
 
 @pytest.fixture
 def bus() -> Iterator[MockBus]:
-    server = subprocess.Popen(
+    with running(
         ["umockdev-wrapper", SYSTEM_PYTHON, HERE / "serve.py"],
         env={**os.environ, "PYTHONPATH": APPARATUS_PATH, "PYTHONDONTWRITEBYTECODE": "1"},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-    )
-    with server:
+    ) as server:
         yield MockBus(server)
         assert server.stdin
         server.stdin.close()

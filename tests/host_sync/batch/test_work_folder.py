@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from limits import running
 
 from host_sync.batch import library_batch as module
 from host_sync.batch.library_batch import work_folder
@@ -30,7 +31,7 @@ with work_folder(Path(sys.argv[1])) as folder:
 def job(place: Path) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
     """The folder of another program's job that runs, and the program; it ends when its input does."""
     command = [sys.executable, "-c", JOB, str(place)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield Path(process.stdout.readline().strip()), process
 

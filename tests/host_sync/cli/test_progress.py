@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from queue import SimpleQueue
 
 import pytest
+from limits import running
 
 from host_sync.cli import console
 
@@ -43,8 +43,8 @@ def test_a_line_leaves_the_program_at_once() -> None:
     program = (
         "import sys; from device.command_line import write_any_sign; write_any_sign(); print('first'); sys.stdin.read()"
     )
-    with subprocess.Popen([sys.executable, "-c", program], stdin=-1, stdout=-1, text=True) as running:
-        assert running.stdout is not None
-        assert running.stdin is not None
-        assert running.stdout.readline() == "first\n"
-        running.stdin.close()
+    with running([sys.executable, "-c", program], stdin=-1, stdout=-1, text=True) as ran:
+        assert ran.stdout is not None
+        assert ran.stdin is not None
+        assert ran.stdout.readline() == "first\n"
+        ran.stdin.close()

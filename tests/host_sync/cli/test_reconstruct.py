@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from limits import running
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.scanner import Scanner
@@ -390,12 +391,12 @@ def test_an_empty_library_and_a_missing_card_are_refused(tmp_path: Path, capsys:
 
 def test_a_reader_that_has_gone_is_no_traceback(calibrated_root: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "host_sync", "pull", str(calibrated_root), "--library", str(tmp_path / "library")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        assert running.stdout is not None
-        assert running.stderr is not None
-        running.stdout.close()
-        error = running.stderr.read()
-    assert running.returncode in {1, 141}
+    with running(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as ran:
+        assert ran.stdout is not None
+        assert ran.stderr is not None
+        ran.stdout.close()
+        error = ran.stderr.read()
+    assert ran.returncode in {1, 141}
     assert "Traceback" not in error
 
 

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 import tifffile
+from limits import running
 from PIL import Image
 
 from host_sync.cli.main import main
@@ -144,9 +145,7 @@ def test_a_viewer_that_cannot_open_says_why(
 
 def test_the_viewer_ends_with_an_interrupt(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "host_sync", "view", str(result(tmp_path / "r", "r")), "--no-browser"]
-    with subprocess.Popen(
-        [*command, "--cache", str(tmp_path / "c")], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as run:
+    with running([*command, "--cache", str(tmp_path / "c")], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
         try:
             assert run.stdout is not None
             host = run.stdout.readline().decode().split("/")[2]

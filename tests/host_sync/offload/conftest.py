@@ -18,6 +18,7 @@ from typing import IO, Literal
 import asyncssh
 import msgspec
 import pytest
+from limits import join
 
 from device.store.store import BundleStore
 from host_sync.offload.paired_devices import PairedDevice
@@ -56,9 +57,9 @@ class Server:
         if self.process is not None:
             subprocess.run(["pkill", "-KILL", "-P", str(self.process.pid)], check=False)
             self.process.kill()
-            self.process.wait()
+            self.process.wait(60.0)
         if self.listener is not None:
-            self.listener.join()
+            join(self.listener)
 
     def device(self, port: int | None = None, host_key: str | None = None) -> PairedDevice:
         return PairedDevice(
@@ -147,7 +148,7 @@ class Proxy:
         self._listening.shutdown(socket.SHUT_RDWR)
         self._hang_up(*self._sockets)
         for thread in self._threads:
-            thread.join()
+            join(thread)
         for each in (self._listening, *self._sockets):
             each.close()
 

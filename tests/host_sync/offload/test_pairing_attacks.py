@@ -13,6 +13,7 @@ import asyncssh
 import msgspec
 import numpy as np
 import pytest
+from limits import join
 
 from device.errors import RecordError
 from device.pairing.channel import PairingChannel
@@ -59,7 +60,7 @@ class Middle:
                 back = threading.Thread(target=self._pass, args=("device", called, caller))
                 back.start()
                 self._pass("host", caller, called)
-                back.join()
+                join(back)
 
     def _pass(self, side: str, source: socket.socket, target: socket.socket) -> None:
         with suppress(OSError):
@@ -115,7 +116,7 @@ class Scene:
             assert "\n" not in str(error)  # noqa: PT017
             return None
         finally:
-            thread.join()
+            join(thread)
 
     def allowed(self) -> list[str]:
         return self.keys.read_text().splitlines() if self.keys.exists() else []

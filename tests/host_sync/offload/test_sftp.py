@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from limits import running
 
 from device.bundles.record import sha256_bytes
 from device.store.store import BundleStore
@@ -227,7 +228,7 @@ def test_a_client_killed_in_the_middle_leaves_what_the_next_one_needs(
     proxy.bytes_per_s, proxy.milestone_bytes = 8e6, 3 << 20
     command = [sys.executable, "-m", "host_sync", "pull", "rg00c0ffee", "--library", str(library.root)]
     environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
+    with running(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
         assert proxy.passed_milestone.wait(60.0)
         client.kill()
     (part,) = (library.root / "scans").glob(".*/raw.tif.part")

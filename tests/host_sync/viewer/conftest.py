@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 import pytest
 import tifffile
+from limits import join
 
 from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictRecord
 from device.store.store import BundleStore
@@ -163,7 +164,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Path],
     yield start
     for server, thread, listener in running:
         server.should_exit = True
-        thread.join()
+        join(thread)
         listener.__exit__(None, None, None)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import uvicorn
+from limits import join, running
 from uvicorn.server import ServerState
 
 from host_sync.cli.main import main
@@ -46,7 +47,7 @@ def eavesdropper() -> Iterator[tuple[int, list[str]]]:
     thread.start()
     yield server.server_address[1], heard
     server.shutdown()
-    thread.join()
+    join(thread)
     server.server_close()
 
 
@@ -97,7 +98,7 @@ def test_no_process_shows_a_link_to_other_users(results: Path, tmp_path: Path) -
         "XDG_CONFIG_HOME": str(tmp_path),
     }
     command = [sys.executable, "-m", "host_sync", "view", str(results)]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as viewer:
+    with running(command, env=environment, stdout=subprocess.PIPE, text=True) as viewer:
         try:
             assert viewer.stdout is not None
             printed = viewer.stdout.readline()

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from limits import join
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -106,7 +107,7 @@ def live(tmp_path: Path) -> Iterator[ServedLive]:
         yield ServedLive(access, source, recordings)
         view.close()
         server.should_exit = True
-        thread.join()
+        join(thread)
 
 
 def message(page: Any) -> tuple[dict[str, Any], bytes]:
@@ -171,7 +172,7 @@ def test_the_page_draws_what_comes_and_records(live: ServedLive, visit: Callable
     live.source.give(1, 120.0)
     page.wait_for_selector("dd:has-text('column 120.0')")
     assert 396.0 < float(page.inner_text("dl.live dd").split()[0]) < 401.0
-    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.wait_for_function("() => (window.drawn = (window.drawn ?? 0) + 1) % 3 === 0")  # two frames later
     assert page.locator(".surface").screenshot() != before
     page.mouse.move(100, 100)
     page.keyboard.press("3")  # turned while it moves

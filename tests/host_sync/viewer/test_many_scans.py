@@ -56,7 +56,7 @@ class Viewer:
 
     def stop(self) -> None:
         self.process.terminate()
-        self.process.communicate()
+        self.process.communicate(timeout=60.0)
         self.opener.close()
 
     def get(self, path: str) -> bytes:
