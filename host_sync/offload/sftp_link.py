@@ -59,6 +59,7 @@ class ReconnectingSftp:
         self._reconnect_lock = threading.Lock()
         self._lost: SourceLost | SourceRefused | None = None
         self._last_byte_s = 0.0
+        self._tried_late = False
 
     def __enter__(self) -> ReconnectingSftp:
         self._thread.start()
@@ -94,6 +95,7 @@ class ReconnectingSftp:
     def note_progress(self) -> None:
         """Restart the timeout: data arrived, or a first request was sent. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
+        self._tried_late = False
 
     def pause_timeout(self, busy_s: float) -> None:
         """Leave time that this side took for itself out of the timeout."""
@@ -132,7 +134,10 @@ class ReconnectingSftp:
                 return self.result(self.submit(work(session.client)))
             except LinkBroken:
                 self.restore(session)
-        raise SourceLost(
+        raise self._breaking()
+
+    def _breaking(self) -> SourceLost:
+        return SourceLost(
             f"{self.name}: the connection keeps breaking: check cable or network and repeat; what arrived is kept"
         )
 
@@ -169,6 +174,9 @@ class ReconnectingSftp:
         refusals = 0
         while True:
             left_s = self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
+            if left_s <= 0.0 and self._tried_late:  # it connects, breaks, and brings nothing
+                raise self._breaking()
+            self._tried_late = left_s <= 0.0
             try:
                 return self.submit(self._open(max(left_s, self._timeouts.retry_s))).result()
             except LOST as error:

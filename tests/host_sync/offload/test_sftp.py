@@ -426,3 +426,14 @@ def test_a_server_that_drips_is_given_up() -> None:
     now[0] += 1000.0
     paused.pause(1000.0)
     paused.count(1)
+
+
+def test_a_device_that_connects_every_time_and_sends_nothing_ends_too(
+    server: Any, proxy: Any, store: BundleStore, library: Library, publish_large: Callable[[int], object]
+) -> None:
+    publish_large(3 << 20)
+    proxy.harms.extend([("cut", 300_000), *[("cut", 6_000)] * 30])
+    report = pull_over(server, library, proxy.port, timeouts=Timeouts(give_up_s=0.05, retry_s=10.0))
+    assert report.lost is not None
+    assert "keeps breaking" in report.lost
+    assert proxy.connections <= 4
