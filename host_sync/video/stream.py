@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from queue import SimpleQueue
 from threading import Condition, Thread
@@ -32,6 +33,9 @@ MAX_AT_ONCE: Final = 4
 
 MAX_PX_AT_ONCE: Final = 1 << 25
 """Maximum number of pixels at once, each with 50 to 60 bytes of working arrays; a single frame may be larger."""
+
+CLOSING_S: Final = 10.0
+"""Longest wait for a source's frame when it is closed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,14 +61,18 @@ Outcome = TypeVar("Outcome")
 
 
 def in_order(jobs: Iterable[Future[Outcome]], ahead: int) -> Iterator[Outcome]:
-    """Yield the results of jobs in their order; `ahead` further ones are begun before a result is waited for."""
+    """Yield the results of jobs in their order; `ahead` further ones are begun before a result is waited for.
+
+    It ends at a job that was cancelled.
+    """
     pending: deque[Future[Outcome]] = deque()
-    for job in jobs:
-        pending.append(job)
-        if len(pending) > ahead:
+    with suppress(CancelledError):
+        for job in jobs:
+            pending.append(job)
+            if len(pending) > ahead:
+                yield pending.popleft().result()
+        while pending:
             yield pending.popleft().result()
-    while pending:
-        yield pending.popleft().result()
 
 
 class FrameStream:
@@ -100,7 +108,7 @@ class FrameStream:
         self._executor.shutdown(cancel_futures=True)
 
     def solve(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[SolvedFrame]:
-        """Yield each frame's heights in order; as many as `at_once` are solved ahead, none where that is 1."""
+        """Yield each frame's heights in order until it is closed; `at_once` are solved ahead, none where that is 1."""
         return in_order(self._submitted(frames), 0 if self.at_once == 1 else self.at_once)
 
     def _submitted(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[Future[SolvedFrame]]:
@@ -108,7 +116,11 @@ class FrameStream:
         for count, frame in enumerate(frames):
             first = count % STRETCH == 0
             light = Future() if first else light
-            yield self._executor.submit(self._solved, count, frame, light, first)
+            try:
+                job = self._executor.submit(self._solved, count, frame, light, first)
+            except RuntimeError:  # it was closed, maybe by another thread
+                return
+            yield job
 
     def _solved(
         self, count: int, frame: StoredFrame | BadFrame, light: Future[FrameLight | None], first: bool
@@ -172,11 +184,11 @@ class NewestFrames:
             yield frame
 
     def close(self) -> None:
-        """End the thread with the frame that it waits for."""
+        """End the thread with the frame that it waits for; one that waits longer than `CLOSING_S` is left."""
         with self._changed:
-            self._ended = True
+            self._newest, self._ended = None, True
             self._changed.notify_all()
-        self._thread.join()
+        self._thread.join(CLOSING_S)
 
     def _read_all(self) -> None:
         error = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import Future
 from threading import Event
 
 import numpy as np
@@ -12,7 +13,7 @@ from host_sync.errors import IntegrationError, SourceError
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.video import stream
 from host_sync.video.frame_solver import FrameStatistics
-from host_sync.video.stream import FrameStream, NewestFrames
+from host_sync.video.stream import FrameStream, NewestFrames, in_order
 
 SHAPE = (4, 6)
 PATIENCE_S = 20.0
@@ -93,6 +94,18 @@ def test_a_sequence_that_breaks_off_ends_the_crew() -> None:
         list(solving.solve(breaking()))
 
 
+def test_a_stream_that_is_closed_gives_no_further_frame() -> None:
+    with FrameStream(Waiting(Event(), []), 1) as solving:
+        found = solving.solve(frames(1, 2, 3))
+        assert next(found).name == "frame 1"
+        solving.close()
+        assert list(found) == []
+    done, cancelled = Future[int](), Future[int]()
+    done.set_result(5)
+    assert cancelled.cancel()
+    assert list(in_order([done, cancelled, done], 1)) == [5]
+
+
 def test_the_newest_frame_is_solved_and_older_ones_are_counted() -> None:
     """The source gives three frames while the first is solved, and ends when the last of them was taken."""
     taken, given = Event(), Event()
@@ -114,6 +127,14 @@ def test_the_newest_frame_is_solved_and_older_ones_are_counted() -> None:
     newest.close()
     assert numbers == [0, 3]
     assert newest.dropped == 2
+
+
+def test_the_newest_frames_end_when_they_are_closed() -> None:
+    newest = NewestFrames(frames(1, 2))
+    with newest._changed:
+        assert newest._changed.wait_for(lambda: newest._ended, PATIENCE_S)
+    newest.close()
+    assert list(newest) == []
 
 
 def test_a_source_that_fails_ends_the_newest_frames_with_its_error() -> None:
