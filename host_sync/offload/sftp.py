@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import stat
 import time
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Awaitable, Generator
 from concurrent.futures import Future
 from contextlib import suppress
 from io import BytesIO
@@ -20,57 +19,19 @@ from device.bundles.layout import BundleKind, BundleNames, bundle_names
 from device.bundles.receipt import RECEIPTS
 from device.io.folder import MAX_ENTRIES, EntryKind, FolderEntry, open_regular
 from device.io.os_errors import explain_os_error
-from host_sync.errors import HostError, SourceError, SourceLost
+from host_sync.errors import HostError, SourceError
 from host_sync.offload.sftp_link import LinkBroken, ReconnectingSftp, Session
 
 REQUEST_BYTES: Final = 255 << 10
-"""Maximum that OpenSSH's server sends for one request."""
+"""Maximum that OpenSSH's server sends for one request; at most this much is lost when the connection breaks."""
 
-BLOCK_BYTES: Final = 4 * REQUEST_BYTES
-"""Size of one block, about a megabyte: at most this much is lost when the connection breaks."""
-
-BLOCKS_AHEAD: Final = 3
-"""Blocks requested ahead, so that neither side waits for the other."""
+REQUESTS_AHEAD: Final = 12
+"""Requests in flight, so that neither side waits for the other; their answers come in order."""
 
 WRITTEN_BYTES: Final = 128 << 10
 """Size of one write: on the slowest accepted line it arrives before the timeout."""
 
-RATE_WINDOW_S: Final = 60.0
-MIN_BYTES_PER_S: Final = 1024
-"""A slower server is treated as lost; the slowest useful line, a GPRS modem, has twice this."""
-
 _CLOCK_FILE: Final = f"{RECEIPTS}/.clock"
-
-
-class RateFloor:
-    """Ends a transfer that drips: within each window a minimum of bytes must arrive."""
-
-    def __init__(self, name: str, now_s: Callable[[], float]) -> None:
-        self._name = name
-        self._now_s = now_s
-        self._begin_s = now_s()
-        self._bytes = 0
-
-    def count(self, size_bytes: int) -> None:
-        """Count bytes that arrived.
-
-        Raises
-        ------
-        SourceLost
-            The window is over and brought too few.
-        """
-        self._bytes += size_bytes
-        if self._now_s() - self._begin_s < RATE_WINDOW_S:
-            return
-        if self._bytes < RATE_WINDOW_S * MIN_BYTES_PER_S:
-            raise SourceLost(
-                f"{self._name}: arrives at less than {MIN_BYTES_PER_S} bytes/s: check cable or network, then repeat"
-            )
-        self._begin_s, self._bytes = self._now_s(), 0
-
-    def pause(self, busy_s: float) -> None:
-        """Leave out time that this side took for itself."""
-        self._begin_s += busy_s
 
 
 class SftpSource:
@@ -126,16 +87,12 @@ class SftpSource:
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
         """A file's bytes from an offset, with several requests in flight."""
         self._link.note_progress()
-        floor = RateFloor(f"{self.name}/{place}", self._link.now_s)
         while True:
             session = self._link.session
             try:
                 for block in self._read_ahead(session, place, offset_bytes):
                     offset_bytes += len(block)
-                    floor.count(len(block))
-                    handed_s = self._link.now_s()
                     yield block
-                    floor.pause(self._link.now_s() - handed_s)
             except LinkBroken:
                 self._link.restore(session)
             except asyncssh.SFTPError as error:
@@ -198,24 +155,29 @@ class SftpSource:
     def _read_ahead(self, session: Session, place: str, offset_bytes: int) -> Generator[bytes, None, None]:
         link = self._link
         self._check_regular(session, place)
-        file = link.result(link.submit(_open(session.client, place)))
+        # Block size 0: each read is one request, not split further, and what came before a cut is kept.
+        file = link.result(link.submit(_awaitable(session.client.open(place, "rb", block_size=0))))
         requested: deque[Future[bytes]] = deque()
+        requested_bytes = offset_bytes
         try:
-            requested_bytes = offset_bytes
             while True:
-                while len(requested) < BLOCKS_AHEAD:
-                    requested.append(link.submit(_read_block(file, requested_bytes, link.note_progress)))
-                    requested_bytes += BLOCK_BYTES
+                while len(requested) < REQUESTS_AHEAD:
+                    requested.append(link.submit(file.read(REQUEST_BYTES, requested_bytes)))
+                    requested_bytes += REQUEST_BYTES
                 block = link.result(requested.popleft())
                 if not block:
                     return
+                offset_bytes += len(block)
+                if len(block) == REQUEST_BYTES:
+                    link.note_progress()
+                else:  # the file's end, or a server that drips, which is no progress
+                    _cancel(requested)
+                    requested_bytes = offset_bytes
+                    if link.left_s <= 0.0:
+                        raise LinkBroken
                 handed_s = time.monotonic()
                 yield block
                 link.pause_timeout(time.monotonic() - handed_s)
-                offset_bytes += len(block)
-                if len(block) < BLOCK_BYTES:
-                    _cancel(requested)
-                    requested_bytes = offset_bytes
         finally:
             _cancel(requested)
             link.submit(_close(file))
@@ -237,31 +199,8 @@ def _kind(permissions: int | None) -> EntryKind:
     return "file" if stat.S_ISREG(permissions) else "other"
 
 
-async def _open(client: asyncssh.SFTPClient, place: str) -> asyncssh.SFTPClientFile:
-    # Block size 0: each read is one request, not split further.
-    return await client.open(place, "rb", block_size=0)
-
-
-async def _read_block(file: asyncssh.SFTPClientFile, offset_bytes: int, note_progress: Callable[[], None]) -> bytes:
-    """A block from that offset; shorter or empty where the file or the connection ends."""
-
-    async def read(at_bytes: int) -> bytes:
-        part: bytes = await file.read(REQUEST_BYTES, at_bytes)
-        note_progress()
-        return part
-
-    places = range(offset_bytes, offset_bytes + BLOCK_BYTES, REQUEST_BYTES)
-    parts = await asyncio.gather(*map(read, places), return_exceptions=True)
-    received: list[bytes] = []
-    for part in parts:
-        if isinstance(part, BaseException):
-            if not received:
-                raise part
-            break
-        received.append(part)
-        if len(part) < REQUEST_BYTES:
-            break
-    return b"".join(received)
+async def _awaitable(opening: Awaitable[asyncssh.SFTPClientFile]) -> asyncssh.SFTPClientFile:
+    return await opening
 
 
 async def _rename(client: asyncssh.SFTPClient, place: str, new_place: str) -> None:

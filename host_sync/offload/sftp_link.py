@@ -88,14 +88,15 @@ class ReconnectingSftp:
             raise LinkBroken
         return self._session
 
-    def now_s(self) -> float:
-        """Monotonic time, s."""
-        return time.monotonic()
-
     def note_progress(self) -> None:
         """Restart the timeout: data arrived, or a first request was sent. A new connection alone is no progress."""
         self._last_byte_s = time.monotonic()
         self._tried_late = False
+
+    @property
+    def left_s(self) -> float:
+        """Time until the link is given up, unless data arrive, s."""
+        return self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
 
     def pause_timeout(self, busy_s: float) -> None:
         """Leave time that this side took for itself out of the timeout."""
@@ -163,7 +164,7 @@ class ReconnectingSftp:
     def _awaited(self, future: Future[T]) -> T:
         """Result of a future, awaited as long as data keeps arriving."""
         while True:
-            left_s = self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
+            left_s = self.left_s
             try:
                 return future.result(timeout=max(left_s, self._timeouts.retry_s))
             except TimeoutError:
@@ -173,7 +174,7 @@ class ReconnectingSftp:
     def _connected(self) -> Session:
         refusals = 0
         while True:
-            left_s = self._last_byte_s + self._timeouts.give_up_s - time.monotonic()
+            left_s = self.left_s
             if left_s <= 0.0 and self._tried_late:  # it connects, breaks, and brings nothing
                 raise self._breaking()
             self._tried_late = left_s <= 0.0

@@ -45,7 +45,7 @@ class Source(Protocol):
         ...
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A file's bytes from an offset, in blocks of about a megabyte.
+        """A file's bytes from an offset, in blocks of at most a megabyte.
 
         Raises
         ------

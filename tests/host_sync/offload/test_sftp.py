@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import getpass
 import json
 import os
@@ -9,12 +10,14 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import asyncssh
 import msgspec
 import numpy as np
 import pytest
@@ -33,7 +36,7 @@ from host_sync.offload.mirror import SftpPlace, mirror_to_sftp
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import pull, sync
 from host_sync.offload.pull_log import PullReport
-from host_sync.offload.sftp import BLOCK_BYTES, RateFloor, SftpSource
+from host_sync.offload.sftp import REQUEST_BYTES, SftpSource
 from host_sync.offload.sftp_link import Timeouts
 
 HANDSHAKE_BYTES = 16_384
@@ -128,7 +131,7 @@ def harmed_pull(
     assert_identical(store, library)
     assert report.copied_bytes == sum(path.stat().st_size for path in (store.root / "scans").glob("*/raw.tif"))
     repeated = proxy.served_bytes - report.copied_bytes
-    assert repeated <= proxy.connections * (BLOCK_BYTES + HANDSHAKE_BYTES)
+    assert repeated <= proxy.connections * (REQUEST_BYTES + HANDSHAKE_BYTES)
     assert list((library.root / "scans").glob(".*")) == []
 
 
@@ -409,23 +412,47 @@ def test_a_mirror_over_sftp_is_read_back_and_copies_only_what_is_missing(
         mirror_to_sftp(library, SftpPlace(None, "127.0.0.1", 9, "/x"), lambda _: None)
 
 
-def test_a_server_that_drips_is_given_up() -> None:
-    now = [0.0]
-    floor = RateFloor("device/scans/x/raw.tif", lambda: now[0])
-    for second in range(59):
-        now[0] = float(second)
-        floor.count(1)
-    now[0] = 61.0
-    with pytest.raises(SourceLost, match="less than 1024 bytes/s"):
-        floor.count(1)
-    slow = RateFloor("device", lambda: now[0])
-    for _ in range(600):
-        now[0] += 1.0
-        slow.count(2000)
-    paused = RateFloor("device", lambda: now[0])
-    now[0] += 1000.0
-    paused.pause(1000.0)
-    paused.count(1)
+@pytest.mark.parametrize("answer_bytes", [0, 1], ids=["that answers no request", "that drips"])
+def test_a_server_is_given_up(server: Any, answer_bytes: int) -> None:
+    class Slow(asyncssh.SFTPServer):
+        def stat(self, path: bytes) -> asyncssh.SFTPAttrs:  # noqa: ARG002
+            return asyncssh.SFTPAttrs(permissions=0o100644, size=1 << 20)
+
+        lstat = stat
+
+        def open(self, path: bytes, pflags: int, attrs: asyncssh.SFTPAttrs) -> object:  # noqa: ARG002
+            return object()
+
+        def close(self, file_obj: object) -> None:
+            pass
+
+        async def read(self, file_obj: object, offset: int, size: int) -> bytes:  # noqa: ARG002
+            if not answer_bytes:
+                await asyncio.Event().wait()
+            return b"x" * answer_bytes
+
+    ready: Future[tuple[int, Callable[[], None]]] = Future()
+
+    async def serve() -> None:
+        ended = asyncio.Event()
+        key, users = server.folder / "host_key", str(server.folder / "authorized_keys")
+        async with await asyncssh.listen(
+            "127.0.0.1", 0, server_host_keys=[key], authorized_client_keys=users, sftp_factory=Slow
+        ) as listening:
+            end = partial(asyncio.get_running_loop().call_soon_threadsafe, ended.set)
+            ready.set_result((listening.get_port(), end))
+            await ended.wait()
+
+    with ThreadPoolExecutor(1) as serving:
+        serving.submit(asyncio.run, serve())
+        port, end = ready.result(timeout=60.0)
+        hasty = Timeouts(keepalive_s=0.2, unanswered=2, give_up_s=0.5, retry_s=0.1)
+        try:
+            with server.link(port, hasty) as link, pytest.raises(SourceLost, match="what arrived is kept"):
+                for _ in SftpSource(link).blocks("scans/x/raw.tif"):
+                    pass
+        finally:
+            end()
 
 
 def test_a_device_that_connects_every_time_and_sends_nothing_ends_too(
