@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -32,23 +33,34 @@ def signals_as_keyboard_interrupt(*signals: signal.Signals) -> Iterator[None]:
         yield
         return
 
+    is_due = False
+
     def interrupt(_number: int, frame: FrameType | None) -> None:
-        for number in signals:
-            signal.signal(number, signal.SIG_IGN)
+        nonlocal is_due
         if _is_importing(frame):
             raise_soon()
-        else:
-            raise KeyboardInterrupt
+            return
+        is_due = False
+        for number in signals:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
 
     def raise_soon() -> None:
-        signal.signal(signals[0], interrupt)
-        # A true signal, since the main thread may wait in the system meanwhile.
-        timer = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signals[0]))
-        timer.daemon = True
-        timer.start()
+        nonlocal is_due
+        if not is_due:
+            is_due = True
+            threading.Thread(target=send_until_raised, daemon=True).start()
+
+    def send_until_raised() -> None:
+        # A true signal, since the main thread may wait in the system; one that comes just before it is heard late.
+        time.sleep(AGAIN_S)
+        while is_due:
+            os.kill(os.getpid(), signals[0])
+            time.sleep(AGAIN_S)
 
     def unraisable(dropped: UnraisableHookArgs) -> None:
         if dropped.exc_type is KeyboardInterrupt:
+            signal.signal(signals[0], interrupt)
             raise_soon()
         else:
             hook_before(dropped)
@@ -58,6 +70,7 @@ def signals_as_keyboard_interrupt(*signals: signal.Signals) -> Iterator[None]:
     try:
         yield
     finally:
+        is_due = False
         for number, handler in before.items():
             signal.signal(number, handler)
         sys.unraisablehook = hook_before

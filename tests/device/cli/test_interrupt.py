@@ -1,5 +1,6 @@
 """Ctrl-C at any moment of a command's start ends in one sentence, also in the middle of an import."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -72,3 +73,18 @@ def drop_and_wait() -> None:
 def test_an_interrupt_that_python_drops_is_raised_again() -> None:
     with pytest.raises(KeyboardInterrupt):
         drop_and_wait()
+
+
+def test_it_is_raised_until_it_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal between the last look at signals and the wait in the system leaves that wait as it is."""
+    kill, sent = os.kill, []
+
+    def lose_the_first(process: int, number: int) -> None:
+        sent.append(number)
+        if len(sent) > 1:
+            kill(process, number)
+
+    monkeypatch.setattr(os, "kill", lose_the_first)
+    with pytest.raises(KeyboardInterrupt):
+        drop_and_wait()
+    assert len(sent) > 1
