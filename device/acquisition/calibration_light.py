@@ -6,7 +6,7 @@ from pathlib import Path
 
 from device.acquisition.capture import CaptureSettings
 from device.bundles.fingerprint import SettingsRecord
-from device.store.balance import BalanceRecord, read_balance, write_balance
+from device.store.choices import BALANCE, BalanceRecord
 from hal.hardware import Hardware
 
 
@@ -15,7 +15,7 @@ def calibration_settings(hardware: Hardware, root: Path) -> CaptureSettings:
 
     hardware : with the mounted gel
     """
-    usual, balance = CaptureSettings.of_board(hardware), read_balance(root)
+    usual, balance = CaptureSettings.of_board(hardware), BALANCE.read_sound(root)
     if balance is None or (balance.board, balance.gel_id) != (hardware.profile.name, hardware.profile.gel.id):
         return usual
     if set(balance.currents_ma) != set(hardware.lights.names):
@@ -25,11 +25,11 @@ def calibration_settings(hardware: Hardware, root: Path) -> CaptureSettings:
 
 
 def keep_balance(hardware: Hardware, root: Path, plan: CaptureSettings) -> None:
-    """Take later calibrations of this gel with these settings. Errors as for `write_balance`."""
+    """Take later calibrations of this gel with these settings. Errors as for `RecordFile.write`."""
     balance = BalanceRecord(
         board=hardware.profile.name,
         gel_id=hardware.profile.gel.id,
         settings=SettingsRecord.of(plan.settings),
         currents_ma=dict(plan.currents_ma),
     )
-    write_balance(root, balance)
+    BALANCE.write(root, balance)

@@ -25,8 +25,8 @@ from device.io.memory import give_back_memory
 from device.quality.thresholds import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
-from device.store.balance import remove_balance
 from device.store.checks import read_checks, read_standard, write_standard
+from device.store.choices import BALANCE
 from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
 from device.store.store import BundleStore
@@ -238,7 +238,7 @@ class ActiveSetup:
     def forget_balance(self) -> None:
         """Take the board profile's exposure and currents for the next calibration again."""
         try:
-            remove_balance(self._store.root)
+            BALANCE.remove(self._store.root)
             self._report_next_light(self.fitted())
         except DeviceError as error:
             self._fail(str(error))

@@ -17,8 +17,8 @@ from device.io.tiff import read_page
 from device.quick_look.files import HEIGHT_FILE
 from device.quick_look.solver import quick_look_binning
 from device.store.checks import read_checks
+from device.store.choices import MARKS, ScanMark
 from device.store.eviction import acknowledged_scans
-from device.store.marks import ScanMark, read_mark
 from device.store.store import BundleStore
 from device.surface.fields import Float32Array, HeightMap
 
@@ -111,7 +111,7 @@ def _entry(
         verdict=record.verdict,
         annotations=record.annotations,
         offloaded=offloaded,
-        mark=read_mark(root, record.scan_id),
+        mark=MARKS.read_sound(root, record.scan_id),
         doubt=failed.sentence if failed else "",
         replaced_by=replaced_by,
         movie=record.movie,

@@ -34,13 +34,20 @@ from device.machine.interfaces import Machine
 from device.machine.real_machine import real_machine
 from device.machine.twin_machine import twin_machine
 from device.pairing_service.service import PairingSetup
+from device.store.choices import (
+    SETTINGS,
+    Opinion,
+    ScanMark,
+    Settings,
+    add_preset,
+    read_presets,
+    read_settings,
+    read_sticky,
+    write_mark,
+)
 from device.store.gels import known_gels
-from device.store.marks import Opinion, ScanMark, write_mark
-from device.store.presets import add_preset, read_presets
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
-from device.store.settings import Settings, read_settings, write_settings
 from device.store.stick import StickExport, export_to_stick, find_stick
-from device.store.sticky import read_sticky
 from device.store.store import BundleStore
 from device.surface.fields import HeightMap
 from hal.clock import VirtualClock
@@ -190,7 +197,7 @@ class Instrument:
             return
         self._states.update(settings=settings)
         try:
-            write_settings(self._store.root, settings)
+            SETTINGS.write(self._store.root, settings)
         except DeviceError as error:
             self._states.publish(Failed(str(error)))
 

@@ -12,7 +12,7 @@ from device.bundles.scan import Annotations
 from device.errors import DeviceError
 from device.instrument.events import Failed
 from device.instrument.state import StateStore
-from device.store.sticky import write_sticky
+from device.store.choices import write_sticky
 from device.store.store import BundleStore
 
 _NUMBER: Final = re.compile(r"(\d+)(?!.*\d)")

@@ -22,7 +22,7 @@ from device.imaging.exposure import Brightness, SkinLevels
 from device.imaging.focus import FocusReading
 from device.instrument.events import Event
 from device.quality.thresholds import OLD_CALIBRATION_S
-from device.store.settings import Settings
+from device.store.choices import Settings
 from device.surface.fields import HeightMap
 from hal.interfaces import PowerReading
 

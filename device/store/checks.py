@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Final
 
 from device.bundles.check import CheckRecord, CheckStandard, StandardKind, look_alike_um
-from device.bundles.record import Identity, decode_record, encode_record, read_small
-from device.errors import RecordError, StoreError
-from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
+from device.bundles.record import Identity
+from device.store.record_file import RecordFile
 
-CHECKS: Final = "checks"
-STANDARD_FILE: Final = "standard.json"
 _REMEDY: Final = "remove it, and enter the check standard again"
+STANDARD: Final = RecordFile(CheckStandard, "checks/standard.json", _REMEDY)
+CHECKS: Final = RecordFile(CheckRecord, "checks/{}.json", _REMEDY)
 
 OWN_SHARE: Final[dict[StandardKind, float]] = {"ball": 0.12, "step": 0.15, "roughness": 0.4}
 """Relative error of the quick look itself, allowed beyond the standard's ±: it reads balls that are pressed gently up
@@ -60,13 +58,7 @@ class CheckMeasure:
 
 def read_standard(root: Path) -> CheckStandard | None:
     """The check standard; None when none was entered or its file is damaged."""
-    path = root / CHECKS / STANDARD_FILE
-    if not path.exists():
-        return None
-    try:
-        return decode_record(read_small(path, _REMEDY), CheckStandard, path, _REMEDY)
-    except RecordError:
-        return None
+    return STANDARD.read_sound(root)
 
 
 def write_standard(root: Path, standard: CheckStandard) -> None:
@@ -77,25 +69,17 @@ def write_standard(root: Path, standard: CheckStandard) -> None:
     StoreError
         The disk refused.
     """
-    _write(root / CHECKS / STANDARD_FILE, encode_record(standard))
+    STANDARD.write(root, standard)
 
 
 def read_checks(root: Path) -> tuple[CheckRecord, ...]:
     """Every check, oldest first; damaged ones are left out."""
-    found = []
-    for path in (root / CHECKS).glob("*.json"):
-        if path.name == STANDARD_FILE:
-            continue
-        try:
-            found.append(decode_record(read_small(path, _REMEDY), CheckRecord, path, _REMEDY))
-        except RecordError:
-            continue
-    return tuple(sorted(found, key=lambda check: check.counter))
+    return tuple(sorted(CHECKS.all_sound(root), key=lambda check: check.counter))
 
 
 def write_check(root: Path, check: CheckRecord) -> None:
     """Store a check durably. Errors as for `write_standard`."""
-    _write(root / CHECKS / f"{check.scan_id}.json", encode_record(check))
+    CHECKS.write(root, check, check.scan_id)
 
 
 def judged_check(
@@ -129,11 +113,3 @@ def judged_check(
         first_um=first.measured_um if first else None,
         drift_limit_um=DRIFT_SHARE[standard.kind] * standard.value_um if first else None,
     )
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(exist_ok=True)
-        replace_file(path, data)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error

@@ -19,7 +19,7 @@ from device.io.folder import Folder
 from device.io.lock import locked_directory
 from device.io.os_errors import explain_os_error
 from device.io.permissions import FOLDER_MODE, make_folder
-from device.store.marks import mark_path
+from device.store.choices import MARKS
 
 DELETED: Final = "deleted"
 
@@ -92,7 +92,7 @@ def _purge(root: Path, folder: Path, remove: Callable[[Path], object]) -> None:
     with suppress(OSError), Folder(root) as inside:
         inside.remove_file(f"{RECEIPTS}/{receipt_name(folder.name)}")
     with suppress(OSError):
-        mark_path(root, folder.name).unlink(missing_ok=True)
+        MARKS.path(root, folder.name).unlink(missing_ok=True)
 
 
 def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None:

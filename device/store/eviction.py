@@ -13,7 +13,7 @@ from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import RecordError
 from device.io.atomic import remove_tree_quietly, sync_directory
 from device.io.folder import Folder
-from device.store.marks import mark_path
+from device.store.choices import MARKS
 
 
 def acknowledged_scans(root: Path) -> list[ScanBundle]:
@@ -52,7 +52,7 @@ def unpublish(root: Path, scan: ScanBundle, remove: Callable[[Path], object] = r
     with suppress(OSError), Folder(root) as folder:
         folder.remove_file(f"{RECEIPTS}/{receipt_name(scan.scan_id)}")
     with suppress(OSError):
-        mark_path(root, scan.scan_id).unlink(missing_ok=True)
+        MARKS.path(root, scan.scan_id).unlink(missing_ok=True)
 
 
 def _is_receipted(root: Path, scan: ScanBundle) -> bool:

@@ -7,14 +7,11 @@ from typing import Annotated, Final
 
 import msgspec
 
-from device.bundles.record import BundleId, Count, Record, decode_record, encode_record, read_small
-from device.errors import RecordError, StoreError
-from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
+from device.bundles.record import BundleId, Count, Record, encode_record
+from device.errors import RecordError
+from device.store.record_file import RecordFile
 from hal.board_profile import GelConfig
 
-GELS: Final = "gels"
-MOUNTED_FILE: Final = "mounted-gel.json"
 _REMEDY: Final = "remove it and name the gel again with `retroscan gel`"
 
 
@@ -32,6 +29,10 @@ class MountedGel(Record, frozen=True, tag_field="schema", tag="retrograph.mounte
     gel_id: BundleId
 
 
+GELS: Final = RecordFile(GelRecord, "gels/{}.json", _REMEDY)
+MOUNTED: Final = RecordFile(MountedGel, "mounted-gel.json", _REMEDY)
+
+
 def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
     """The mounted gel: the one that was named last, else the board's own.
 
@@ -40,29 +41,19 @@ def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
     RecordError
         A file is damaged.
     """
-    path = root / MOUNTED_FILE
-    if not path.exists():
-        return known_gel(root, usual.id) or GelRecord(gel_id=usual.id, slab_thickness_mm=usual.slab_thickness_mm)
-    gel_id = decode_record(read_small(path, _REMEDY), MountedGel, path, _REMEDY).gel_id
-    known = known_gel(root, gel_id)
-    return known or GelRecord(gel_id=gel_id, slab_thickness_mm=usual.slab_thickness_mm)
+    mounted = MOUNTED.read(root)
+    gel_id = mounted.gel_id if mounted else usual.id
+    return known_gel(root, gel_id) or GelRecord(gel_id=gel_id, slab_thickness_mm=usual.slab_thickness_mm)
 
 
 def known_gel(root: Path, gel_id: str) -> GelRecord | None:
     """The record of a gel, None when it was never mounted. Errors as for `mounted_gel`."""
-    path = _path(root, gel_id)
-    return decode_record(read_small(path, _REMEDY), GelRecord, path, _REMEDY) if path.exists() else None
+    return GELS.read(root, gel_id)
 
 
 def known_gels(root: Path) -> tuple[GelRecord, ...]:
     """Every gel that was mounted here, by name; damaged files are left out."""
-    found = []
-    for path in sorted((root / GELS).glob("*.json")):
-        try:
-            found.append(decode_record(read_small(path, _REMEDY), GelRecord, path, _REMEDY))
-        except RecordError:
-            continue
-    return tuple(found)
+    return tuple(GELS.all_sound(root))
 
 
 def mount_gel(root: Path, gel: GelRecord) -> None:
@@ -73,15 +64,15 @@ def mount_gel(root: Path, gel: GelRecord) -> None:
     StoreError
         The disk refused.
     """
-    _store(_path(root, gel.gel_id), encode_record(gel))
-    _store(root / MOUNTED_FILE, encode_record(MountedGel(gel_id=gel.gel_id)))
+    GELS.write(root, gel, gel.gel_id)
+    MOUNTED.write(root, MountedGel(gel_id=gel.gel_id))
 
 
 def count_gel_press(root: Path, usual: GelConfig) -> GelRecord:
     """The mounted gel after one more press, stored. Errors as for `mounted_gel` and `mount_gel`."""
     gel = mounted_gel(root, usual)
     pressed = msgspec.structs.replace(gel, presses=gel.presses + 1)
-    _store(_path(root, gel.gel_id), encode_record(pressed))
+    GELS.write(root, pressed, gel.gel_id)
     return pressed
 
 
@@ -101,15 +92,3 @@ def make_gel(gel_id: str, slab_thickness_mm: float) -> GelRecord:
         raise RecordError(
             f"gel {gel_id!r}: use lower-case letters, digits and hyphens, and a thickness over 0 and up to 100 mm"
         ) from error
-
-
-def _path(root: Path, gel_id: str) -> Path:
-    return root / GELS / f"{gel_id}.json"
-
-
-def _store(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(exist_ok=True)
-        replace_file(path, data)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error

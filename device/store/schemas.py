@@ -18,14 +18,10 @@ from device.bundles.receipt import Receipt
 from device.bundles.record import Record
 from device.bundles.scan import ScanRecord
 from device.store.active import ActiveCalibration
-from device.store.balance import BalanceRecord
+from device.store.choices import BalanceRecord, Presets, ScanMark, Settings, StickyAnnotations
 from device.store.device_id import DeviceState
 from device.store.gels import GelRecord, MountedGel
-from device.store.marks import ScanMark
-from device.store.presets import Presets
 from device.store.registry_file import RegistryFile
-from device.store.settings import Settings
-from device.store.sticky import StickyAnnotations
 
 _RECORDS: Final[tuple[type[Record], ...]] = (
     ScanRecord,

@@ -32,7 +32,7 @@ from device.instrument.events import (
     ZeroChecked,
 )
 from device.instrument.instrument import Instrument
-from device.store.settings import Display
+from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.frame_rate import FrameRateLimiter
 from device.tui.drawing.measure_text import measure_text

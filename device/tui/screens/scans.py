@@ -14,7 +14,7 @@ from device.errors import DeviceError
 from device.instrument.history import History, ScanEntry
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
-from device.store.marks import Opinion
+from device.store.choices import Opinion
 from device.surface.fields import HeightMap
 from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textual.theme import Theme
 
-from device.store.settings import Display
+from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
 
 

@@ -16,7 +16,7 @@ from device.bundles.scan import Annotations
 from device.errors import CalibrationError, CaptureModeRefused
 from device.instrument.events import Failed
 from device.instrument.instrument import Instrument
-from device.store.settings import Settings, read_settings, write_settings
+from device.store.choices import SETTINGS, Settings, read_settings
 from device.store.store import BundleStore
 from hal.errors import CameraError
 from hal.hardware import Hardware
@@ -111,7 +111,7 @@ def test_presses_light_by_light_are_refused_where_lights_are_always_on(
         assert any("are always on, so that no light can be seen alone" in sentence for sentence in refused)
         assert instrument.state.settings.capture == "average"
         assert read_settings(root).capture == "average"
-    write_settings(root, Settings(capture="lights"))  # of another sensor, before it was changed
+    SETTINGS.write(root, Settings(capture="lights"))  # of another sensor, before it was changed
     again = Instrument(hardware, BundleStore(root, hardware.clock, boot_id="b0075e1f"))
     assert again.state.settings.capture == "average"
     with hardware, pytest.raises(CaptureModeRefused, match="always on"):

@@ -16,7 +16,7 @@ from device.instrument.events import Failed, Info, ScanFinished
 from device.instrument.instrument import Instrument
 from device.instrument.live_figure import MAX_READING_S
 from device.instrument.worker import NOT_NOW
-from device.store.balance import BALANCE_FILE
+from device.store.choices import BALANCE
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
@@ -123,7 +123,7 @@ def test_it_is_refused_during_a_calibration_and_refuses_others_meanwhile(
         instrument.cancel_run()
         assert STOPPED in stepped(instrument, 1)
         assert instrument.state.activity == "ready"
-        assert not (calibrated.root / BALANCE_FILE).exists()
+        assert not BALANCE.path(calibrated.root).exists()
 
 
 def test_a_dead_light_ends_it_with_a_sentence_and_nothing_changed(
@@ -134,7 +134,7 @@ def test_a_dead_light_ends_it_with_a_sentence_and_nothing_changed(
         said = balanced(instrument)
         assert any("light green is hardly visible" in sentence for sentence in said)
         assert instrument.state.activity == "ready"
-        assert not (calibrated.root / BALANCE_FILE).exists()
+        assert not BALANCE.path(calibrated.root).exists()
 
 
 def test_a_balance_of_another_gel_does_not_count_and_it_can_be_given_up(

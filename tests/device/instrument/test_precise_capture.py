@@ -14,7 +14,7 @@ from device.instrument.events import ScanFinished
 from device.instrument.instrument import Instrument
 from device.inverse_map.model import InverseMap
 from device.inverse_map.npz import read_model
-from device.store.settings import Settings
+from device.store.choices import Settings
 from device.store.store import BundleStore
 from device.surface.fields import Float32Array
 from hal.frame import RawFrame

@@ -8,7 +8,7 @@ import pytest
 
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.instrument.history import ScanEntry
-from device.store.marks import Opinion, ScanMark
+from device.store.choices import Opinion, ScanMark
 from device.tui.drawing.history_lines import chosen_scans
 
 
