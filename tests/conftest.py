@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
-from limits import limited_waits, pytest_runtest_makereport  # noqa: F401
+from limits import WAIT_S, limited_waits, pytest_runtest_makereport  # noqa: F401
 from lost_workers import pytest_configure, pytest_handlecrashitem, pytest_unconfigure  # noqa: F401 (hooks of every test)
 
 from device.acquisition.calibrate import calibrate
@@ -176,7 +176,7 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def calibrated_root(shared_folder: Path, small_twin: BoardProfile) -> Path:
     """A store with an active calibration of the small twin, made once; tests work on copies of it."""
     root, unfinished = shared_folder / "calibrated", shared_folder / "being calibrated"
-    with FileLock(shared_folder / "calibrated.lock"):
+    with FileLock(shared_folder / "calibrated.lock", timeout=WAIT_S):
         if not root.exists():
             hardware = twin_hardware(build(small_twin, VirtualClock(start_ns=5_000_000_000, wall_start_s=1_000.0)))
             with hardware:

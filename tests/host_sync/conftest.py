@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
+from limits import WAIT_S
 
 from device.bundles.calibration import CalibrationBundle
 from device.store.store import BundleStore
@@ -41,6 +42,6 @@ def twin_bundle(calibrated_root: Path) -> CalibrationBundle:
 def calibrator(calibration_cache: CalibrationCache, twin_bundle: CalibrationBundle, shared_folder: Path) -> Calibrator:
     """A calibrator that has made the calibration of the small twin."""
     found = Calibrator(calibration_cache)
-    with FileLock(shared_folder / "calibration of the twin.lock"):
+    with FileLock(shared_folder / "calibration of the twin.lock", timeout=WAIT_S):
         found.of_bundle(twin_bundle)
     return found
