@@ -60,6 +60,7 @@ class Recorder:
                 return
             self._count = self._lost = 0
             self._times_ns, self._problem = [], None
+            self._queue = Queue(WAITING)  # a frame that came while the last recording ended is not of this one
             self._closing.clear()
             self._folder = folder
             self._thread = Thread(target=self._write_all, args=(folder,), name="recorder", daemon=True)

@@ -136,6 +136,15 @@ def test_a_recording_is_a_sequence_at_its_own_rate(tmp_path: Path) -> None:
     assert json.loads((folder / "times.json").read_text())["calibration"] == "gel.calibration"
 
 
+def test_a_frame_that_came_while_a_recording_ended_is_not_of_the_next(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path)
+    recorder._queue.put((picture(1), 5))
+    recorder.record()
+    recorder.take(picture(2))
+    recorder.stop()
+    assert recorder.state()["frames"] == 1
+
+
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     recorder = Recorder(tmp_path / "file")
