@@ -11,11 +11,11 @@ import msgspec
 from hal.decoding import decode_toml
 from hal.errors import BoardProfileError
 from hal.frame import AS_GRANTED, CameraSettings, StatedOrder
-from hal.optics_tables import BeamConfig, LensConfig
 from hal.profile_files import profile_folder, profile_names
-from hal.profile_values import (
+from hal.profile_tables import (
     ASPECT_TOLERANCE,
     LIVE_AIMING_US,
+    BeamConfig,
     BusAddress,
     BusNumber,
     Channel,
@@ -23,13 +23,14 @@ from hal.profile_values import (
     Exposure,
     Fraction,
     Gain,
+    LensConfig,
     LineOffset,
     NotNegative,
     Positive,
     Table,
     Triple,
+    UvcConfig,
 )
-from hal.uvc_table import UvcConfig
 from hal.validation import explain_with_accepted, not_finite
 
 

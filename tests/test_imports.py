@@ -34,10 +34,8 @@ PORTABLE_HAL = {
     "hal.errors",
     "hal.frame",
     "hal.interfaces",
-    "hal.optics_tables",
+    "hal.profile_tables",
     "hal.profile_files",
-    "hal.profile_values",
-    "hal.uvc_table",
     "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")

@@ -14,8 +14,7 @@ from device.acquisition.scanner import Scanner
 from device.cli.console import Count, Given, Text, open_store, print_line, print_note, store_folder
 from device.command_line import print_json
 from device.errors import RecordError
-from device.guidance.placement import Placement, Target
-from device.guidance.way_back import on_the_spot, placed, sentence, way_back
+from device.guidance.placement import Placement, Target, on_the_spot, placed, sentence, way_back
 from device.instrument.history import read_quick_look
 from device.store.active import read_active
 from hal.board_profile import load_board_profile

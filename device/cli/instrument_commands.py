@@ -12,8 +12,7 @@ from cyclopts import Parameter
 
 from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
-from device.acquisition.calibration_light import calibration_settings, keep_balance
-from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.gel_profile import calibration_settings, keep_balance, with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
 from device.acquisition.movie import MOVIE_S, frames_that_fit
 from device.acquisition.precise_capture import mode_fault

@@ -10,7 +10,7 @@ from device.cli.console import Given, open_store, print_line
 from device.command_line import print_json
 from device.errors import DeviceError
 from device.instrument.history import ScanEntry, read_history
-from device.store.eviction import acknowledged_scans
+from device.store.deletion import acknowledged_scans
 from device.tui.drawing.text import local_time
 from hal.board_profile import load_board_profile
 

@@ -8,8 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from device.guidance.covering import Covering, Stand
-from device.guidance.placement import Unplaced
-from device.guidance.way_back import way_words
+from device.guidance.placement import Unplaced, way_words
 from device.surface.fields import HeightMap, MaskArray
 
 MAX_AREA_MM: Final = 300.0

@@ -7,9 +7,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from device.acquisition.calibration_light import calibration_settings
 from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.gel_profile import calibration_settings, with_active_gel
 from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle

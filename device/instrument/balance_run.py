@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from device.acquisition.auto_exposure import ExposureSearch
-from device.acquisition.calibration_light import calibration_settings, keep_balance
 from device.acquisition.capture import CaptureSettings
+from device.acquisition.gel_profile import calibration_settings, keep_balance
 from device.errors import DeviceError
 from device.instrument.button import ButtonWatch
 from device.instrument.events import CaptureDone, Failed, Info, show

@@ -7,8 +7,8 @@ from concurrent.futures import Executor, Future
 from typing import Final
 
 from device.acquisition.calibrate import finish, last_calibration, take_reference
-from device.acquisition.calibration_light import calibration_settings
 from device.acquisition.capture import capture
+from device.acquisition.gel_profile import calibration_settings
 from device.acquisition.guided_calibration import GuidedCalibration
 from device.errors import DeviceError
 from device.instrument.button import ButtonWatch

@@ -18,7 +18,7 @@ from device.quick_look.files import HEIGHT_FILE
 from device.quick_look.solver import quick_look_binning
 from device.store.checks import read_checks
 from device.store.choices import MARKS, ScanMark
-from device.store.eviction import acknowledged_scans
+from device.store.deletion import acknowledged_scans
 from device.store.store import BundleStore
 from device.surface.fields import Float32Array, HeightMap
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from device.errors import DeviceError
-from device.guidance.placement import Placement, Target, Unplaced
-from device.guidance.way_back import on_the_spot, placed, sentence, way_back
+from device.guidance.placement import Placement, Target, Unplaced, on_the_spot, placed, sentence, way_back
 from device.instrument.events import Failed, Info, show
 from device.instrument.state import SpotState, StateStore
 from device.quick_look.solver import QuickLookModel

@@ -2,6 +2,8 @@
 
 A scan leaves and comes back in one step, so that a power cut never leaves half of it. Its mark and receipt stay until
 it is gone for good, and so does the record of a check, which belongs to the instrument.
+
+Freeing space: only scans with a receipt are removed, the oldest press first.
 """
 
 from __future__ import annotations
@@ -11,8 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from device.bundles.layout import is_bundle_id, partial_name
-from device.bundles.receipt import RECEIPTS, receipt_name
+from device.bundles.layout import is_bundle_id, list_bundles, partial_name
+from device.bundles.receipt import RECEIPTS, is_receipted, receipt_name
+from device.bundles.record import read_manifest
+from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import RecordError, StoreError
 from device.io.atomic import remove_tree_quietly, sync_directory
 from device.io.folder import Folder
@@ -108,3 +112,49 @@ def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None
         raise RecordError(f"scan {scan_id} cannot be {done}: it is no longer there") from error
     except OSError as error:
         raise StoreError(f"scan {scan_id} cannot be {done} {explain_os_error(error)}") from error
+
+
+def acknowledged_scans(root: Path) -> list[ScanBundle]:
+    """Scans of a store that may be removed, the oldest press first."""
+    scans = sorted(list_bundles(root, "scans", read_scan).bundles, key=lambda scan: scan.record.identity.counter)
+    return [scan for scan in scans if _is_receipted(root, scan)]
+
+
+def evict_acknowledged(
+    root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
+) -> list[str]:
+    """Ids of the scans that were removed, one by one, until there is `enough` room or no more may be removed.
+
+    remove : removes the folder of a scan that no longer counts
+
+    Raises
+    ------
+    OSError
+        The disk refused; every scan that was not removed is whole.
+    """
+    freed = []
+    for scan in acknowledged_scans(root):
+        if enough():
+            break
+        unpublish(root, scan, remove)
+        freed.append(scan.scan_id)
+    return freed
+
+
+def unpublish(root: Path, scan: ScanBundle, remove: Callable[[Path], object] = remove_tree_quietly) -> None:
+    """Remove a scan; it disappears in one step, so that a power cut never leaves half of it."""
+    vanished = scan.directory.with_name(partial_name(scan.scan_id))
+    scan.directory.rename(vanished)
+    sync_directory(vanished.parent)
+    remove(vanished)
+    with suppress(OSError), Folder(root) as folder:
+        folder.remove_file(f"{RECEIPTS}/{receipt_name(scan.scan_id)}")
+    with suppress(OSError):
+        MARKS.path(root, scan.scan_id).unlink(missing_ok=True)
+
+
+def _is_receipted(root: Path, scan: ScanBundle) -> bool:
+    try:
+        return is_receipted(root, "scans", scan.scan_id, read_manifest(scan.directory, SCAN_MANIFEST))
+    except RecordError:
+        return False

@@ -36,7 +36,7 @@ from device.io.permissions import (
 )
 from device.store.active import read_active, write_active
 from device.store.allowance import tidy_shared_folders
-from device.store.deletion import deleted_folders, purge_oldest
+from device.store.deletion import acknowledged_scans, deleted_folders, evict_acknowledged, purge_oldest
 from device.store.device_id import (
     DeviceState,
     count_calibration,
@@ -45,7 +45,6 @@ from device.store.device_id import (
     read_device,
     start_device,
 )
-from device.store.eviction import acknowledged_scans, evict_acknowledged
 from device.store.inbox import InboxItem, copy_calibration, import_inbox
 from hal.errors import HalError
 from hal.interfaces import Clock

@@ -14,7 +14,7 @@ from typing import Final
 from hal.drivers.v4l2_stack import CONTROLS, ControlRange, VideoDevice
 from hal.errors import CameraError
 from hal.frame import CameraSettings
-from hal.uvc_table import UvcConfig, UvcProperty
+from hal.profile_tables import UvcConfig, UvcProperty
 
 EXPOSURE_UNIT_US: Final = 100.0
 MANUAL: Final = 1

@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hal.optics_tables import LensConfig
+from hal.profile_tables import LensConfig
 from hal.simulator.arrays import Float32Array, FloatArray
 
 WAVELENGTH_UM: Final = 0.53

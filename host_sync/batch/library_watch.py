@@ -22,8 +22,7 @@ from device.errors import DeviceError
 from device.io.atomic import write_output
 from device.io.lock import FolderLocked, locked_directory
 from device.io.os_errors import explain_os_error
-from host_sync.batch.library_batch import ScanWork, reconstruct_all
-from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.library_batch import ScanOutcome, ScanWork, reconstruct_all
 from host_sync.errors import HostError, LibraryError
 from host_sync.library.library import Library
 from host_sync.results.files import RECORD_FILE

@@ -58,7 +58,7 @@ def mosaic_command(
     with status_spinner() as tell:
         tell_of_compiling()
         tell("loading compiled code")
-        from host_sync.mosaic.layout import read_layout
+        from host_sync.mosaic.overlaps import read_layout
         from host_sync.mosaic.presses import check_together, presses_of
         from host_sync.mosaic.stitch import stitch
         from host_sync.results.record import read_record

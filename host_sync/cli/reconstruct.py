@@ -15,7 +15,7 @@ from cyclopts.validators import Number
 from device.command_line import Folder, print_json
 from device.io.atomic import check_output
 from host_sync.batch.cluster import connected
-from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.library_batch import ScanOutcome
 from host_sync.cli.calibrator import calibrator_for
 from host_sync.cli.console import (
     BAD_INPUT,

@@ -51,11 +51,10 @@ def view_command(
         Open the page in the desktop's browser.
     """
     from host_sync.frames.frame_set import load_frame_set
-    from host_sync.viewer.access import LOOPBACK, Access
+    from host_sync.viewer.access import LOOPBACK, Access, answers, keep_access, kept_access
     from host_sync.viewer.app import make_app
     from host_sync.viewer.cache import default_cache
     from host_sync.viewer.catalogue import Catalogue
-    from host_sync.viewer.kept_address import answers, keep_access, kept_access
     from host_sync.viewer.service import ViewerService
     from host_sync.viewer.serving import is_free, listening
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import http.client
 import ipaddress
 import os
 import secrets
@@ -24,12 +25,15 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs
 
+import msgspec
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-from host_sync.errors import ViewError
+from device.io.atomic import replace_file
+from host_sync.errors import LibraryError, ViewError
+from host_sync.offload.paired_devices import default_devices_folder
 
 LOOPBACK: Final = frozenset({"127.0.0.1", "localhost", "::1"})
 COOKIE_S: Final = 400 * 86_400
@@ -231,3 +235,53 @@ def _cookie(header: str, name: str) -> str | None:
     except CookieError:
         return None
     return jar[name].value if name in jar else None
+
+
+FILE: Final = "viewer.json"
+ANSWER_S: Final = 2.0
+
+
+class _Address(msgspec.Struct, frozen=True):
+    """Credentials of a folder's page."""
+
+    port: int
+    code: str
+    random_name: str
+
+
+def kept_access(folder: Path, host: str) -> Access | None:
+    """The credentials with which a folder was viewed last; None where it was not, or they cannot be read."""
+    kept = _read().get(str(folder.resolve()))
+    return Access(host, kept.port, kept.code, kept.random_name) if kept else None
+
+
+def keep_access(folder: Path, access: Access) -> bool:
+    """Keep the credentials of a folder, readable by this user only; False where the settings cannot be written."""
+    every = _read() | {str(folder.resolve()): _Address(access.port, access.code, access.random_name)}
+    try:
+        settings = default_devices_folder()
+        settings.mkdir(parents=True, exist_ok=True, mode=0o700)
+        replace_file(settings / FILE, msgspec.json.encode(every), 0o600)
+    except (OSError, LibraryError):
+        return False
+    return True
+
+
+def answers(access: Access) -> bool:
+    """Return whether a viewer with these credentials runs already."""
+    connection = http.client.HTTPConnection("127.0.0.1", access.port, timeout=ANSWER_S)
+    try:
+        headers = {"Host": access.origin.removeprefix("http://"), "Cookie": f"{access.cookie}={access.token}"}
+        connection.request("GET", "/api/palettes", headers=headers)
+        return connection.getresponse().status == 200
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        connection.close()
+
+
+def _read() -> dict[str, _Address]:
+    try:
+        return msgspec.json.decode((default_devices_folder() / FILE).read_bytes(), type=dict[str, _Address])
+    except (OSError, LibraryError, msgspec.DecodeError, UnicodeDecodeError):
+        return {}

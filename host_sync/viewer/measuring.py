@@ -54,7 +54,7 @@ class Measuring:
         # Compiled code is loaded when it is first needed, so that the list appears at once.
         from host_sync.measurement.measure import measure
         from host_sync.measurement.measurement_text import as_record
-        from host_sync.measurement.recipe_text import recipe_text
+        from host_sync.measurement.recipe import recipe_text
 
         surface = self._surface(entry, page)
         found = measure(surface if samples else replace(surface, samples_um=None), recipe)

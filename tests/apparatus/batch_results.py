@@ -6,7 +6,7 @@ import json
 
 import msgspec
 
-from host_sync.batch.scan_outcome import ScanOutcome
+from host_sync.batch.library_batch import ScanOutcome
 from host_sync.library.library import Library
 
 

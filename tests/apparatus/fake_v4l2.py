@@ -23,10 +23,10 @@ from hal.drivers.usb_hardware import usb_hardware
 from hal.drivers.v4l2_stack import CONTROLS, ControlRange, Picture, StreamFormat, VideoInfo
 from hal.frame import CameraSettings, RawFrame
 from hal.hardware import Hardware
+from hal.profile_tables import UvcConfig
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.hardware import TwinButton
 from hal.simulator.operator import TwinOperator
-from hal.uvc_table import UvcConfig
 
 CARD: Final = "GelSight Mini R0B 0000-0000: Ge"
 PERIOD_US: Final = 40_000.0

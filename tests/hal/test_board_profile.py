@@ -10,7 +10,7 @@ from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings
 from hal.profile_files import profile_names
-from hal.simulator.sensor_controls import SENSORS, granted
+from hal.simulator.camera import SENSORS, granted
 
 
 def rewritten(folder: Path, old: str, new: str, name: str = "twin") -> Path:

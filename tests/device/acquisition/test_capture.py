@@ -22,8 +22,8 @@ from hal.frame import CameraSettings
 from hal.hardware import Hardware
 from hal.interfaces import LightFault
 from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.camera import SENSORS, granted
 from hal.simulator.hardware import twin_hardware
-from hal.simulator.sensor_controls import SENSORS, granted
 
 
 def test_the_frame_shows_what_was_asked_and_began_in_steady_light(hardware: Hardware, bench: SimulatedScene) -> None:

@@ -15,7 +15,7 @@ from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import PressObject
-from hal.optics_tables import LensConfig
+from hal.profile_tables import LensConfig
 from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 

@@ -15,8 +15,7 @@ from device.acquisition.capture import capture
 from device.acquisition.scanner import Scanner
 from device.cli.guide import NOT_REACHED
 from device.cli.main import main
-from device.guidance.placement import Placement, Target, Unplaced
-from device.guidance.way_back import placed
+from device.guidance.placement import Placement, Target, Unplaced, placed
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from device.guidance.placement import Placement, Unplaced
-from device.guidance.way_back import on_the_spot, sentence
+from device.guidance.placement import Placement, Unplaced, on_the_spot, sentence
 
 THERE = Placement(0.1, -0.05, 0.3, 0.05, 0.4, 0.98, 80.0)
 

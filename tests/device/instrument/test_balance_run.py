@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from device.acquisition.auto_exposure import AIMED_LEVEL
-from device.acquisition.calibration_light import calibration_settings
 from device.acquisition.capture import CaptureSettings
-from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.gel_profile import calibration_settings, with_active_gel
 from device.bundles.scan import VerdictRecord
 from device.instrument.balance_run import KEPT, STOPPED
 from device.instrument.events import Failed, Info, ScanFinished

@@ -19,7 +19,7 @@ from device.bundles.scan import ScanBundle, ScanRecord
 from device.errors import FrameNotConfirmed, NoCalibration, RecordError, StoreError
 from device.io.lock import locked_directory
 from device.io.os_errors import explain_os_error
-from device.store.eviction import evict_acknowledged
+from device.store.deletion import evict_acknowledged
 from device.store.store import RESERVE_BYTES, BundleStore, default_store
 from hal.clock import VirtualClock
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.board_profile import BoardProfile
-from hal.optics_tables import BeamConfig
-from hal.simulator.beam import beam_fraction, led_places_mm
+from hal.profile_tables import BeamConfig
+from hal.simulator.scene import beam_fraction, led_places_mm
 
 Floats = NDArray[np.float64]
 ENDLESS = 1000.0

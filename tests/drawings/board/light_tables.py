@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hal.board_profile import load_board_profile
-from hal.optics_tables import BeamConfig
+from hal.profile_tables import BeamConfig
 from tests.drawings.board.aperture import BOARDS, blur
 from tests.drawings.board.beam import (
     ENDLESS,

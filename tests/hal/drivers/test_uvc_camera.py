@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
 
-from hal.drivers.camera_uvc import UvcCamera
+from hal.drivers.camera_uvc import WHITE_DN, UvcCamera, decoded, mosaic_of
 from hal.drivers.uvc_choice import ChosenCamera
-from hal.drivers.uvc_pixels import WHITE_DN, decoded, mosaic_of
 from hal.drivers.v4l2_stack import StreamFormat, VideoInfo
 from hal.errors import BoardProfileError, CameraError, FrameTimeout, LightError
 from hal.frame import CameraSettings
 from hal.hardware import Hardware
+from hal.profile_tables import UvcConfig
 from hal.simulator.bench import SimulatedScene
-from hal.uvc_table import UvcConfig
 
 ASKED = CameraSettings(exposure_us=3_000.0, analogue_gain=2.0)
 

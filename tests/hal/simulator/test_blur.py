@@ -8,7 +8,7 @@ import pytest
 
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.errors import BoardProfileError
-from hal.optics_tables import LensConfig
+from hal.profile_tables import LensConfig
 from hal.simulator.as_built import twin_of
 from hal.simulator.blur import Blur, blur_of
 from hal.simulator.lens import Lens

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from host_sync.batch.library_batch import ScanOutcome
 from host_sync.batch.library_watch import MEASUREMENTS, LibraryWatch, only_watch
-from host_sync.batch.scan_outcome import ScanOutcome
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.library.library import Library

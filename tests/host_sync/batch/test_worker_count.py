@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.batch.worker_count import default_workers, usable_cores, usable_memory, worker_bytes
+from host_sync.batch.library_batch import default_workers, usable_cores, usable_memory, worker_bytes
 
 LARGE = (3040, 4056)
 GB = 10**9

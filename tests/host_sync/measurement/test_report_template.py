@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from host_sync.cli.main import main
-from host_sync.report.places import LETTER_MM, placed
+from host_sync.report.pictures import LETTER_MM, placed
 from tests.apparatus.printing import needs_browser
 
 Write = Callable[..., Path]

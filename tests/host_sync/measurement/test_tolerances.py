@@ -27,8 +27,8 @@ from host_sync.measurement.recipe import (
     ToleranceTable,
     checked,
     read_recipe,
+    recipe_text,
 )
-from host_sync.measurement.recipe_text import recipe_text
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.tolerance import verdict_of
 

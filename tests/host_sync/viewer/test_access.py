@@ -19,8 +19,7 @@ from uvicorn.server import ServerState
 
 from host_sync.cli.main import main
 from host_sync.errors import ViewError
-from host_sync.viewer.access import redirect_file
-from host_sync.viewer.kept_address import keep_access
+from host_sync.viewer.access import keep_access, redirect_file
 from host_sync.viewer.serving import ConnectionLimits, LimitedConnection, listening
 
 ANOTHER_USER = 65534

@@ -16,7 +16,7 @@ from hal.drivers.usb_hardware import usb_hardware
 from hal.drivers.v4l2_kernel import KernelVideo
 from hal.errors import CameraError
 from hal.hardware import Hardware
-from hal.uvc_table import UvcProperty
+from hal.profile_tables import UvcProperty
 
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 DEVICE = "vivid.0"
