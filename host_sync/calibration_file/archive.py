@@ -108,18 +108,6 @@ def read_archive(source: Path | bytes, name: str) -> tuple[Facts, dict[str, byte
     return facts, members
 
 
-def read_facts(path: Path) -> Facts:
-    """Return what a calibration file says of itself; its content is not read. Errors as for `read_archive`."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            _check_sizes(archive, str(path))
-            return _facts(archive, str(path))
-    except (*_READ_ERRORS, zipfile.BadZipFile, NotImplementedError) as error:
-        if isinstance(error, CalibrationFileError):
-            raise
-        raise CalibrationFileError(f"{path}: is no readable calibration ({error}): calibrate again") from error
-
-
 def _check_sizes(archive: zipfile.ZipFile, name: str) -> None:
     entries = archive.infolist()
     if len(entries) > MAX_MEMBERS or sum(one.file_size for one in entries) > MAX_BYTES:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +19,6 @@ from host_sync.errors import HostError, ResultError
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
-    from host_sync.measurement.recipe import Recipe
     from host_sync.report.content import Picture, Report
     from host_sync.report.template import Template
 
@@ -68,13 +67,21 @@ def report_command(
     chosen = chosen_recipe(recipe, {})
     style, logo = _template(template)
     folders = result_folders(results, library)
-    from host_sync.report.writing import NO_BROWSER, find_browser
+    from host_sync.report.writing import NO_BROWSER, find_browser, report_files
 
     browser = find_browser() if pdf else None
     with _output_folder(out):
-        _check_free([out / NUMBERS_FILE], replace=overwrite)
-        report = _report_on_all if population else _report_on_each
-        code = report(folders, chosen, style, logo, out, browser, overwrite=overwrite, semicolon=semicolon)
+        _check_free([out / NUMBERS_FILE, *(report_files(out / POPULATION) if population else ())], replace=overwrite)
+        code = _report(
+            measured(folders, chosen),
+            style,
+            logo,
+            out,
+            browser,
+            population=population,
+            overwrite=overwrite,
+            semicolon=semicolon,
+        )
     if pdf and browser is None:
         print_error(NO_BROWSER, PARTLY)
         return code or PARTLY
@@ -97,75 +104,47 @@ def _output_folder(out: Path) -> Iterator[None]:
                 out.rmdir()  # which refuses one that holds files
 
 
-def _report_on_each(
-    folders: Sequence[Path | str],
-    recipe: Recipe,
+def _report(
+    measurements: Iterable[Measurement | str],
     style: Template | None,
     logo: Picture | None,
     out: Path,
     browser: str | None,
     *,
+    population: bool,
     overwrite: bool,
     semicolon: bool,
 ) -> int:
-    """Write a report on each result; returns the exit code."""
-    done = []
+    """Write a report on each result or one on all, and their numbers; returns the exit code."""
+    done: list[Measurement] = []
     failed = False
     taken: set[str] = set()
-    for found in measured(folders, recipe):
+    for found in measurements:
         if isinstance(found, str):
             failed = True
             print_error(found, PARTLY)
             continue
-        from host_sync.report.composing import compose
+        if not population:
+            from host_sync.report.composing import compose
 
-        name = file_name(found.record.scan_id or found.record.name, taken)
-        try:
-            _write(compose(found, style, logo), out / name, browser, replace=overwrite)
-        except (DeviceError, HostError) as error:
-            failed = True
-            print_error(error, PARTLY)
-        else:
-            done.append(found.numbers_only())
-            failed = failed or bool(found.failed) or found.fails
-    if done:
-        from host_sync.measurement.measurement_text import as_csv
-
-        write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
-    if failed:
-        return PARTLY if done else BAD_INPUT
-    return DONE
-
-
-def _report_on_all(
-    folders: Sequence[Path | str],
-    recipe: Recipe,
-    style: Template | None,
-    logo: Picture | None,
-    out: Path,
-    browser: str | None,
-    *,
-    overwrite: bool,
-    semicolon: bool,
-) -> int:
-    """Write the population's report; returns the exit code."""
-    _check_free([out / f"{POPULATION}.html", out / f"{POPULATION}.pdf"], replace=overwrite)
-    done: list[Measurement] = []
-    failed = False
-    for found in measured(folders, recipe):
-        if isinstance(found, str):
-            failed = True
-            print_error(found, PARTLY)
-        else:
-            done.append(found.numbers_only())
-            failed = failed or bool(found.failed) or found.fails
+            name = file_name(found.record.scan_id or found.record.name, taken)
+            try:
+                _write(compose(found, style, logo), out / name, browser, replace=overwrite)
+            except (DeviceError, HostError) as error:
+                failed = True
+                print_error(error, PARTLY)
+                continue
+        done.append(found.numbers_only())
+        failed = failed or bool(found.failed) or found.fails
     if not done:
         return BAD_INPUT
-    failed = name_copies(done) or failed
-    from host_sync.measurement.measurement_text import as_csv
-    from host_sync.report.population import compose_population
+    if population:
+        from host_sync.report.population import compose_population
 
-    _write(compose_population(done, style, logo), out / POPULATION, browser, replace=overwrite)
+        failed = name_copies(done) or failed
+        _write(compose_population(done, style, logo), out / POPULATION, browser, replace=overwrite)
+    from host_sync.measurement.measurement_text import as_csv
+
     write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
     return PARTLY if failed else DONE
 

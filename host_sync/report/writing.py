@@ -50,6 +50,7 @@ def write_report(report: Report, place: Path, browser: str | None) -> list[Path]
     """
     page, sheet = report_files(place)
     write_output(page, html_page(report).encode())
+    sheet.unlink(missing_ok=True)  # of the report that this one replaces
     if browser is None:
         return [page]
     write_output(sheet, _printed(page, browser))

@@ -293,8 +293,10 @@ def test_without_a_browser_the_page_is_written_and_a_sentence_names_what_is_miss
     assert main(report) == 1
     assert capsys.readouterr().err == f"retrosync: {writing.NO_BROWSER}\n"
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["numbers.csv", "one.html", "two.html"]
+    (tmp_path / "out" / "one.pdf").write_bytes(b"of an earlier report")
     assert main([*report, "--overwrite", "--no-pdf"]) == 0
     assert not capsys.readouterr().err
+    assert not (tmp_path / "out" / "one.pdf").exists()
 
 
 def test_a_browser_that_fails_leaves_the_page_and_no_pdf(
