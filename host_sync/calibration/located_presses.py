@@ -24,6 +24,11 @@ NAMED: Final = 3
 ONE_LIGHT: Final = 0.1
 """Frames whose colour changes less than this fraction of their brightness show one light in all channels."""
 
+ONE_LIGHT_WORDS: Final = (
+    "all channels show the same light (a grey image, or white lamps): balls are found by lights of three colours, one "
+    "a channel"
+)
+
 OTHER_RADIUS: Final = 1.25
 """Up to this factor another radius is the same one: contacts do not distinguish them."""
 
@@ -46,6 +51,10 @@ def locate_all(
         Too few balls can be used.
     """
     labelled = [locate(press, flat_field) for press in presses]
+    if not any(
+        used.balls for used in labelled
+    ):  # frames of something else agree in nothing, and that is not the reason
+        check_count(labelled, stated_um, presses[0].radius_px)
     check_agreement([p.label for p in presses], [used.intensity for used in labelled], reference is not None)
     if reference is not None:
         check_untouched(reference, [press.frame for press in presses])
@@ -97,20 +106,22 @@ def _listed(names: Sequence[str]) -> str:
 def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float | None) -> str:
     """Return the mend that the presses themselves suggest where they show no ball."""
     if images and float(np.median([colour_over_brightness(image) for image in images])) < ONE_LIGHT:
-        return (
-            "all channels show the same light (a grey image, or white lamps): balls are found by lights of three "
-            "colours, one a channel"
-        )
+        return ONE_LIGHT_WORDS
     found = fitting_radius(images[:: max(1, len(images) // LOOKED_AT)]) if radius_px and images else None
     if found is not None and radius_px and 2 * found.presses >= found.looked_at and found.presses > 1:
         ratio = found.radius_px / radius_px
         if not 1.0 / OTHER_RADIUS < ratio < OTHER_RADIUS:
-            return f"{found.sentence(pitch_um, radius_px)}: check ball_radius_mm{_diameter(ratio)} and pixel_pitch_um"
+            return f"{found.sentence(pitch_um, radius_px)}: {mend_of_radius(ratio, 'ball_radius_mm', 'pixel_pitch_um')}"
     return "press balls of known radius all over the gel"
 
 
-def _diameter(ratio: float) -> str:
-    return " (is it the diameter?)" if ratio < 1.0 else ""
+def mend_of_radius(ratio: float, radius: str, pitch: str) -> str:
+    """The mend where balls of another radius show, by the names of the two options.
+
+    ratio : of the radius that shows to the one that is stated; contacts of one size fit radii within a factor of 1.5
+    """
+    question = " (is it the diameter?)" if 0.33 < ratio < 0.75 else ""
+    return f"check {radius}{question} and {pitch}{', or press deeper' if ratio < 1.0 else ''}"
 
 
 def colour_over_brightness(image: NormalizedImage) -> float:

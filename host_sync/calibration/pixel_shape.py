@@ -41,7 +41,7 @@ OF_DEVIATION: Final = 0.1
 """And this share of the deviation: a map that was taught with stretched balls reads the skin around them a little
 wrong (rendered frames: 1.197 of true 1.176, 1.092 of 1.087)."""
 
-OF_DISAGREEMENT: Final = 0.6
+OF_DISAGREEMENT: Final = 0.7
 """And this part of how far the two derivatives disagree, (1 - ρ) / (1 + ρ) of their correlation ρ: in cast shadows and
 under a wide lens the map misreads the skin around balls on one side. Chosen on two public sensors, bnz-ur5 (0.90) and
 fots-gelsight (0.75), whose contacts are round; seven others are then contradicted by nothing."""

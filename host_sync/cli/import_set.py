@@ -104,6 +104,10 @@ def import_command(
         _show_balls(path)
     if results is None:
         return DONE
+    if not draft.presses:
+        raise FrameSetError(
+            f"{path}: no press calibrates: call the images of the ball ball-…, or reconstruct with --calibration FILE"
+        )
     from host_sync.cli.reconstruct import reconstruct
 
     return reconstruct(str(path), out=results)

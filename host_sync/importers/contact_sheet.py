@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from device.balls.sphere import Ball
 from device.io.atomic import write_output
 from host_sync.calibration.assessment import diameter_note
+from host_sync.calibration.located_presses import mend_of_radius
 from host_sync.calibration.training_press import pictures_across
 from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
@@ -105,4 +106,4 @@ def _other_radius(frame_set: FrameSet, presses: Sequence[PressSpec], used: int) 
     if 1.0 / CLOSE < ratio < CLOSE:
         return ()
     words = best.sentence(frame_set.pixel_pitch_um, stated).capitalize()
-    return (f"{words}: check --ball-radius-mm (is it the diameter?) and --pixel-pitch-um",)
+    return (f"{words}: {mend_of_radius(ratio, '--ball-radius-mm', '--pixel-pitch-um')}",)

@@ -16,7 +16,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array
+from host_sync.calibration.located_presses import ONE_LIGHT, ONE_LIGHT_WORDS, colour_over_brightness
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.image_file import read_info
@@ -69,6 +71,8 @@ def import_images(source: Path, said: Said) -> Draft:
             notes = (*notes, f"{first.name} is not taken as untouched skin: it looks like {alike}")
     if not pressed and rest != first and not shows_balls(_spread(group), rest):
         group = []
+    if not group and _show_one_light(frames if rest is None else [rest, *frames]):
+        notes = (*notes, f"no frame is a press: {ONE_LIGHT_WORDS}")
     others = [one for one in frames if one not in group]
     shown = [*group[::SHOWN_EVERY], *others] if not pressed else frames
     return Draft(
@@ -139,6 +143,18 @@ def _small(image: Path) -> Float32Array:
     rows, columns = (size // step * step for size in frame.shape[:2])
     blocks = frame[:rows, :columns].reshape(rows // step, step, columns // step, step, -1)
     return np.asarray(np.maximum(blocks.mean(axis=(1, 3)), 1e-3), np.float32)
+
+
+def _show_one_light(images: Sequence[Path]) -> bool:
+    """Return whether what changes from frame to frame changes alike in all channels, as under white lamps."""
+    try:
+        small = [_small(one) for one in _spread(images)]
+        middle = np.median(small, axis=0)
+    except (FrameSetError, ValueError):
+        return False
+    seen = np.ones(middle.shape[:2], np.bool_)
+    ratios = [NormalizedImage(np.asarray(one / middle, np.float32), seen, ~seen) for one in small]
+    return len(small) > 1 and float(np.median([colour_over_brightness(ratio) for ratio in ratios])) < ONE_LIGHT
 
 
 def _marked_change(ratio: Float32Array) -> tuple[float, float]:

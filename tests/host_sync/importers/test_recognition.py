@@ -7,9 +7,14 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from ball_folder import OPTIONS, PLACES, RADIUS_PX, frame, presses, put
 
+from device.errors import CalibrationError, CalibrationMismatch
+from device.imaging.flat_field import LinearFrame, make_flat_field
+from host_sync.calibration.balls import PressFrame
+from host_sync.calibration.located_presses import locate_all
 from host_sync.cli.main import main
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, load_frame_set
@@ -114,6 +119,29 @@ def test_numbered_images_without_balls_are_scans(tmp_path: Path, capsys: pytest.
     assert not load_frame_set(tmp_path / "frameset.toml", calibrates=False).presses
 
 
+def test_frames_under_white_lamps_are_no_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, places in enumerate(([], PLACES[:1])):
+        grey = frame(places).max(axis=-1, keepdims=True).repeat(3, axis=-1)
+        assert cv2.imwrite(str(tmp_path / f"one_{number}.png"), grey)
+    options = ("--pixel-pitch-um", 50, "--encoding", "linear", "--results", tmp_path / "results")
+    assert run(tmp_path, *options) == 2
+    said = capsys.readouterr()
+    assert "no frame is a press: all channels show the same light" in said.out
+    assert "no press calibrates: call the images of the ball ball-" in said.err
+
+
+def test_presses_of_something_else_are_refused_for_their_balls(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise CalibrationMismatch("two gels are mixed")
+
+    monkeypatch.setattr("host_sync.calibration.located_presses.check_agreement", refuse)
+    image = np.ascontiguousarray(frame([])[..., ::-1].astype(np.float32) / 255.0)
+    one = LinearFrame(image, np.zeros(image.shape[:2], np.bool_))
+    press, flat_field = PressFrame("a", one, 40.0), make_flat_field(one)
+    with pytest.raises(CalibrationError, match="0 usable balls in 1 calibration presses"):
+        locate_all([press], flat_field, 50.0, None)
+
+
 def test_images_of_another_size_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
@@ -142,16 +170,18 @@ def test_drawn_circles_of_fots_are_kept_narrower(tmp_path: Path) -> None:
     assert (ball.column, ball.row, ball.contact_radius_px) == (110.0, 120.0, pytest.approx(25.5))
 
 
-@pytest.mark.parametrize(("radius_mm", "shown"), [(8, 7), (12, 0)])
+@pytest.mark.parametrize(
+    ("radius_mm", "shown", "hint"), [(8, 7, "is ball_radius_mm the diameter?"), (12, 0, "or press deeper")]
+)
 def test_a_radius_that_does_not_fit_is_said(
-    radius_mm: float, shown: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    radius_mm: float, shown: int, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
     assert run(tmp_path, "--pixel-pitch-um", 50, "--ball-radius-mm", radius_mm, "--encoding", "linear") == 0
     said = capsys.readouterr().out
     assert f"{shown} of 7 presses show a ball" in said
-    assert ("is ball_radius_mm the diameter?" if shown else "is it the diameter?") in said
+    assert hint in said
 
 
 def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) -> None:
