@@ -63,7 +63,8 @@ def html_page(report: Report) -> str:
         body.append(_list(report.notes))
     body += [_figure(picture) for picture in report.pictures[1:]]
     body += [_table(table, "hashes" if len(table.head) == 3 else "") for table in report.appendix]
-    body.append(f'<p class="signature">{SIGNED}: <code>{escape(report.signature)}</code></p>')
+    if report.signature:
+        body.append(f'<p class="signature">{SIGNED}: <code>{escape(report.signature)}</code></p>')
     if report.footer:
         body.append(f'<p class="remark footer">{escape(report.footer)}</p>')
     return "\n".join(

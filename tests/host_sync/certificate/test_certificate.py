@@ -214,6 +214,7 @@ def test_the_certificate_is_written_as_json_and_pages(tmp_path: Path) -> None:
     pages, *sheets = write_certificate(certificate, tmp_path)
     assert pages == tmp_path / "certificate.html"
     assert "<h1>Calibration certificate: made</h1>" in pages.read_text(encoding="utf-8")
+    assert "<code></code>" not in pages.read_text(encoding="utf-8")
     read = msgspec.json.decode((tmp_path / RECORD_FILE).read_bytes(), type=Certificate)
     assert read == certificate
     assert sheets == [tmp_path / "certificate.pdf"]
