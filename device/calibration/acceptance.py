@@ -32,6 +32,12 @@ class Check(msgspec.Struct, frozen=True):
         """Whether the limit is kept."""
         return self.value <= self.limit if self.kind == "at most" else self.value >= self.limit
 
+    @property
+    def words(self) -> str:
+        """Value and limit, for example "0.147 (at most 0.07)"; a share in per cent."""
+        number = ".0%" if self.name.startswith("share") else ".3g"
+        return f"{self.value:{number}} ({self.kind} {self.limit:{number}})"
+
 
 def check_fit(inverse: InverseFit) -> None:
     """Refuse a fit whose held-out balls are wrong.

@@ -28,4 +28,4 @@ def calibration_lines(calibration: Calibration) -> tuple[str, ...]:
 
 
 def _failed(check: Check) -> str:
-    return f"{check.name} {check.value:.3g} ({check.kind} {check.limit:g})"
+    return f"{check.name} {check.words}"
