@@ -146,7 +146,7 @@ def _small(image: Path) -> Float32Array:
 
 
 def _show_one_light(images: Sequence[Path]) -> bool:
-    """Return whether what changes from frame to frame changes alike in all channels, as under white lamps."""
+    """Return whether what changes from frame to frame changes alike in all channels, as under white lights."""
     try:
         small = [_small(one) for one in _spread(images)]
         middle = np.median(small, axis=0)

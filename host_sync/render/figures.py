@@ -1,4 +1,7 @@
-"""Reliefs, details and the pictures of a demo in matplotlib figures, and figures as PNG."""
+"""Reliefs, details and the pictures of a demo in matplotlib figures, and figures as PNG.
+
+matplotlib takes a while to load: it is imported where a figure is drawn.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, HeightMap, surface_slopes
@@ -21,6 +20,7 @@ from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import exaggeration_for, height_range_um, reduced, relief_rgb, shade, steep_slope
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -42,6 +42,10 @@ def figure_pixels(figure: Figure, dpi: float) -> NDArray[np.uint8]:
 
 def draw_relief(axes: Axes, height: HeightMap, title: str) -> None:
     """Draw the relief in `axes`, in millimetres on the skin, with its height scale beside it."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+
     small = reduced(height, MAX_COLUMNS)
     low_um, high_um = height_range_um(small)
     rows, columns = small.z_um.shape
@@ -73,6 +77,8 @@ def exaggeration(height: HeightMap) -> float:
 
 def write_detail(path: Path, height: HeightMap, title: str) -> None:
     """Write the shaded detail as a PNG, in millimetres on the skin; invalid pixels are white."""
+    from matplotlib.figure import Figure
+
     small = reduced(height, DETAIL_PX)
     factor = exaggeration(small)
     shading = shade(HeightMap(small.z_um * np.float32(factor), small.pitch_um))
@@ -111,6 +117,8 @@ class StoryRow:
 
 def write_story(rows: Sequence[StoryRow], path: Path) -> None:
     """Write the picture, a row per scan."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(19.0, 4.0 * len(rows) + 0.3), layout="constrained")
     for number, (row, axes) in enumerate(zip(rows, figure.subplots(len(rows), 4, squeeze=False), strict=True)):
         frame, look, relief, sigma = axes
