@@ -47,7 +47,7 @@ MIN_SHALLOW: Final = 0.2
 """A contact this narrow shows slopes of 11 degrees; of a narrower one the noise is too large a part."""
 
 PART_OF: Final = 1.5
-"""What lies so few radii from a place that follows no sphere is a part of it: the middle of an oval dent is even."""
+"""Distance, in radii, up to which a contact is part of what follows no sphere: an oval dent has an even middle."""
 
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
@@ -143,7 +143,7 @@ def _find_shallow(
 
     whole : what is seen in rings of the whole radius
     """
-    uneven = [(sighting, radius_px) for sighting in whole if _is_uneven(sighting)]
+    uneven = [(sighting, radius_px) for sighting in whole if _unevenness(sighting)]
     for fraction in fractions:
         window_px = fraction * radius_px
         sightings = _look(image, window_px, ()) if window_px >= MIN_RADIUS_PX else []
@@ -154,12 +154,14 @@ def _find_shallow(
             part = any(np.hypot(one.column - u.column, one.row - u.row) < PART_OF * size for u, size in uneven)
             too_small = contact_px < MIN_SHALLOW * radius_px
             return [] if part or too_small else [Ball(one.column, one.row, contact_px, radius_px)]
-        uneven += [(sighting, window_px) for sighting in sightings if _is_uneven(sighting)]
+        uneven += [(sighting, window_px) for sighting in sightings if _unevenness(sighting)]
     return []
 
 
-def _is_uneven(sighting: _Sighting) -> bool:
-    return _asymmetry(sighting.rings, min(sighting.contact, MAX_CONTACT)) > SYMMETRIC
+def _unevenness(sighting: _Sighting) -> float:
+    """Return the share of the shading's energy that no sphere shows, 0 where it is small enough for one."""
+    uneven = _asymmetry(sighting.rings, min(sighting.contact, MAX_CONTACT))
+    return uneven if uneven > SYMMETRIC else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,8 +215,7 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
         return "cut by the frame's border"
     if contact < (MIN_CONTACT_ALONE if alone else MIN_CONTACT):
         return f"contact too small ({contact:.2f} of the radius)"
-    if _is_uneven(sighting):
-        uneven = _asymmetry(sighting.rings, contact)
+    if uneven := _unevenness(sighting):
         return f"does not follow the sphere ({uneven:.0%} of its shading is uneven)"
     if sighting.contact > IMPOSSIBLE_CONTACT:
         return "wider than a ball of this radius can press: check the ball's radius and the pixel pitch"

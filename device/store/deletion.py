@@ -88,15 +88,8 @@ def _purge(root: Path, folder: Path, remove: Callable[[Path], object]) -> None:
         return
     if (root / "scans" / folder.name).exists():
         return
-    vanished = folder.with_name(partial_name(folder.name))
-    remove_tree_quietly(vanished)
-    folder.rename(vanished)
-    sync_directory(vanished.parent)
-    remove(vanished)
-    with suppress(OSError), Folder(root) as inside:
-        inside.remove_file(f"{RECEIPTS}/{receipt_name(folder.name)}")
-    with suppress(OSError):
-        MARKS.path(root, folder.name).unlink(missing_ok=True)
+    remove_tree_quietly(folder.with_name(partial_name(folder.name)))
+    _remove(root, folder, folder.name, remove)
 
 
 def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None:
@@ -143,14 +136,19 @@ def evict_acknowledged(
 
 def unpublish(root: Path, scan: ScanBundle, remove: Callable[[Path], object] = remove_tree_quietly) -> None:
     """Remove a scan; it disappears in one step, so that a power cut never leaves half of it."""
-    vanished = scan.directory.with_name(partial_name(scan.scan_id))
-    scan.directory.rename(vanished)
+    _remove(root, scan.directory, scan.scan_id, remove)
+
+
+def _remove(root: Path, folder: Path, scan_id: str, remove: Callable[[Path], object]) -> None:
+    """Remove the folder of a scan, then its receipt and its mark."""
+    vanished = folder.with_name(partial_name(scan_id))
+    folder.rename(vanished)
     sync_directory(vanished.parent)
     remove(vanished)
-    with suppress(OSError), Folder(root) as folder:
-        folder.remove_file(f"{RECEIPTS}/{receipt_name(scan.scan_id)}")
+    with suppress(OSError), Folder(root) as inside:
+        inside.remove_file(f"{RECEIPTS}/{receipt_name(scan_id)}")
     with suppress(OSError):
-        MARKS.path(root, scan.scan_id).unlink(missing_ok=True)
+        MARKS.path(root, scan_id).unlink(missing_ok=True)
 
 
 def _is_receipted(root: Path, scan: ScanBundle) -> bool:

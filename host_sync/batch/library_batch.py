@@ -49,10 +49,10 @@ SCANS_A_WORKER: Final = 4
 """A process more takes a second to start: it is worth that for so many scans."""
 
 BYTES_A_WORKER: Final = 400_000_000
-"""What a process takes for libraries and compiled code, before any frame."""
+"""Memory that a process takes for libraries and compiled code, before any frame."""
 
 BYTES_A_PIXEL: Final = 105
-"""What it takes besides for each pixel: 25 arrays of float32, and the raw frame."""
+"""Memory that each pixel takes on top: 25 arrays of float32, and the raw frame."""
 
 PROC: Final = Path("/proc")
 CGROUPS: Final = Path("/sys/fs/cgroup")

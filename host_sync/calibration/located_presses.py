@@ -51,9 +51,8 @@ def locate_all(
         Too few balls can be used.
     """
     labelled = [locate(press, flat_field) for press in presses]
-    if not any(
-        used.balls for used in labelled
-    ):  # frames of something else agree in nothing, and that is not the reason
+    if not any(used.balls for used in labelled):
+        # Frames of something else agree in nothing, and that is not the reason.
         check_count(labelled, stated_um, presses[0].radius_px)
     check_agreement([p.label for p in presses], [used.intensity for used in labelled], reference is not None)
     if reference is not None:

@@ -117,8 +117,8 @@ class Draft:
         if not copies:
             return self
         names = short_names([press.images[0] for press in self.presses])
-        told = "; ".join(f"{names[copy]} is the same file as {names[original]}" for copy, original in copies[:3])
-        note = f"{told}{f' and {len(copies) - 3} more' if len(copies) > 3 else ''}: left out of the presses"
+        pairs = "; ".join(f"{names[copy]} is the same file as {names[original]}" for copy, original in copies[:3])
+        note = f"{pairs}{f' and {len(copies) - 3} more' if len(copies) > 3 else ''}: left out of the presses"
         return replace(self, presses=tuple(kept), notes=(*self.notes, note))
 
     def missing(self) -> list[str]:

@@ -89,7 +89,7 @@ def test_skin_that_the_map_misreads_leaves_a_doubt_and_accuses_nobody() -> None:
     assert doubtful.off <= doubtful.allowed
 
 
-def test_derivatives_that_disagree_widen_the_doubt() -> None:
+def test_derivatives_that_disagree_raise_the_uncertainty() -> None:
     lone, all_agree = shape_of(1.0, cast=0.5), shape_of(1.0)
     assert lone is not None
     assert all_agree is not None

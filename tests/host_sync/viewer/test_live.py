@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_frames import settle
 from limits import join
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -172,7 +173,7 @@ def test_the_page_draws_what_comes_and_records(live: ServedLive, visit: Callable
     live.source.give(1, 120.0)
     page.wait_for_selector("dd:has-text('column 120.0')")
     assert 396.0 < float(page.inner_text("dl.live dd").split()[0]) < 401.0
-    page.wait_for_function("() => (window.drawn = (window.drawn ?? 0) + 1) % 3 === 0")  # two frames later
+    settle(page)
     assert page.locator(".surface").screenshot() != before
     page.mouse.move(100, 100)
     page.keyboard.press("3")  # turned while it moves

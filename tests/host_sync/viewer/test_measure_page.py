@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from drawn_frames import settle
 
 from host_sync.cli.main import main
 
@@ -39,7 +40,7 @@ def drag(page: Any, start: tuple[float, float], end: tuple[float, float]) -> Non
 
 def middle_of(page: Any, selector: str) -> tuple[float, float]:
     """Middle of an element of the overlay, read in one step: each drawing replaces all its elements."""
-    page.wait_for_function("() => (window.drawn = (window.drawn ?? 0) + 1) % 3 === 0")  # two frames later
+    settle(page)
     return tuple(
         page.evaluate(
             "selector => { const box = document.querySelector(selector).getBoundingClientRect();"

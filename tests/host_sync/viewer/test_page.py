@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from drawn_frames import settle
 
 from device.bundles.scan import ScanBundle
 from device.surface.fields import HeightMap
@@ -33,11 +34,6 @@ def stage_picture(page: Any) -> np.ndarray:
 
 def set_slider(page: Any, label: str, value: int) -> None:
     page.get_by_label(label, exact=True).fill(str(value))
-
-
-def settle(page: Any) -> None:
-    """Two drawings later."""
-    page.wait_for_function("() => (window.drawn = (window.drawn ?? 0) + 1) % 3 === 0")  # two frames later
 
 
 def test_the_list_opens_and_is_searched(served: Any, visit: Callable[..., Any]) -> None:
