@@ -7,6 +7,7 @@ camera without raw modes, and its own buffers have one plane where this pipeline
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ class PicturePipeline(CameraPipeline):
         return picture
 
 
-def facts(camera_id: str) -> LibcameraConfig:
+def config(camera_id: str) -> LibcameraConfig:
     return LibcameraConfig(
         camera_id=camera_id,
         raw_bits=12,
@@ -94,22 +95,24 @@ def facts(camera_id: str) -> LibcameraConfig:
 
 
 @pytest.fixture
-def driver() -> Hardware:
+def driver(plain: Callable[[str], PicameraCamera]) -> Hardware:
     profile = load_board_profile("twin")
     clock = SystemClock()
     hardware = twin_hardware(build(profile, clock))
-    camera = PicameraCamera(profile.sensor, facts(CAMERA_ID), profile.camera.settings, lambda: Picamera2, clock)
-    camera._pipeline = PicturePipeline(profile.sensor, facts(CAMERA_ID), lambda: PictureCamera)
+    camera = plain(CAMERA_ID)
+    camera._pipeline = PicturePipeline(profile.sensor, config(CAMERA_ID), lambda: PictureCamera)
     return Hardware(
         profile, camera, hardware.lights, hardware.button, hardware.indicator, hardware.power, hardware.operator, clock
     )
 
 
 @pytest.fixture
-def plain() -> PicameraCamera:
-    """The driver as it is, over picamera2 as it is."""
+def plain() -> Callable[[str], PicameraCamera]:
+    """The driver as it is, over picamera2 as it is, for a camera's id."""
     profile = load_board_profile("twin")
-    return PicameraCamera(profile.sensor, facts(CAMERA_ID), profile.camera.settings, lambda: Picamera2, SystemClock())
+    return lambda camera_id: PicameraCamera(
+        profile.sensor, config(camera_id), profile.camera.settings, lambda: Picamera2, SystemClock()
+    )
 
 
 @pytest.fixture
