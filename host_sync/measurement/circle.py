@@ -30,8 +30,8 @@ MIN_STEP_SHARE: Final = 0.3
 """A ray counts if its step is at least this fraction of the median ray's, to the same side."""
 
 MIN_RAYS: Final = RAYS // 6
-MIN_AGREEING: Final = 0.6
-"""Least fraction of the rays with heights at both ends that show the step."""
+MAX_STEP_SPREAD: Final = 0.35
+"""Largest median deviation of the rays' steps, in their median: edges have 0.2 or less, slopes and noise 0.45 on."""
 
 MAX_OFF_SHARE: Final = 0.06
 """Largest median distance of the places from the circle, radii: edges that lie anywhere on their rays have 0.2."""
@@ -85,11 +85,13 @@ def find_circle(
         raise MeasurementError(
             f"a circle of {radius_um:g} µm radius does not fit into a field of {across_um:.0f} µm: draw it smaller"
         )
-    column_um, row_um, again_um = _once(z_um, places, np.array(centre_um, np.float64), radius_um, level).grid
-    return _once(z_um, places, np.array([column_um, row_um]), again_um, level)
+    column_um, row_um, again_um = _once(z_um, places, np.array(centre_um, np.float64), radius_um, level, np.inf).grid
+    return _once(z_um, places, np.array([column_um, row_um]), again_um, level, MAX_STEP_SPREAD)
 
 
-def _once(z_um: Float32Array, places: SkinPlaces, centre: Float64Array, radius_um: float, level: float) -> Circle:
+def _once(
+    z_um: Float32Array, places: SkinPlaces, centre: Float64Array, radius_um: float, level: float, max_spread: float
+) -> Circle:
     angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     way = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     count = max(16, int(np.ceil(2.0 * REACH * radius_um / (0.5 * places.pitch_um))))
@@ -112,7 +114,7 @@ def _once(z_um: Float32Array, places: SkinPlaces, centre: Float64Array, radius_u
         f"no round edge near ({centre[0]:.0f}, {centre[1]:.0f}) µm with a radius of {radius_um:.0f} µm: draw the "
         "circle along the edge"
     )
-    if known.sum() < max(MIN_RAYS, MIN_AGREEING * whole.sum()) or usual == 0.0:
+    if known.sum() < MIN_RAYS or np.nanmedian(np.abs(step - usual)) > max_spread * abs(usual) or usual == 0.0:
         raise MeasurementError(problem)
     seen_um = centre + edge[known, None] * way[known]
     column, row, radius, weight = _fitted(seen_um)

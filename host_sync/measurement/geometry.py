@@ -91,7 +91,7 @@ def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[
     """
     border = np.isfinite(z_um)
     border[border_px:-border_px, border_px:-border_px] = False
-    heights = _over_plane(z_um, border, places)
+    heights = over_plane(z_um, border, places)
     known = np.isfinite(heights)
     seen = heights[known].astype(np.float64)
     below, above = np.minimum(seen, 0.0), np.maximum(seen, 0.0)
@@ -104,8 +104,8 @@ def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[
     }
 
 
-def _over_plane(z_um: Float32Array, used: MaskArray, places: SkinPlaces) -> Float32Array:
-    """Heights above the plane through the used pixels, where they lie."""
+def over_plane(z_um: Float32Array, used: MaskArray, places: SkinPlaces) -> Float32Array:
+    """Heights above the plane through the used pixels, where they lie, µm."""
     across_um, down_um = places.at(z_um)
     a, b, c = _plane(across_um, down_um, np.where(used, z_um, np.float32(np.nan)))
     return np.asarray(z_um - (a * across_um + b * down_um + c), np.float32)

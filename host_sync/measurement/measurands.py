@@ -11,7 +11,7 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.footprint import line_places, region_places
-from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
+from host_sync.measurement.geometry import Region, between_places, between_planes_deg, over_plane, pit_volumes
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import fit_sphere
@@ -28,6 +28,9 @@ from host_sync.profile.step_height import (
 _UM: Final = ParameterKind("µm")
 _LENGTH: Final = ParameterKind("µm", 1.0)
 _VOLUME: Final = ParameterKind("µm³", 2.0)
+
+MAX_OF_PLANE: Final = 0.35
+"""Largest residual of a sphere, in that of a plane: a cylinder has 0.7, a ball with the skin around it 0.5."""
 
 
 class Measurand(Protocol):
@@ -235,7 +238,14 @@ class RadiusMeasurand(_Plain):
         self._places = _places_of(self._region, height, places)
         self.masked_share = _masked(height, self._region)
         self.places_px = region_places([self._region], height.pitch_um)
-        self._start = fit_sphere(self._region.cut(height.z_um, height.pitch_um), self._places)
+        surface_um = self._region.cut(height.z_um, height.pitch_um)
+        self._start = fit_sphere(surface_um, self._places)
+        flat_um = float(np.nanstd(over_plane(surface_um, np.isfinite(surface_um), self._places), dtype=np.float64))
+        if self._start.residual_um > MAX_OF_PLANE * flat_um:
+            raise MeasurementError(
+                f"the region shows no sphere: the best one is {self._start.residual_um:.2g} µm off (RMS) and a plane "
+                f"{flat_um:.2g} µm; draw the region inside the sphere"
+            )
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Radius, and RMS distance of the surface from the sphere."""

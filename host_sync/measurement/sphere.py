@@ -137,7 +137,7 @@ def _step(z_um: Any, grid: Any, state: Any) -> tuple[Float64Array, Float64Array,
             share = max(1.0 - nearness * (z + zero + across * x + down * y), least)
             x, y = across_um + x * share - state[0], down_um + y * share - state[1]
             h = z - state[2]
-            distance = np.sqrt(x * x + y * y + h * h)
+            distance = max(np.sqrt(x * x + y * y + h * h), 1e-12)  # a centre on a pixel has no direction
             gradient[0], gradient[1], gradient[2] = -x / distance, -y / distance, -h / distance
             off = distance - state[3]
             square += off * off

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
@@ -22,6 +23,7 @@ from host_sync.measurement.recipe import (
     CircleTable,
     LevelTable,
     MaskTable,
+    RadiusTable,
     Recipe,
     StepTable,
     ToleranceTable,
@@ -73,14 +75,21 @@ def test_a_circle_across_the_border_counts_where_it_is_seen(write_result: Write)
     assert any("of the circle only" in words for words in diameter.warnings)
 
 
-@pytest.mark.parametrize("shown", ["flat", "wave", "noise"])
-def test_without_an_edge_there_is_no_circle(shown: str, write_result: Write, wave: np.ndarray) -> None:
+@pytest.mark.parametrize("shown", ["flat", "wave", "noise", "skin", "step"])
+def test_without_an_edge_there_is_no_circle_and_without_a_ball_no_radius(
+    shown: str, write_result: Write, wave: np.ndarray
+) -> None:
     noise = np.random.default_rng(6).standard_normal(SHAPE)
-    surface = {"flat": np.zeros(SHAPE), "wave": wave, "noise": noise}[shown]
-    found = measure_result(write_result(surface), Recipe(circle=(RIM,)))
-    assert found.failed == ("rim",)
-    (only,) = [one for one in found.quantities if one.subject == "rim"]
-    assert "no round edge" in only.warnings[0]
+    skin = gaussian_filter(np.random.default_rng(8).standard_normal(SHAPE), 15.0)
+    step = 50.0 * (np.arange(SHAPE[1]) > 110.0) + np.zeros(SHAPE)
+    surface = {"flat": np.zeros(SHAPE), "wave": wave, "noise": noise, "skin": skin, "step": step}[shown]
+    circles = [CircleTable(name=f"c{x}", centre_um=(float(x), 470.0), radius_um=230.0) for x in range(400, 850, 50)]
+    radii = [RadiusTable(name=f"r{x}", region_um=(x, 100.0, x + 500.0, 800.0)) for x in (100.0, 300.0, 550.0)]
+    found = measure_result(write_result(surface), Recipe(circle=tuple(circles), radius=tuple(radii)))
+    assert len(set(found.failed)) == len(circles) + len(radii)
+    reasons = {one.subject[0]: one.warnings[0] for one in found.quantities if one.subject != "surface"}
+    assert "no round edge" in reasons["c"]
+    assert "no sphere" in reasons["r"]
 
 
 def test_what_is_painted_over_is_not_measured(write_result: Write) -> None:
