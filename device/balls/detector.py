@@ -47,7 +47,8 @@ MIN_SHALLOW: Final = 0.2
 """A contact this narrow shows slopes of 11 degrees; of a narrower one the noise is too large a part."""
 
 PART_OF: Final = 1.5
-"""Distance, in radii, up to which a contact is part of what follows no sphere: an oval dent has an even middle."""
+"""Distance, in radii, up to which a contact is part of a stronger one, for two balls stand a diameter apart; or of
+what follows no sphere: an oval dent has an even middle."""
 
 SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
@@ -122,6 +123,8 @@ def find_balls(
     reasons = [_fault(sighting, image.shape, radius_px) for sighting in sightings]
     if all(reasons) and (alone := _alone(sightings, image.shape, radius_px)) is not None:
         reasons[alone] = ""
+    good = [sighting for sighting, reason in zip(sightings, reasons, strict=True) if not reason]
+    reasons = [reason or _part_of_another(s, good, radius_px) for s, reason in zip(sightings, reasons, strict=True)]
     kept = [sighting for sighting, reason in zip(sightings, reasons, strict=True) if not reason]
     rejected = [RejectedBall(s.column, s.row, reason) for s, reason in zip(sightings, reasons, strict=True) if reason]
     found = []
@@ -160,8 +163,19 @@ def _find_shallow(
 
 def _unevenness(sighting: _Sighting) -> float:
     """Return the share of the shading's energy that no sphere shows, 0 where it is small enough for one."""
-    uneven = _asymmetry(sighting.rings, min(sighting.contact, MAX_CONTACT))
-    return uneven if uneven > SYMMETRIC else 0.0
+    uneven, even = _energies(sighting.rings, min(sighting.contact, MAX_CONTACT))
+    share = uneven / max(uneven + even, 1e-12)
+    return share if share > SYMMETRIC else 0.0
+
+
+def _part_of_another(one: _Sighting, good: Sequence[_Sighting], radius_px: float) -> str:
+    """Return the fault of a sighting that is nearer to a stronger one than two balls can be; empty of others."""
+
+    def strength(sighting: _Sighting) -> float:
+        return _energies(sighting.rings, min(sighting.contact, MAX_CONTACT))[1]
+
+    near = [s for s in good if s is not one and np.hypot(s.column - one.column, s.row - one.row) < PART_OF * radius_px]
+    return "part of the dent of a ball nearby" if any(strength(s) > strength(one) for s in near) else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,8 +236,8 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
     return ""
 
 
-def _asymmetry(rings: RadialProfiles, contact: float) -> float:
-    """Share of the shading's energy inside the contact that no sphere under lamps can show.
+def _energies(rings: RadialProfiles, contact: float) -> tuple[float, float]:
+    """Energy of the shading inside the contact that no sphere under lamps can show, and of the other.
 
     A lamp's image on a sphere is symmetric about the lamp's direction. A lamp that sets on the far side, or that
     shines, adds a second harmonic whose crest lies where the first has its own: 0.42 of it when half the ring is dark.
@@ -235,5 +249,4 @@ def _asymmetry(rings: RadialProfiles, contact: float) -> float:
     second = rings.second[inside] * np.conj(first / np.maximum(size, 1e-12)) ** 2
     second = second - np.clip(second.real, 0.0, MAX_SETTING * size)
     uneven = (weight * (2.0 * np.abs(second) ** 2 + rings.rest[inside])).sum()
-    even = (weight * 2.0 * size**2).sum()
-    return float(uneven / max(uneven + even, 1e-12))
+    return float(uneven), float((weight * 2.0 * size**2).sum())

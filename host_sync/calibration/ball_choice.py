@@ -55,13 +55,23 @@ def fit_to_best_balls(
             best, chosen = begun, (moved, name)
     if chosen[1] != "found at labels and beyond":
         cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
-        begun = fit_to(cut, light)
-        core, whole = begun.fit, best.fit
-        if core.held_out_deg is None or whole.core_deg is None or core.kept.sum() < CORE_KEPT * whole.kept.sum():
-            return best, *chosen
-        if core.held_out_deg < whole.core_deg:
-            return begun, cut, chosen[1]
+        core = fit_to_cores(cut, best, light)
+        return (*core, chosen[1]) if core else (best, *chosen)
     return best, *chosen
+
+
+def fit_to_cores(
+    cut: Sequence[UsedPress], whole: BegunFit, light: IlluminationMap | None
+) -> tuple[BegunFit, Sequence[UsedPress]] | None:
+    """The inverse map of presses whose contacts were cut to their core; None where held-out balls prefer the whole.
+
+    The error of the core alone decides, and not one that is smaller because balls were left aside.
+    """
+    begun = fit_to(cut, light)
+    core_deg, kept = begun.fit.held_out_deg, begun.fit.kept.sum()
+    if core_deg is None or whole.fit.core_deg is None or kept < CORE_KEPT * whole.fit.kept.sum():
+        return None
+    return (begun, cut) if core_deg < whole.fit.core_deg else None
 
 
 def _count(presses: Sequence[UsedPress]) -> int:

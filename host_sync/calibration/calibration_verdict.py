@@ -26,9 +26,12 @@ def checks(
     coverage: Coverage,
     shape: PixelShape | None = None,
 ) -> tuple[Check, ...]:
-    """What the report judges; a calibration passes when all do."""
+    """What the report judges; a calibration passes when all do.
+
+    What is rejected in a press that shows one ball is part of its dent, not another ball.
+    """
     balls = sum(len(press.balls) for press in presses)
-    rejected = sum(len(press.rejected) or bool(press.error) for press in presses)
+    rejected = sum(len(press.rejected) or bool(press.error) for press in presses if len(press.balls) != 1)
     first, share, *rest = fit_checks(balls, rejected, held_out_deg, coverage)
     spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
     off = () if shape is None else (Check(PIXEL_SHAPE, shape.off, shape.allowed, "at most"),)

@@ -19,8 +19,8 @@ from device.errors import CalibrationError
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float64Array, MaskArray
-from host_sync.calibration.ball_choice import fit_to
-from host_sync.calibration.balls import UsedPress, apply_fit, without_balls
+from host_sync.calibration.ball_choice import fit_to, fit_to_cores
+from host_sync.calibration.balls import UsedPress, apply_fit, cut_to_core, without_balls
 
 MAX_SAMPLES = 20_000
 CONTRADICTS: Final = 0.16
@@ -62,17 +62,23 @@ def without_contradiction(
 ) -> tuple[Sequence[UsedPress], BegunFit]:
     """The presses without balls whose radius contradicts the others', and the fit to the balls that are left.
 
-    Presses stay as they are where no ball stands out, or where so many do that nothing shows which are right.
+    Skin that leaves the ball inside of what was taken for the contact flattens the rim, and by another share in every
+    press: where radii contradict, contacts are cut to their core if held-out balls prefer that. Presses stay as they
+    are where no ball stands out, or where so many do that nothing shows which are right.
 
     light : as of `fit_to`
     """
+    shares = _shares_of(presses, begun)
+    if radius_spread(shares[~contradicts(shares)]) > MAX_RADIUS_SPREAD:
+        begun, presses = fit_to_cores([cut_to_core(press) for press in presses], begun, light) or (begun, presses)
+    at_most = MAX_LEFT_OUT * len(shares)
     for _ in range(ROUNDS):
-        used = apply_fit(presses, begun.fit)
-        shares = radius_shares(gather_samples([(press.intensity, press.balls) for press in used]), begun.fit.map)
+        shares = _shares_of(presses, begun)
         out = np.zeros(len(begun.fit.kept), np.bool_)
-        out[begun.fit.kept] = contradicts(shares)
-        if not out.any() or out.sum() > MAX_LEFT_OUT * begun.fit.kept.sum():
+        out[begun.fit.kept] = left_out(shares, at_most)
+        if not out.any():
             break
+        at_most -= out.sum()
         read = np.full(len(out), np.nan)
         read[begun.fit.kept] = shares / np.nanmedian(shares)
         ends = np.cumsum([len(press.balls) for press in presses])[:-1]
@@ -88,6 +94,12 @@ def without_contradiction(
     return presses, begun
 
 
+def _shares_of(presses: Sequence[UsedPress], begun: BegunFit) -> Float64Array:
+    """Return the radius shares of the balls that a fit kept."""
+    used = apply_fit(presses, begun.fit)
+    return radius_shares(gather_samples([(press.intensity, press.balls) for press in used]), begun.fit.map)
+
+
 def _mean(values: Float64Array) -> float:
     return float(values.mean()) if values.size else 1.0
 
@@ -97,6 +109,21 @@ def contradicts(shares: Float64Array) -> MaskArray:
     off = np.abs(shares / np.nanmedian(shares) - 1.0)
     usual = NORMAL_MAD * float(np.nanmedian(off))
     return np.asarray(off > max(CONTRADICTS, STANDS_OUT * usual))
+
+
+def left_out(shares: Float64Array, at_most: float) -> MaskArray:
+    """True for balls that are left out, `at_most` so many: bool array of shape (number of balls,).
+
+    These are the ones that contradict the others, and after them the farthest from the median until the spread of the
+    rest is small enough. Where that takes too many, the first ones alone; where they are too many, none.
+    """
+    first = contradicts(shares)
+    out = first.copy()
+    for ball in np.argsort(-np.nan_to_num(np.abs(shares / np.nanmedian(shares) - 1.0))):
+        if radius_spread(shares[~out]) <= MAX_RADIUS_SPREAD:
+            break
+        out[ball] = True
+    return next((mask for mask in (out, first) if mask.sum() <= at_most), np.zeros_like(out))
 
 
 def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:

@@ -99,6 +99,17 @@ def test_several_balls_are_all_found_and_nothing_else() -> None:
     assert distances(search, centres).max() < 0.5
 
 
+def test_what_is_nearer_than_two_balls_can_stand_is_part_of_the_stronger_dent() -> None:
+    strong, beside = pressed((200.0, 200.0), noise=0.0), pressed((278.0, 200.0), contact=0.4, noise=0.0)
+    both = NormalizedImage(strong.values + beside.values - np.float32(1.0), strong.valid, strong.clipped)
+    search = find_balls(both, RADIUS_PX)
+    assert len(search.found) == 1
+    assert distances(search, [(200.0, 200.0)])[0] < 3.0
+    assert [round(ball.column / 40.0) for ball in search.rejected if ball.reason.startswith("part of")] == [7]
+    touching = find_balls(pressed((150.0, 200.0), (150.0 + 2.0 * RADIUS_PX, 200.0)), RADIUS_PX)
+    assert len(touching.found) == 2
+
+
 def test_a_ball_pressed_less_deep_than_the_others_is_refused_with_its_contact() -> None:
     shape, radius_px = (500, 700), 40.0
     deep = [(100.0 + 170.0 * i, 100.0 + 150.0 * j) for i in range(4) for j in range(2)]

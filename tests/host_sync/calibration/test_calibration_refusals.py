@@ -11,8 +11,11 @@ import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.balls.detector import BallSearch, find_balls
+from device.balls.sphere import gather_samples
+from device.calibration.fit import CORE_SHARE
 from device.errors import CalibrationError, CalibrationMismatch, FrameError
 from device.imaging.flat_field import SATURATED, LinearFrame, demosaic, flat_field_correct, make_flat_field
+from device.inverse_map.illumination import IlluminationMap
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, PressBall
@@ -20,14 +23,17 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import SphereGrid
-from host_sync.calibration.balls import GridSpacing, PressFrame
+from host_sync.calibration.ball_choice import fit_to
+from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.grid_press import detect_grid
-from host_sync.calibration.radii import contradicts
+from host_sync.calibration.radii import contradicts, left_out, radius_shares, radius_spread
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0
 PLACES = [(column, row) for row in (0.25, 0.75) for column in (0.2, 0.5, 0.8)]
+RADIUS_PX = RADIUS_MM * 1e3 / PITCH_UM
+WIDE = (1.0, 1.2)
 GRID_RADIUS_MM, GRID_PITCH_MM, GRID_DEPTH_MM = 1.0, 2.5, 0.45
 
 
@@ -159,6 +165,35 @@ def test_only_balls_that_stand_out_of_the_others_contradict_them() -> None:
     assert contradicts(scattered).nonzero()[0].tolist() == [11]
     assert contradicts(1.05 * np.array([1.0, 1.0, 1.01, 0.99, 0.8, 1.0])).nonzero()[0].tolist() == [4]
     assert not contradicts(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3])).any()
+
+
+def test_contacts_that_reach_beyond_the_ball_are_cut_to_their_core(usual: SimulatedScene) -> None:
+    flat_field = make_flat_field(usual.rest)
+    found = [find_balls(flat_field_correct(frame, flat_field), RADIUS_PX).found[0] for frame in usual.balls]
+    given = [replace(ball, contact_radius_px=WIDE[i % 2] * ball.contact_radius_px) for i, ball in enumerate(found)]
+    wide = [replace(press, balls=(ball,)) for press, ball in zip(presses(usual.balls), given, strict=True)]
+    light = IlluminationMap.of(flat_field)
+    whole = fit_to([locate(press, flat_field) for press in wide], light).fit
+    calibration = calibrate(wide, usual.rest, PITCH_UM)
+    (spread,) = [check for check in calibration.assessment.checks if "radii from shading" in check.name]
+    assert spread.passed
+    used = [press.balls[0].contact_radius_px for press in calibration.presses]
+    assert used == pytest.approx([CORE_SHARE * ball.contact_radius_px for ball in given])
+    assert whole.core_deg is not None
+    assert calibration.held_out_deg["direct"] < whole.core_deg
+    samples = gather_samples([(press.intensity, press.balls) for press in (locate(one, flat_field) for one in wide)])
+    assert radius_spread(radius_shares(samples, whole.map)) > spread.limit
+
+
+def test_presses_farthest_from_the_others_go_until_the_rest_agrees_and_no_more_than_allowed() -> None:
+    presses = np.array([0.84, 0.87, 0.9, 0.93, 0.96, 0.99, 1.0, 1.01, 1.04, 1.07, 1.1, 1.13, 1.2])
+    assert radius_spread(presses) > 0.08
+    out = left_out(presses, at_most=3.9)
+    assert presses[out].tolist() == [0.84, 1.2]
+    assert radius_spread(presses[~out]) <= 0.08
+    assert not left_out(presses, at_most=1.0).any()
+    assert left_out(np.append(presses, 2.0), at_most=1.0).nonzero()[0].tolist() == [13]
+    assert not left_out(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3]), at_most=1.8).any()
 
 
 def test_something_that_touches_the_skin_in_the_reference_is_named_with_its_place(usual: SimulatedScene) -> None:

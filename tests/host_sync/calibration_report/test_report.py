@@ -19,6 +19,7 @@ from host_sync.calibration.balls import (
     add_detections,
     relocate_labels,
 )
+from host_sync.calibration.calibration_verdict import checks
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.scale import scale_uncertainty, with_stated_pitch
 from host_sync.calibration.training_press import MAX_SHOWN, training_presses
@@ -141,3 +142,16 @@ def test_the_picture_of_balls_says_what_it_leaves_out_and_shows_every_rejection(
     assert {"press-01", "press-18"} <= set(titles)
     assert f"{MAX_SHOWN} of {MAX_SHOWN + 4} presses shown" in figure.get_suptitle()
     assert "presses shown" not in balls_figure(training_presses(presses[:9])).get_suptitle()
+
+
+def test_what_is_rejected_beside_the_ball_of_a_press_is_no_rejected_ball() -> None:
+    beside = (RejectedBall(90.0, 20.0, "cut by the frame's border"),)
+    rejected = {}
+    for name, used in (
+        ("one", press(0, ball(60.0, 45.0), rejected=beside)),
+        ("none", press(0, rejected=beside)),
+        ("two", press(0, ball(20.0, 45.0), ball(60.0, 45.0), rejected=beside)),
+    ):
+        coverage = measure_coverage(samples(*everywhere()), SHAPE, steepest=0.75)
+        (rejected[name],) = [c.value for c in checks([used], 1.0, 0.01, coverage) if c.name.startswith("share of ba")]
+    assert rejected == {"one": 0.0, "none": 1.0, "two": pytest.approx(1.0 / 3.0)}
