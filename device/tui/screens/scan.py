@@ -81,7 +81,6 @@ class ScanScreen(InstrumentScreen):
         self._relief = HeightView(depth, below=4)
         self._verdict = Words(id="verdict", markup=False)
         self._cue = Words(id="cue", markup=False)
-        self._guided = False
         self._area_mm = {"Width, mm": "", "Height, mm": ""}
         self._map = Words(id="area-map", markup=False)
         self._sticky = Words(id="sticky", markup=False)
@@ -117,10 +116,7 @@ class ScanScreen(InstrumentScreen):
         mode = _MODE_WORDS[state.settings.capture]
         self._sticky.update(f"{following}{sticky_text(state.sticky, numbered)}{mode}{auto}")
         self._show_last(state)
-        guided = state.spot is not None or state.area is not None
-        if self._guided != guided:
-            self._guided = guided
-            self.refresh_bindings()
+        self.refresh_bindings()
 
     def show_live(self, state: InstrumentState) -> None:
         """Show live picture and gauges."""
@@ -226,7 +222,8 @@ class ScanScreen(InstrumentScreen):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only the twin can press objects, and only a mode can be left."""
         if action == "leave":
-            return self._guided
+            state = self.instrument.state
+            return state.spot is not None or state.area is not None
         return self.retroscan.is_twin if action == "demonstrate" else super().check_action(action, parameters)
 
     def _save_sticky(self, fields: dict[str, str] | None) -> None:

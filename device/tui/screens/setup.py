@@ -14,7 +14,7 @@ from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
-from device.instrument.state import Activity, InstrumentState
+from device.instrument.state import InstrumentState
 from device.store.gels import make_gel
 from device.store.registry import RegisteredCalibration
 from device.store.stick import StickExport
@@ -51,7 +51,6 @@ class SetUpScreen(InstrumentScreen):
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
         self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
-        self._activity: Activity | None = None
         self._machine = MachineActions(self, instrument.machine, self._read)
 
     def body(self) -> Iterable[Widget]:
@@ -64,9 +63,7 @@ class SetUpScreen(InstrumentScreen):
     def show_body(self, state: InstrumentState) -> None:
         """Update the panel of the chosen action."""
         self._panel.update(self._text(state))
-        if state.activity != self._activity:
-            self._activity = state.activity
-            self.refresh_bindings()
+        self.refresh_bindings()
 
     def on_screen_resume(self) -> None:
         """Read network, Wi-Fi, clock and brightness again: cables may have been plugged meanwhile."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.content import Content
 from textual.events import Click
@@ -82,13 +83,15 @@ class NavigationItem(Static):
 class KeyHints(Horizontal):
     """The active key bindings; those that do not fit are left out as a whole, never that of all keys."""
 
+    _shown: dict[str, Binding] | None = None
+
     def compose(self) -> ComposeResult:
         """One hint per key, as many as fit."""
-        hints: dict[str, KeyHint] = {}
-        for active in self.screen.active_bindings.values():
-            binding = active.binding
-            if binding.show and active.enabled and binding.action not in hints:
-                hints[binding.action] = KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
+        self._shown = self._active()
+        hints = {
+            action: KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
+            for action, binding in self._shown.items()
+        }
         fitting = hints_that_fit({action: hint.columns for action, hint in hints.items()}, self.app.size.width)
         yield from (hints[action] for action in fitting)
 
@@ -101,8 +104,17 @@ class KeyHints(Horizontal):
         self.call_after_refresh(self.recompose)
 
     def _follow(self, screen: Screen[object]) -> None:
-        if self.is_attached and screen is self.screen:
+        """Show other hints where other keys are active; the same ones are not drawn again."""
+        if self.is_attached and screen is self.screen and self._active() != self._shown:
             self.call_after_refresh(self.recompose)
+
+    def _active(self) -> dict[str, Binding]:
+        """The bindings that have a hint, by action."""
+        shown: dict[str, Binding] = {}
+        for active in self.screen.active_bindings.values():
+            if active.enabled and active.binding.show:
+                shown.setdefault(active.binding.action, active.binding)
+        return shown
 
 
 def hints_that_fit(columns: Mapping[str, int], available: int) -> list[str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from device.instrument.live import PERIOD_S, SLEEP_AFTER_S, UNSEEN_PERIOD_S
+from device.tui.widgets.navigation import KeyHint
 from device.tui.widgets.words import Words
 
 Stage = Any
@@ -46,5 +47,21 @@ def test_the_same_words_are_not_drawn_again(play: Callable[..., None], root: Pat
         assert panel.visual is before
         panel.update("something else")
         assert panel.visual is not before
+
+    play(scenario, root)
+
+
+def test_the_same_keys_are_not_drawn_again_and_others_are(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        for screen in "1234":
+            await stage.press(screen)
+            before = list(stage.app.screen.query(KeyHint))
+            for _ in range(3):
+                await stage.live(1)
+            assert list(stage.app.screen.query(KeyHint)) == before
+        await stage.press("2", "space")
+        await stage.live(2)
+        assert "stop" in stage.text().splitlines()[-1]
+        assert "ball radius" not in stage.text().splitlines()[-1]
 
     play(scenario, root)
