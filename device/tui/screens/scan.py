@@ -236,6 +236,8 @@ class ScanScreen(InstrumentScreen):
 
     def _show_last(self, state: InstrumentState) -> None:
         self._relief.display, self._map.display = state.area is None, state.area is not None
+        if self._relief.display and self.focused is None:
+            self._relief.focus()  # a map of an area took it, and with it the keys of the profile
         if area := state.area:
             columns, rows = self._map.size
             lines = area.map.lines(columns, rows) if area.map and columns and rows else []

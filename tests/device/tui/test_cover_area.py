@@ -97,7 +97,9 @@ def test_leaving_keeps_the_scans_and_the_size(play: Callable[..., None], root: P
         assert "Esc leave" not in stage.text()
         assert "GOOD #1" in stage.text()
         assert stage.instrument.state.scans_stored == 1
-        await stage.press("w")
+        await stage.press("p")
+        assert " z " in stage.text()  # the relief has its keys again
+        await stage.press("p", "w")
         assert "26" in stage.text()
         await stage.press("escape")
         await stage.live()
